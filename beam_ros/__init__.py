@@ -1,0 +1,1 @@
+"""The rig: nodes, hub, camera, bags and the `beam` command."""

@@ -1,0 +1,23 @@
+"""Errors of the rig suite: each says what was wrong, the value seen, what was expected and what to do."""
+
+from __future__ import annotations
+
+
+class RigError(Exception):
+    """Base of the suite's own errors; a command-line verb turns it into one line and exit status 2."""
+
+
+class ParameterFileError(RigError, ValueError):
+    """A rig or plan file is missing, is no YAML, or holds an unknown key, a wrong type, unit or range."""
+
+
+class RigUnavailableError(RigError, OSError):
+    """A part of the rig is not there: a port, a device, a node or a service did not answer."""
+
+
+class UsageError(RigError, ValueError):
+    """A command was called with arguments that do not go together."""
+
+
+class RosMissingError(RigError, ImportError):
+    """A node was asked for where ROS 2 is not installed."""
