@@ -104,30 +104,89 @@ _LATCHED = QualityOfService(depth=1, is_latched=True)
 TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
-        Topic("hub/setpoint", JOINT_TRAJECTORY, QualityOfService(1), "one stamped set-point for the hub; refused "
-              "when older than 0.2 s", is_command=True),
-        Topic("hub/sequence", JOINT_TRAJECTORY, _DATA, "a sequence in chunks of at most 500 points that share one "
-              "start stamp", is_command=True),
+        Topic(
+            "hub/setpoint",
+            JOINT_TRAJECTORY,
+            QualityOfService(1),
+            "one stamped set-point for the hub; refused when older than 0.2 s",
+            is_command=True,
+        ),
+        Topic(
+            "hub/sequence",
+            JOINT_TRAJECTORY,
+            _DATA,
+            "a sequence in chunks of at most 500 points that share one start stamp",
+            is_command=True,
+        ),
         Topic("hub/sequence_state", STRING, _LATCHED, "JSON: id, state, points received, reason"),
-        Topic("hub/applied", JOINT_TRAJECTORY, _DATA, "batches of the reference really applied, a point per device "
-              "tick [m, m/s, m/s^2 or N by command mode]"),
-        Topic("hub/measured", JOINT_TRAJECTORY, _DATA, "batches of what the device measured: positions [m], "
-              "velocities [m/s], effort [N]"),
-        Topic("hub/state", JOINT_STATE, QualityOfService(100), "newest hub sample, for people and viewers [m, m/s, N]"),
-        Topic("hub/clock_sync", "sensor_msgs/msg/TimeReference", QualityOfService(100), "host stamp against device "
-              "time, with epoch and round trip"),
-        Topic("camera/image_raw", "sensor_msgs/msg/Image", QualityOfService(5), "camera frames", is_image=True),
-        Topic("camera/camera_info", "sensor_msgs/msg/CameraInfo", QualityOfService(5), "size and optics of the frames"),
-        Topic("beam/displacement", JOINT_STATE, _DATA, "absolute displacement u of every marker [m]; NaN where a "
-              "marker was not seen"),
-        Topic("beam/markers", "sensor_msgs/msg/PointCloud2", QualityOfService(100), "every marker in the frame: "
-              "x, y, z [m], u, v [px], x_m, sigma_m [m], id, valid"),
-        Topic("excitation/info", STRING, _LATCHED, "JSON: the signal's recipe, seed, hold and the rig's parameters"),
+        Topic(
+            "hub/applied",
+            JOINT_TRAJECTORY,
+            _DATA,
+            "batches of the reference really applied, a point per device "
+            "tick [m, m/s, m/s^2 or N by command mode]",
+        ),
+        Topic(
+            "hub/measured",
+            JOINT_TRAJECTORY,
+            _DATA,
+            "batches of what the device measured: positions [m], velocities [m/s], effort [N]",
+        ),
+        Topic(
+            "hub/state",
+            JOINT_STATE,
+            QualityOfService(100),
+            "newest hub sample, for people and viewers [m, m/s, N]",
+        ),
+        Topic(
+            "hub/clock_sync",
+            "sensor_msgs/msg/TimeReference",
+            QualityOfService(100),
+            "host stamp against device time, with epoch and round trip",
+        ),
+        Topic(
+            "camera/image_raw", "sensor_msgs/msg/Image", QualityOfService(5), "camera frames", is_image=True
+        ),
+        Topic(
+            "camera/camera_info",
+            "sensor_msgs/msg/CameraInfo",
+            QualityOfService(5),
+            "size and optics of the frames",
+        ),
+        Topic(
+            "beam/displacement",
+            JOINT_STATE,
+            _DATA,
+            "absolute displacement u of every marker [m]; NaN where a marker was not seen",
+        ),
+        Topic(
+            "beam/markers",
+            "sensor_msgs/msg/PointCloud2",
+            QualityOfService(100),
+            "every marker in the frame: x, y, z [m], u, v [px], x_m, sigma_m [m], id, valid",
+        ),
+        Topic(
+            "excitation/info",
+            STRING,
+            _LATCHED,
+            "JSON: the signal's recipe, seed, hold and the rig's parameters",
+        ),
         Topic("recorder/state", STRING, _LATCHED, "JSON: recording or not, path, messages written"),
-        Topic("identification/result", STRING, _LATCHED, "JSON: the identified model and where its report lies"),
-        Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", QualityOfService(10), "health of every node, 1 Hz"),
-        Topic("/clock", "rosgraph_msgs/msg/Clock", QualityOfService(10), "simulated time, only when it does not run "
-              "in real time"),
+        Topic(
+            "identification/result", STRING, _LATCHED, "JSON: the identified model and where its report lies"
+        ),
+        Topic(
+            "/diagnostics",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            QualityOfService(10),
+            "health of every node, 1 Hz",
+        ),
+        Topic(
+            "/clock",
+            "rosgraph_msgs/msg/Clock",
+            QualityOfService(10),
+            "simulated time, only when it does not run in real time",
+        ),
     )
 }
 
@@ -141,41 +200,92 @@ SERVICES: dict[str, Service] = {
         Service("excitation/start", TRIGGER, "hand the sequence over and start it"),
         Service("excitation/stop", TRIGGER, "abort the running sequence"),
         Service("tracker/reset", TRIGGER, "forget the markers and acquire them anew"),
-        Service("tracker/capture_point", TRIGGER, "average the markers against the reference at this position"),
+        Service(
+            "tracker/capture_point", TRIGGER, "average the markers against the reference at this position"
+        ),
         Service("tracker/fit_calibration", TRIGGER, "fit pixels to metres through the captured points"),
         Service("tracker/tare", TRIGGER, "make the present position the zero of every marker"),
         Service("recorder/start", TRIGGER, "start a recording"),
         Service("recorder/stop", TRIGGER, "close the recording"),
-        Service("identifier/identify", TRIGGER, "identify a model from the bag of parameter `identifier.bag`"),
+        Service(
+            "identifier/identify", TRIGGER, "identify a model from the bag of parameter `identifier.bag`"
+        ),
     )
 }
 
-_HUB_PUBLISHES = ("hub/sequence_state", "hub/applied", "hub/measured", "hub/state", "hub/clock_sync", "/diagnostics")
+_HUB_PUBLISHES = (
+    "hub/sequence_state",
+    "hub/applied",
+    "hub/measured",
+    "hub/state",
+    "hub/clock_sync",
+    "/diagnostics",
+)
 _HUB_SERVES = ("hub/enable", "hub/home", "hub/stop", "hub/clear_fault")
 _CAMERA = ("camera/image_raw", "camera/camera_info")
 
 NODES: dict[str, Node] = {
     node.executable: node
     for node in (
-        Node("simulator", "hub", (*_HUB_PUBLISHES, *_CAMERA, "beam/displacement", "/clock"),
-             ("hub/setpoint", "hub/sequence"), _HUB_SERVES,
-             "the beam on its hub, integrated in real time, and the camera that films it"),
-        Node("hub_driver", "hub", _HUB_PUBLISHES, ("hub/setpoint", "hub/sequence"), _HUB_SERVES,
-             "the motion controller behind a serial port"),
-        Node("firmware_emulator", "firmware_emulator", (*_CAMERA, "/diagnostics"), (), (),
-             "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it"),
-        Node("vision_tracker", "tracker", ("beam/displacement", "beam/markers", "/diagnostics"),
-             (*_CAMERA, "hub/state"),
-             ("tracker/reset", "tracker/capture_point", "tracker/fit_calibration", "tracker/tare"),
-             "sub-pixel positions of the markers in the camera's frames"),
-        Node("excitation_generator", "excitation", ("hub/sequence", "excitation/info", "/diagnostics"),
-             ("hub/sequence_state", "hub/state"), ("excitation/start", "excitation/stop"),
-             "chirps, multisines and steps for the hub, checked against its limits"),
-        Node("bag_recorder", "recorder", ("recorder/state", "/diagnostics"), (), ("recorder/start", "recorder/stop"),
-             "every topic but the images into one bag"),
-        Node("bag_player", "player", ("/diagnostics",), (), (), "a bag back onto its topics; commands left out"),
-        Node("identifier", "identifier", ("identification/result", "/diagnostics"), (), ("identifier/identify",),
-             "continuous-time model with common poles from a recorded bag"),
+        Node(
+            "simulator",
+            "hub",
+            (*_HUB_PUBLISHES, *_CAMERA, "beam/displacement", "/clock"),
+            ("hub/setpoint", "hub/sequence"),
+            _HUB_SERVES,
+            "the beam on its hub, integrated in real time, and the camera that films it",
+        ),
+        Node(
+            "hub_driver",
+            "hub",
+            _HUB_PUBLISHES,
+            ("hub/setpoint", "hub/sequence"),
+            _HUB_SERVES,
+            "the motion controller behind a serial port",
+        ),
+        Node(
+            "firmware_emulator",
+            "firmware_emulator",
+            (*_CAMERA, "/diagnostics"),
+            (),
+            (),
+            "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
+        ),
+        Node(
+            "vision_tracker",
+            "tracker",
+            ("beam/displacement", "beam/markers", "/diagnostics"),
+            (*_CAMERA, "hub/state"),
+            ("tracker/reset", "tracker/capture_point", "tracker/fit_calibration", "tracker/tare"),
+            "sub-pixel positions of the markers in the camera's frames",
+        ),
+        Node(
+            "excitation_generator",
+            "excitation",
+            ("hub/sequence", "excitation/info", "/diagnostics"),
+            ("hub/sequence_state", "hub/state"),
+            ("excitation/start", "excitation/stop"),
+            "chirps, multisines and steps for the hub, checked against its limits",
+        ),
+        Node(
+            "bag_recorder",
+            "recorder",
+            ("recorder/state", "/diagnostics"),
+            (),
+            ("recorder/start", "recorder/stop"),
+            "every topic but the images into one bag",
+        ),
+        Node(
+            "bag_player", "player", ("/diagnostics",), (), (), "a bag back onto its topics; commands left out"
+        ),
+        Node(
+            "identifier",
+            "identifier",
+            ("identification/result", "/diagnostics"),
+            (),
+            ("identifier/identify",),
+            "continuous-time model with common poles from a recorded bag",
+        ),
     )
 }
 
