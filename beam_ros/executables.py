@@ -1,0 +1,169 @@
+"""The executables: each makes the environment safe first and only then imports what it runs.
+
+`pip` and `colcon` make a script of each function here; `command` gives the same as an argument list that
+works under both. What is missing on the machine (ROS 2, a camera or a serial library) ends in one line and
+status 2.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from beam_ros import environment
+
+MODULES = {
+    "beam": "beam_ros.cli.main",
+    "simulator": "beam_ros.nodes.simulator",
+    "hub_driver": "beam_ros.nodes.hub_driver",
+    "vision_tracker": "beam_ros.nodes.vision_tracker",
+    "excitation_generator": "beam_ros.nodes.excitation_generator",
+    "identifier": "beam_ros.nodes.identifier",
+    "bag_recorder": "beam_ros.nodes.bag_recorder",
+    "bag_player": "beam_ros.nodes.bag_player",
+    "firmware_emulator": "beam_ros.nodes.firmware_emulator",
+}
+"""Executables and the modules whose `main` they run; all but `beam` are nodes."""
+
+_PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
+    "cv2": ("opencv-python-headless", "python3-opencv"),
+    "serial": ("pyserial", "python3-serial"),
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "numpy": ("numpy", "python3-numpy"),
+    "scipy": ("scipy", "python3-scipy"),
+    "tqdm": ("tqdm", "python3-tqdm"),
+    "ruamel": ("ruamel.yaml", "python3-ruamel.yaml"),
+    "rosbags": ("rosbags", None),
+    "mcap": ("mcap", None),
+}
+
+
+def beam() -> int:
+    """Run the command `beam`."""
+    return _run("beam")
+
+
+def simulator() -> int:
+    """Run the node that integrates and films the beam."""
+    return _run("simulator")
+
+
+def hub_driver() -> int:
+    """Run the node of the motion controller behind a serial port."""
+    return _run("hub_driver")
+
+
+def vision_tracker() -> int:
+    """Run the node that measures the markers in the camera's frames."""
+    return _run("vision_tracker")
+
+
+def excitation_generator() -> int:
+    """Run the node that hands excitations to the hub."""
+    return _run("excitation_generator")
+
+
+def identifier() -> int:
+    """Run the node that identifies a model from a bag."""
+    return _run("identifier")
+
+
+def bag_recorder() -> int:
+    """Run the node that records the rig's topics."""
+    return _run("bag_recorder")
+
+
+def bag_player() -> int:
+    """Run the node that plays a bag back."""
+    return _run("bag_player")
+
+
+def firmware_emulator() -> int:
+    """Run the motion controller on a pseudo-terminal."""
+    return _run("firmware_emulator")
+
+
+def command(executable: str) -> list[str]:
+    """Argument list that starts an executable of the suite with this process's own Python.
+
+    Parameters
+    ----------
+    executable : str -- a key of MODULES
+
+    Returns
+    -------
+    list of str -- to be followed by the executable's own arguments; goes with `environment.child_environment`
+    """
+    safe_path = ["-P"] if sys.version_info >= (3, 11) else []
+    return [sys.executable, *safe_path, "-m", __name__, executable]
+
+
+def _run(name: str) -> int:
+    environment.enter()
+    is_node = name != "beam"
+    try:
+        with _interruption_ends_with(0 if is_node else 130):
+            if is_node:
+                importlib.import_module("rclpy")
+            module = importlib.import_module(MODULES[name])
+        status: int = module.main()
+    except ImportError as error:
+        refusal = _refusal(error)
+        if refusal is None:
+            raise
+        print(f"{name}: {refusal}", file=sys.stderr)  # noqa: T201 - no logger exists without rclpy
+        return 2
+    return status
+
+
+@contextmanager
+def _interruption_ends_with(status: int) -> Iterator[None]:
+    """End the process at once on a signal: while modules are imported there is nothing to stop yet."""
+
+    def leave(_signal: int, _frame: FrameType | None) -> None:
+        os._exit(status)
+
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number, handler in previous.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _refusal(error: ImportError) -> str | None:
+    """One line for a package that is missing on this machine; None for a fault of the suite's own."""
+    module = (error.name or "").partition(".")[0]
+    if module == "rclpy" or module.endswith(("_msgs", "_srvs", "_interfaces")):
+        reason = str(error).partition("\n")[0]
+        return (
+            f"ROS 2 cannot be used by {sys.executable} ({reason}); expected rclpy 7.1 of ROS 2 Jazzy; run "
+            "`make setup` in the source tree, or `source /opt/ros/jazzy/setup.bash` where it is installed"
+        )
+    if module not in _PACKAGES or not isinstance(error, ModuleNotFoundError):
+        return None
+    on_pypi, in_ubuntu = _PACKAGES[module]
+    remedy = f"{sys.executable} -m pip install {on_pypi}"
+    if sys.prefix == sys.base_prefix:
+        remedy = f"sudo apt install {in_ubuntu}" if in_ubuntu else "python3 bootstrap.py"
+    return f"{sys.executable} has no module {module!r}; expected the package {on_pypi}; run `{remedy}`"
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in MODULES:
+        print(  # noqa: T201
+            f"beam_ros.executables: {' '.join(sys.argv[1:]) or 'nothing'} asked for; expected one of "
+            f"{', '.join(MODULES)}",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    del sys.argv[0]
+    sys.exit(_run(sys.argv[0]))
