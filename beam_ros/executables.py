@@ -11,7 +11,7 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
@@ -45,47 +45,47 @@ _PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
 
 def beam() -> int:
     """Run the command `beam`."""
-    return _run("beam")
+    return run_executable("beam")
 
 
 def simulator() -> int:
     """Run the node that integrates and films the beam."""
-    return _run("simulator")
+    return run_executable("simulator")
 
 
 def hub_driver() -> int:
     """Run the node of the motion controller behind a serial port."""
-    return _run("hub_driver")
+    return run_executable("hub_driver")
 
 
 def vision_tracker() -> int:
     """Run the node that measures the markers in the camera's frames."""
-    return _run("vision_tracker")
+    return run_executable("vision_tracker")
 
 
 def excitation_generator() -> int:
     """Run the node that hands excitations to the hub."""
-    return _run("excitation_generator")
+    return run_executable("excitation_generator")
 
 
 def identifier() -> int:
     """Run the node that identifies a model from a bag."""
-    return _run("identifier")
+    return run_executable("identifier")
 
 
 def bag_recorder() -> int:
     """Run the node that records the rig's topics."""
-    return _run("bag_recorder")
+    return run_executable("bag_recorder")
 
 
 def bag_player() -> int:
     """Run the node that plays a bag back."""
-    return _run("bag_player")
+    return run_executable("bag_player")
 
 
 def firmware_emulator() -> int:
     """Run the motion controller on a pseudo-terminal."""
-    return _run("firmware_emulator")
+    return run_executable("firmware_emulator")
 
 
 def command(executable: str) -> list[str]:
@@ -103,7 +103,18 @@ def command(executable: str) -> list[str]:
     return [sys.executable, *safe_path, "-m", __name__, executable]
 
 
-def _run(name: str) -> int:
+def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run an executable in this process.
+
+    Parameters
+    ----------
+    name : str -- a key of MODULES
+    arguments : sequence of str, optional -- its arguments without its name; by default the process's own
+
+    Returns
+    -------
+    int -- exit status; 2 with one line on stderr when a package it needs is missing
+    """
     environment.enter()
     is_node = name != "beam"
     try:
@@ -111,7 +122,7 @@ def _run(name: str) -> int:
             if is_node:
                 importlib.import_module("rclpy")
             module = importlib.import_module(MODULES[name])
-        status: int = module.main()
+        status: int = module.main(None if arguments is None else list(arguments))
     except ImportError as error:
         refusal = _refusal(error)
         if refusal is None:
@@ -166,4 +177,4 @@ if __name__ == "__main__":
         )
         sys.exit(2)
     del sys.argv[0]
-    sys.exit(_run(sys.argv[0]))
+    sys.exit(run_executable(sys.argv[0]))

@@ -1,0 +1,50 @@
+"""The nodes of a rig together: `ros2 launch beam_ros rig.launch.py rig:=simulated|emulated|real`."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from beam_ros.interfaces import NODES, Rig, nodes_of_rig
+from launch import LaunchContext, LaunchDescription
+
+PACKAGED_RIG = str(resources.files("beam_ros") / "config" / "rig.yaml")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments `rig`, `params_file` and `namespace` and start what they name."""
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "rig",
+                default_value=Rig.SIMULATED.value,
+                choices=[rig.value for rig in Rig],
+                description="what stands behind the node `hub` and the camera's topics",
+            ),
+            DeclareLaunchArgument(
+                "params_file", default_value=PACKAGED_RIG, description="the rig's parameter file"
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="moves the whole rig"),
+            OpaqueFunction(function=_nodes),
+        ]
+    )
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    rig, params_file, namespace = (
+        LaunchConfiguration(name).perform(context) for name in ("rig", "params_file", "namespace")
+    )
+    return [
+        Node(
+            package="beam_ros",
+            executable=executable,
+            name=NODES[executable].name,
+            namespace=namespace,
+            parameters=[params_file],
+            output="screen",
+        )
+        for executable in nodes_of_rig(Rig(rig))
+    ]

@@ -1,0 +1,60 @@
+"""Name, version, requirements and executables of the suite, for pip and for colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "beam_ros"
+
+REPORT = ["matplotlib>=3.8"]
+
+# OpenCV 4.11 is the last that takes NumPy 1.26; pip finds it when NumPy is held there.
+RIG = [*REPORT, "opencv-python-headless>=4.6", "pyserial>=3.5", "mcap>=1.1"]
+
+# ROS 2 Jazzy as wheels, pinned: later versions under these names are another distribution. They exist for
+# x86-64 Linux only; elsewhere, and where a ROS 2 is sourced, the machine's own is used.
+WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.14"'
+ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
+
+# setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls.
+TEST = ["pytest>=8", "hypothesis>=6.100", "colcon-common-extensions", "colcon-ros", "setuptools<80"]
+
+DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3"]
+
+EXECUTABLES = [
+    "beam",
+    "simulator",
+    "hub_driver",
+    "vision_tracker",
+    "excitation_generator",
+    "identifier",
+    "bag_recorder",
+    "bag_player",
+    "firmware_emulator",
+]
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Simulates, drives, films and identifies a flexible cantilever beam on a moving hub.",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=["beam_*"]),
+    package_data={"": ["py.typed"], PACKAGE: ["config/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", glob("launch/*.launch.py")),
+        (f"share/{PACKAGE}/config", glob(f"{PACKAGE}/config/*.yaml")),
+    ],
+    zip_safe=False,
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "rosbags>=0.11,<0.12",
+        "ruamel.yaml>=0.17.21",
+        "tqdm>=4.60",
+    ],
+    extras_require={"report": REPORT, "rig": RIG, "ros": ROS, "test": TEST, "dev": DEV},
+    entry_points={"console_scripts": [f"{name} = {PACKAGE}.executables:{name}" for name in EXECUTABLES]},
+)
