@@ -1,0 +1,51 @@
+# Every target sets up what it needs first; where that is done already, it starts at once.
+#   make demo ARGS="--rig emulated"      make test ARGS="tests/hub -x"
+
+PYTHON ?= python3
+VENV ?= .venv
+ARGS ?=
+MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
+
+SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test verify lint test-matrix clean distclean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' Makefile
+
+setup: ## make the environment in .venv with ROS 2, the camera and the serial port
+	@$(SETUP)
+
+demo: ## the whole experiment without hardware (ARGS: see `beam demo --help`)
+	@$(SETUP) -- beam demo $(ARGS)
+
+test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
+	@$(SETUP) --extras ros,test -- python -m pytest $(ARGS)
+
+verify: ## the figures of the documentation at full length, an hour at most
+	@$(SETUP) --extras ros,test -- python -m pytest --verify $(ARGS)
+
+lint: ## style and types
+	@$(SETUP) --extras ros,test,dev -- ruff check .
+	@$(SETUP) --extras ros,test,dev -- ruff format --check .
+	@$(SETUP) --extras ros,test,dev -- mypy
+
+test-matrix: ## the tests on several Pythons, newest and oldest requirements (MATRIX="3.12-oldest ...")
+	@failed=; for cell in $(MATRIX); do \
+		python=$${cell%-*}; constraint=.ci/$${cell#*-}.txt; \
+		if ! $(PYTHON) bootstrap.py --python $$python --print-python >/dev/null; then \
+			echo "== $$cell: left out, no Python $$python on this machine"; continue; \
+		fi; \
+		echo "== $$cell"; \
+		$(PYTHON) bootstrap.py --venv .venv-$$cell --python $$python --extras ros,test --constraint $$constraint \
+			-- python -m pytest $(ARGS) || failed="$$failed $$cell"; \
+	done; \
+	if [ -n "$$failed" ]; then echo "== failed:$$failed"; exit 1; fi; echo "== passed"
+
+clean: ## remove what builds, tests and linters left; the environment and your runs stay
+	rm -rf build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name .venv -prune -o -name '.venv-*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+distclean: clean ## also remove the environments
+	rm -rf .venv .venv-*
