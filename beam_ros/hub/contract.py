@@ -1,0 +1,230 @@
+"""What a hub is to the rest of the suite: the `Hub` protocol and the values that cross it.
+
+`SimulatedHub` and `DriverHub` both implement `Hub`, so that one node shell serves the simulator and the
+real axis. Nothing here reads a clock: the caller passes a `HostTime` with every call.
+
+Sign convention: positions, velocities, accelerations and forces of the hub are positive along +x of the
+frame `rig`; home is position 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+AxisState = Literal["disconnected", "identified", "homed", "enabled", "fault"]
+RequestKind = Literal["enable", "disable", "home", "stop", "clear_fault"]
+SequenceState = Literal["loading", "ready", "refused", "running", "done", "aborted", "underrun"]
+AxisEventKind = Literal["sequence_running", "sequence_done", "sequence_aborted", "sequence_underrun", "state"]
+EventLevel = Literal["info", "warning", "error"]
+
+REQUEST_KINDS: tuple[RequestKind, ...] = ("enable", "disable", "home", "stop", "clear_fault")
+AXIS_EVENT_KINDS: tuple[AxisEventKind, ...] = (
+    "sequence_running",
+    "sequence_done",
+    "sequence_aborted",
+    "sequence_underrun",
+    "state",
+)
+AXIS_STATES: tuple[AxisState, ...] = ("disconnected", "identified", "homed", "enabled", "fault")
+
+
+@dataclass(frozen=True)
+class HostTime:
+    """One reading of the host's two clocks, taken together.
+
+    Parameters
+    ----------
+    steady_ns : int
+        CLOCK_MONOTONIC [ns]; everything is timed by it.
+    unix_ns : int
+        CLOCK_REALTIME [ns]; only names the instants in stamps.
+    """
+
+    steady_ns: int
+    unix_ns: int
+
+
+@dataclass(frozen=True)
+class SampleBatch:
+    """Consecutive device ticks, one sample each, without a gap.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Mapped host time of the first sample [ns, UNIX].
+    period_ns : int
+        Distance of the samples [ns of device time]; sample k lies at ``k * period_ns`` after the first.
+    epoch : int
+        Counts the device's starts; stamps of different epochs come from different maps.
+    positions, velocities, accelerations, efforts : ndarray, shape (n_samples,), or None
+        [m], [m/s], [m/s^2], [N]; None where the batch has no such quantity.
+    """
+
+    stamp_ns: int
+    period_ns: int
+    epoch: int
+    positions: FloatArray | None = None
+    velocities: FloatArray | None = None
+    accelerations: FloatArray | None = None
+    efforts: FloatArray | None = None
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        for array in (self.positions, self.velocities, self.accelerations, self.efforts):
+            if array is not None:
+                return len(array)
+        return 0
+
+
+@dataclass(frozen=True)
+class SequenceChunk:
+    """Some consecutive samples of a sequence, as one message carries them.
+
+    Parameters
+    ----------
+    sequence_id : str
+        The sequence's name, without white space.
+    index, count : int
+        This is chunk `index` of `count`, counted from 1.
+    start_ns : int
+        When the sequence's first sample is to be applied [ns, UNIX]; the same in all chunks.
+    period_ns : int
+        Distance of the samples [ns of device time], a multiple of the device's period.
+    first_tick : int
+        Number of this chunk's first sample in the sequence, counted from 0: its time from the start is
+        ``first_tick * period_ns``.
+    values : ndarray, shape (n_points,)
+        Samples in the command mode's unit.
+    """
+
+    sequence_id: str
+    index: int
+    count: int
+    start_ns: int
+    period_ns: int
+    first_tick: int
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Whether a command was taken, and why or why not."""
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class SequenceReport:
+    """Where a sequence stands.
+
+    Parameters
+    ----------
+    sequence_id : str
+        The sequence's name.
+    state : str
+        loading, ready, refused, running, done, aborted or underrun.
+    points : int
+        Samples received so far.
+    reason : str
+        Why it was refused or ended early; empty otherwise.
+    """
+
+    sequence_id: str
+    state: SequenceState
+    points: int
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class ClockSync:
+    """One comparison of the device's clock with the host's, enough to redo the map offline.
+
+    Parameters
+    ----------
+    host_ns : int
+        The middle of the exchange on the host [ns, UNIX].
+    device_ns : int
+        What the device's clock read then [ns].
+    epoch : int
+        Counts the device's starts.
+    rtt_ns : int
+        Duration of the exchange [ns]; `host_ns` is wrong by half of it at the most.
+    """
+
+    host_ns: int
+    device_ns: int
+    epoch: int
+    rtt_ns: int
+
+
+@dataclass(frozen=True)
+class HubStatus:
+    """The newest the host knows of the axis.
+
+    Parameters
+    ----------
+    state : str
+        disconnected, identified, homed, enabled or fault.
+    position : float
+        Measured position [m].
+    velocity : float
+        Measured velocity [m/s].
+    fault : str
+        Why the axis was disabled or stands in fault; empty while all is well.
+    counters : mapping of str to int
+        For diagnostics: what was lost, refused, retried.
+    """
+
+    state: AxisState = "disconnected"
+    position: float = 0.0
+    velocity: float = 0.0
+    fault: str = ""
+    counters: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HubEvent:
+    """One line for the log: a change of state or a fault, never a sample."""
+
+    level: EventLevel
+    text: str
+
+
+@dataclass(frozen=True)
+class HubReport:
+    """All that happened since the last poll, in the order in which it happened."""
+
+    applied: list[SampleBatch]
+    measured: list[SampleBatch]
+    sequences: list[SequenceReport]
+    clock: list[ClockSync]
+    completed: list[tuple[int, Outcome]]
+    status: HubStatus
+    events: list[HubEvent]
+
+
+class Hub(Protocol):
+    """A moving hub: the simulated one or the one behind a serial line."""
+
+    def request(self, kind: RequestKind) -> int:
+        """Ask for a change of state; its number appears in `HubReport.completed` when it is over."""
+
+    def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
+        """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
+
+    def load(self, chunk: SequenceChunk, now: HostTime) -> None:
+        """Hand over one chunk of a sequence; what became of it appears in `HubReport.sequences`."""
+
+    def poll(self, now: HostTime) -> HubReport:
+        """Say that the host is alive, and collect what happened; call it at least every 50 ms."""
+
+    def close(self) -> None:
+        """Leave the axis stopped and let go of it."""
