@@ -183,8 +183,7 @@ def _is_inside(entry: str, prefix: Path) -> bool:
 
 
 def _holds_interpreter(entry: str) -> bool:
-    name = f"libpython{sys.version_info.major}.{sys.version_info.minor}"
     try:
-        return any(file.startswith(name) for file in os.listdir(entry))
+        return any(file.startswith("libpython3") for file in os.listdir(entry))
     except OSError:
         return False
