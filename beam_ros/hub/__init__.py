@@ -1,6 +1,7 @@
 """The moving hub: what it is to the rest of the suite, its simulation, and the line to a real one."""
 
 from beam_ros.hub.axis import Snapshots, VirtualAxis
+from beam_ros.hub.beam_load import BeamLoad, BeamPoints
 from beam_ros.hub.contract import (
     ClockSync,
     HostTime,
@@ -19,6 +20,8 @@ from beam_ros.hub.sequences import format_chunk_name, parse_chunk_name
 from beam_ros.hub.simulated_hub import SimulatedHub
 
 __all__ = [
+    "BeamLoad",
+    "BeamPoints",
     "ClockSync",
     "HostTime",
     "Hub",

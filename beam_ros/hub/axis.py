@@ -105,13 +105,16 @@ class Snapshots:
     positions, accelerations : ndarray, shape (n_times,)
         Of the hub [m], [m/s^2]; the true ones, from home, not what the encoder says. Where the velocity
         jumps from tick to tick, the acceleration is the jump spread over the tick.
+    residual_accelerations : ndarray, shape (n_times,)
+        The acceleration that the modes left out of q follow [m/s^2]; the hub's, but for internal damping.
     coordinates : ndarray, shape (n_times, n_modes)
-        Modal coordinates q [m]: w(z) = shape(z) @ q - residual(z) * acceleration.
+        Modal coordinates q [m]: w(z) = shape(z) @ q - residual(z) * residual_acceleration.
     """
 
     times_ns: NDArray[np.int64]
     positions: FloatArray
     accelerations: FloatArray
+    residual_accelerations: FloatArray
     coordinates: FloatArray
 
 
@@ -494,6 +497,7 @@ class VirtualAxis:
         times = np.asarray(times_ns, dtype=np.int64)
         positions = np.empty(len(times))
         accelerations = np.empty(len(times))
+        residuals = np.empty(len(times))
         coordinates = np.empty((len(times), self._plant.n_modes))
         oldest = max(self._first_tick, self._tick - HISTORY_TICKS)
         for i, time_ns in enumerate(times.tolist()):
@@ -512,13 +516,14 @@ class VirtualAxis:
                     entry.elastic, entry.position, entry.velocity, tau, entry.drive
                 )
                 positions[i] = motion.position
-                accelerations[i] = motion.acceleration
+                accelerations[i] = residuals[i] = motion.acceleration
                 coordinates[i] = motion.coordinates
             else:
                 positions[i] = entry.position + entry.velocity * tau + entry.drive * tau * tau / 2
                 accelerations[i] = entry.mean_acceleration
+                residuals[i] = self._plant.residual_acceleration(entry.elastic, tau, entry.mean_acceleration)
                 coordinates[i] = self._plant.coordinates(entry.elastic, tau, entry.drive)
-        return Snapshots(times, positions, accelerations, coordinates)
+        return Snapshots(times, positions, accelerations, residuals, coordinates)
 
     def _position_count(self) -> int:
         return round((self._position - self._encoder_zero) / self.parameters.encoder_resolution)
@@ -721,7 +726,7 @@ class VirtualAxis:
         self._history[self._tick % HISTORY_TICKS] = _TickStart(
             reference_position, start_velocity, self._plant.state(), acceleration, False, mean_acceleration
         )
-        self._plant.step_led(acceleration)
+        self._plant.step_led(acceleration, mean_acceleration)
         self._position += mean_velocity * period
         self._velocity = velocity
         self._tick += 1

@@ -45,8 +45,11 @@ class Plant(Protocol):
     def kick(self, delta_velocity: float) -> None:
         """Let the hub's velocity jump by `delta_velocity` [m/s]."""
 
-    def step_led(self, acceleration: float) -> None:
-        """Advance one period under a constant hub acceleration [m/s^2]."""
+    def step_led(self, acceleration: float, mean_acceleration: float) -> None:
+        """Advance one period under a constant hub acceleration [m/s^2].
+
+        The mean one also counts the jump at the beginning, spread over the period.
+        """
 
     def step_free(self, position: float, velocity: float, force: float) -> tuple[float, float]:
         """Advance one period under a constant force [N]; return the hub's new position and velocity."""
@@ -56,6 +59,9 @@ class Plant(Protocol):
 
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return q, shape (n_modes,), `tau` seconds into a tick that began in `state`, the hub led."""
+
+    def residual_acceleration(self, state: FloatArray, tau: float, mean_acceleration: float) -> float:
+        """Return the acceleration that the modes left out of q follow then [m/s^2], the hub led."""
 
     def free_motion(
         self, state: FloatArray, position: float, velocity: float, tau: float, force: float
@@ -88,7 +94,7 @@ class RigidLoad:
     def kick(self, delta_velocity: float) -> None:
         """Leave the rigid load as it is."""
 
-    def step_led(self, acceleration: float) -> None:
+    def step_led(self, acceleration: float, mean_acceleration: float) -> None:
         """Leave the rigid load as it is."""
 
     def step_free(self, position: float, velocity: float, force: float) -> tuple[float, float]:
@@ -103,6 +109,10 @@ class RigidLoad:
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return the empty array: there are no modes."""
         return self._empty
+
+    def residual_acceleration(self, state: FloatArray, tau: float, mean_acceleration: float) -> float:
+        """Return the hub's acceleration [m/s^2]."""
+        return mean_acceleration
 
     def free_motion(
         self, state: FloatArray, position: float, velocity: float, tau: float, force: float
