@@ -1,0 +1,215 @@
+"""Clamped modes of a beam with gravity and point masses, from polynomials of high degree.
+
+Gravity makes the equation's coefficients vary along the beam, and a point mass makes the shear force jump;
+bare clamped modes then converge like n^-3. Here the beam is cut at its point masses and each piece carries
+a cubic Hermite polynomial (deflection and slope at both ends) and bubbles b_k with b_k'' = P_k,
+twice-integrated Legendre polynomials, of as high a degree as the highest mode asks for. Convergence is
+exponential, bending stiffness is nearly the identity, and all that is left is rounding: the modes are the
+clamped modes *with* gravity, markers, tip mass and clamp compliance.
+
+Lengths are in units of L, masses in rho L, stiffnesses in EI/L^3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy import linalg
+
+from .errors import BeamParameterError
+from .parameters import BeamParameters
+
+Array = NDArray[np.float64]
+
+# Legendre series of cos(b x) on a piece of length h fall off once the degree exceeds b h / 2; 24 more terms
+# bring them below rounding (checked in the tests by raising the number).
+_DEGREES_BEYOND_WAVES = 24
+
+
+class SpectralElements:
+    """Matrices and fields of the clamped beam in piecewise polynomials.
+
+    Parameters
+    ----------
+    parameters : BeamParameters
+        The beam; its hub does not enter.
+    n_modes : int
+        How many modes must be right to rounding.
+
+    Attributes
+    ----------
+    mass, stiffness : ndarray, shape (n, n)
+        Everything that bends: strip, point masses, tip mass and inertia; bending, gravity and clamp spring.
+    strip_mass, bending : ndarray, shape (n, n)
+        The strip's part alone: int phi_i phi_j and int phi_i'' phi_j''.
+    load : ndarray, shape (n,)
+        Inertia load under a unit acceleration of the hub: int phi_i + point and tip masses.
+    strip_load : ndarray, shape (n,)
+        int phi_i.
+    """
+
+    def __init__(self, parameters: BeamParameters, n_modes: int) -> None:
+        mu = parameters.tip_mass_ratio
+        strip = parameters.mass_per_length * parameters.length
+        inner = [
+            (m.height / parameters.length, m.mass / strip) for m in parameters.point_masses if m.mass > 0.0
+        ]
+        cuts = sorted({x for x, _ in inner if x < 1.0})
+        self._nodes = np.array([0.0, *cuts, 1.0])
+        highest_root = (n_modes + 1.0) * np.pi
+        lengths = np.diff(self._nodes)
+        self._n_bubbles = [int(np.ceil(0.5 * highest_root * h)) + _DEGREES_BEYOND_WAVES for h in lengths]
+        # Unknowns: (deflection, slope) of every node but the deflection of the first, then the bubbles.
+        self._is_rigid = parameters.clamp_compliance == 0.0
+        n_nodal = 2 * self._nodes.size
+        dropped = [0, 1] if self._is_rigid else [0]
+        self._kept = np.setdiff1d(np.arange(n_nodal + sum(self._n_bubbles)), dropped)
+        size = self._kept.size
+
+        self.strip_mass = np.zeros((size, size))
+        self.bending = np.zeros((size, size))
+        self.strip_load = np.zeros(size)
+        geometric = np.zeros((size, size))
+        for left, right, n_bubbles in zip(self._nodes[:-1], self._nodes[1:], self._n_bubbles, strict=True):
+            points, weights = legendre.leggauss(n_bubbles + 6)
+            x = left + 0.5 * (right - left) * (points + 1.0)
+            weights = 0.5 * (right - left) * weights
+            value, slope, curvature = (self.basis(x, k) for k in range(3))
+            self.strip_mass += value.T @ (weights[:, None] * value)
+            self.bending += curvature.T @ (weights[:, None] * curvature)
+            self.strip_load += weights @ value
+            axial_load = (1.0 - x) + mu
+            geometric += slope.T @ ((weights * axial_load)[:, None] * slope)
+
+        self.mass = self.strip_mass.copy()
+        self.load = self.strip_load.copy()
+        for x, mass in [*inner, (1.0, mu)]:
+            value = self.basis(np.array([x]))[0]
+            self.mass += mass * np.outer(value, value)
+            self.load += mass * value
+        for x, mass in inner:
+            # A point mass loads the beam below it: N = m g up to its height.
+            geometric += mass * self._slope_overlap_up_to(x)
+        tip_slope = self.basis(np.array([1.0]), 1)[0]
+        self.mass += parameters.tip_inertia_ratio * np.outer(tip_slope, tip_slope)
+
+        self.stiffness = self.bending - parameters.gravity_sign * parameters.weight_ratio * geometric
+        if not self._is_rigid:
+            root_slope = self.basis(np.array([0.0]), 1)[0]
+            self.stiffness += np.outer(root_slope, root_slope) / parameters.clamp_compliance
+        try:
+            self._cholesky = linalg.cholesky(self.stiffness, lower=True)
+        except linalg.LinAlgError as err:
+            raise BeamParameterError(
+                "flexural_rigidity",
+                parameters.flexural_rigidity,
+                "N m^2",
+                "an upright beam stiff enough to stand: it buckles under its own weight and tip mass "
+                f"(rho g L^3/EI = {parameters.weight_ratio:.4g}; a bare clamped strip buckles at 7.84)",
+                "Shorten or stiffen the beam, lighten its tip, or let it hang.",
+            ) from err
+
+    def _slope_overlap_up_to(self, x: float) -> Array:
+        """Return int_0^x phi_i' phi_j' dx; x is a node."""
+        size = self._kept.size
+        result = np.zeros((size, size))
+        for left, right, n_bubbles in zip(self._nodes[:-1], self._nodes[1:], self._n_bubbles, strict=True):
+            if right <= x:
+                points, weights = legendre.leggauss(n_bubbles + 6)
+                slope = self.basis(left + 0.5 * (right - left) * (points + 1.0), 1)
+                result += slope.T @ ((0.5 * (right - left) * weights)[:, None] * slope)
+        return result
+
+    def basis(self, x: Array, derivative: int = 0) -> Array:
+        """Return d^k/dx^k of all basis functions, shape (n_points, n), for k = 0 to 3."""
+        x = np.asarray(x, dtype=np.float64)
+        piece = np.clip(np.searchsorted(self._nodes, x, side="right") - 1, 0, self._nodes.size - 2)
+        result = np.zeros((x.size, 2 * self._nodes.size + sum(self._n_bubbles)))
+        offset = 2 * self._nodes.size
+        for index, n_bubbles in enumerate(self._n_bubbles):
+            rows = np.flatnonzero(piece == index)
+            if rows.size:
+                length = self._nodes[index + 1] - self._nodes[index]
+                xi = 2.0 * (x[rows] - self._nodes[index]) / length - 1.0
+                scale = (2.0 / length) ** derivative
+                result[rows, 2 * index : 2 * index + 4] = scale * _hermite_cubics(xi, length, derivative)
+                # In x the bubbles' second derivatives are orthonormal.
+                bubbles = (length / 2.0) ** 1.5 * scale * _bubbles(xi, n_bubbles, derivative)
+                result[rows, offset : offset + n_bubbles] = bubbles
+            offset += n_bubbles
+        return result[:, self._kept]
+
+    def solve(self, load: Array) -> Array:
+        """Return the static deflection's coefficients under `load`, shape (n,)."""
+        return np.asarray(linalg.cho_solve((self._cholesky, True), load), dtype=np.float64)
+
+    def modes(self, n_modes: int) -> tuple[Array, Array]:
+        """Return squared frequencies, shape (n_modes,), and mass-normalised vectors, shape (n, n_modes).
+
+        Notes
+        -----
+        The eigenproblem is solved for 1/omega^2, whose largest values are the lowest modes, and its vectors
+        are then refined (Ogita and Aishima 2018), because a symmetric solver's error is relative to the
+        largest eigenvalue and not to each one.
+        """
+        half = linalg.solve_triangular(self._cholesky, self.mass, lower=True)
+        compliance = linalg.solve_triangular(self._cholesky, half.T, lower=True)
+        inverse, vectors = linalg.eigh(0.5 * (compliance + compliance.T))
+        order = np.argsort(inverse)[::-1][:n_modes]
+        V = linalg.solve_triangular(self._cholesky, vectors[:, order], lower=True, trans="T")
+        V = V / np.sqrt(np.einsum("ij,ij->j", V, self.mass @ V))
+        squared = 1.0 / inverse[order]
+        for _ in range(2):
+            excess = np.eye(n_modes) - V.T @ self.mass @ V
+            stiffness = V.T @ self.stiffness @ V
+            squared = np.diag(stiffness) / (1.0 - np.diag(excess))
+            gaps = squared[None, :] - squared[:, None]
+            np.fill_diagonal(gaps, 1.0)
+            step = (stiffness + squared[None, :] * excess) / gaps
+            np.fill_diagonal(step, 0.5 * np.diag(excess))
+            V = V + V @ step
+        return squared, V
+
+
+def _hermite_cubics(xi: Array, length: float, derivative: int) -> Array:
+    """Return the four Hermite cubics on [-1, 1], d^k/dxi^k, with slopes per unit of x, shape (n, 4)."""
+    half = 0.5 * length
+    polynomials = (
+        np.array([2.0, -3.0, 0.0, 1.0]) / 4.0,
+        half * np.array([1.0, -1.0, -1.0, 1.0]) / 4.0,
+        np.array([2.0, 3.0, 0.0, -1.0]) / 4.0,
+        half * np.array([-1.0, -1.0, 1.0, 1.0]) / 4.0,
+    )
+    columns = []
+    for coefficients in polynomials:
+        polynomial = np.polynomial.Polynomial(coefficients)
+        columns.append((polynomial.deriv(derivative) if derivative else polynomial)(xi))
+    return np.stack(columns, axis=1)
+
+
+def _bubbles(xi: Array, n_bubbles: int, derivative: int) -> Array:
+    """Return the bubbles b_2, b_3 .. on [-1, 1], d^k/dxi^k, shape (n, n_bubbles).
+
+    b_k'' = sqrt((2k+1)/2) P_k, and b_k = b_k' = 0 at both ends.
+    """
+    k = np.arange(2, n_bubbles + 2, dtype=np.float64)
+    P: Array = np.asarray(legendre.legvander(xi, n_bubbles + 3), dtype=np.float64)
+    middle = P[:, 2 : n_bubbles + 2]
+    if derivative == 0:
+        up, down = P[:, 4 : n_bubbles + 4], P[:, :n_bubbles]
+        value = up / ((2 * k + 1) * (2 * k + 3)) - 2 * middle / ((2 * k - 1) * (2 * k + 3))
+        value = value + down / ((2 * k + 1) * (2 * k - 1))
+    elif derivative == 1:
+        value = np.asarray((P[:, 3 : n_bubbles + 3] - P[:, 1 : n_bubbles + 1]) / (2 * k + 1))
+    elif derivative == 2:
+        value = middle
+    else:
+        # P_k' = sum of (2j + 1) P_j over j = k-1, k-3, ...
+        slopes = np.zeros_like(P)
+        for degree in range(1, P.shape[1]):
+            below = slopes[:, degree - 2] if degree >= 2 else 0.0
+            slopes[:, degree] = below + (2 * degree - 1) * P[:, degree - 1]
+        value = slopes[:, 2 : n_bubbles + 2]
+    result: Array = np.sqrt((2 * k + 1) / 2.0) * value
+    return result

@@ -1,0 +1,297 @@
+"""Exact stepping of the beam in time, for the simulator (one tick at a time) and for whole records.
+
+The model is linear and its input is held between ticks, so that the step from one tick to the next is a
+matrix computed once, X_{k+1} = e^{AT} X_k + int_0^T e^{As} ds B u_k: no step size, no drift, and the state
+between two ticks is as exact as at them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from .parameters import check_number
+
+Array = NDArray[np.float64]
+
+# Terms of the exponential's series and the largest |A| tau for it: 3^28/28! is below rounding.
+_SERIES_TERMS = 28
+_SERIES_REACH = 3.0
+_BLOCK = 32
+
+
+def zero_order_hold(A: Array, B: Array, period: float, scale: Array | None = None) -> tuple[Array, Array]:
+    """Return e^{AT} and int_0^T e^{As} ds B for an input held over the period.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n,)
+    period : float
+        T [s].
+    scale : ndarray, shape (n,), optional
+        Magnitudes of the states against each other; the exponential is taken of the scaled system, which
+        keeps small entries accurate.
+    """
+    size = A.shape[0]
+    weight = np.ones(size + 1) if scale is None else np.append(scale, 1.0)
+    augmented = np.zeros((size + 1, size + 1))
+    augmented[:size, :size] = A * period
+    augmented[:size, size] = B * period
+    result = expm(augmented * weight[:, None] / weight[None, :]) * weight[None, :] / weight[:, None]
+    return np.ascontiguousarray(result[:size, :size]), np.ascontiguousarray(result[:size, size])
+
+
+class LinearStepper:
+    """A linear system under a held input, stepped exactly.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n,)
+    period : float
+        From tick to tick [s].
+    scale : ndarray, shape (n,)
+        See `zero_order_hold`.
+    """
+
+    def __init__(self, A: Array, B: Array, period: float, scale: Array) -> None:
+        self.period = check_number("period", period, "s", above=0.0)
+        self._A, self._B = A, B
+        self._transition, self._input = zero_order_hold(A, B, self.period, scale)
+        self._full_state = np.zeros(B.size)
+        self._scratch = np.zeros(B.size)
+        scaled = A * scale[:, None] / scale[None, :]
+        self._rate = float(np.linalg.norm(scaled, 2))
+
+    def _advance(self, value: float) -> None:
+        np.dot(self._transition, self._full_state, out=self._scratch)
+        np.multiply(self._input, value, out=self._full_state)
+        np.add(self._full_state, self._scratch, out=self._full_state)
+
+    def _state_after(self, tau: float | Array, value: float) -> Array:
+        """Return the whole state `tau` seconds into the tick, shape (n,) or (n_tau, n)."""
+        taus = np.asarray(tau, dtype=np.float64)
+        if taus.ndim == 0:
+            return self._state_at(float(taus), value)
+        result: Array
+        horizon = float(np.max(np.abs(taus), initial=0.0))
+        if self._rate * horizon > _SERIES_REACH:
+            result = np.stack([self._state_at(float(t), value) for t in taus])
+            return result
+        terms = np.empty((_SERIES_TERMS, self._full_state.size))
+        terms[0] = self._full_state
+        terms[1] = horizon * (self._A @ terms[0] + self._B * value)
+        for k in range(2, _SERIES_TERMS):
+            terms[k] = self._A @ terms[k - 1] * (horizon / k)
+        ratios = taus / horizon if horizon > 0.0 else taus
+        powers = ratios[:, None] ** np.arange(_SERIES_TERMS)[None, :]
+        result = powers @ terms
+        return result
+
+    def _state_at(self, tau: float, value: float) -> Array:
+        n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
+        h = tau / n_pieces
+        state = self._full_state.copy()
+        for _ in range(n_pieces):
+            term = h * (self._A @ state + self._B * value)
+            state += term
+            for k in range(2, _SERIES_TERMS):
+                term = self._A @ term * (h / k)
+                state += term
+        return np.asarray(state)
+
+    def _run(self, values: Array) -> Array:
+        """Return the state at every tick, shape (n_samples + 1, n), and leave the stepper at the last one."""
+        values = np.asarray(values, dtype=np.float64).ravel()
+        size, n_samples = self._full_state.size, values.size
+        n_blocks = -(-n_samples // _BLOCK)
+        inputs = np.zeros((n_blocks, _BLOCK))
+        inputs.ravel()[:n_samples] = values
+        # Within a block the states are linear in its first state and its inputs: one matrix product for all.
+        powers = np.empty((_BLOCK + 1, size, size))
+        powers[0] = np.eye(size)
+        for k in range(_BLOCK):
+            powers[k + 1] = self._transition @ powers[k]
+        impulse = powers[:_BLOCK] @ self._input
+        forced = np.zeros((_BLOCK, _BLOCK, size))
+        for k in range(_BLOCK):
+            forced[: k + 1, k] = impulse[k::-1]
+        ends = inputs @ forced[:, -1]
+        starts = np.empty((n_blocks, size))
+        state = self._full_state.copy()
+        for block in range(n_blocks):
+            starts[block] = state
+            state = powers[_BLOCK] @ state + ends[block]
+        free = powers[1:].transpose(2, 0, 1).reshape(size, _BLOCK * size)
+        states = starts @ free + inputs @ forced.reshape(_BLOCK, _BLOCK * size)
+        result = np.empty((n_samples + 1, size))
+        result[0] = self._full_state
+        result[1:] = states.reshape(-1, size)[:n_samples]
+        self._full_state[:] = result[-1]
+        return result
+
+
+class MotionStepper(LinearStepper):
+    """The beam under a prescribed hub acceleration, held over each tick.
+
+    Deflections are w(z, t) = shape(z) @ q(t) - R(z) a_R(t) with `BeamModel.shape`, `BeamModel.residual_terms`
+    and the acceleration a_R that the left-out modes follow, `residual_acceleration`: the hub's own, unless
+    there is internal damping.
+
+    Parameters
+    ----------
+    A, B, period, scale
+        See `LinearStepper`; states are q, q', and, where the damping asks for them, the hub's velocity (air)
+        and a_R (internal damping).
+    n_modes : int
+        n.
+    gain : ndarray, shape (n,)
+        Gamma_i = E_i / m_b: q_i'' + ... = -Gamma_i alpha''.
+    has_velocity, has_lag : bool
+        Whether the hub's velocity and a_R are states.
+    """
+
+    def __init__(
+        self,
+        A: Array,
+        B: Array,
+        period: float,
+        scale: Array,
+        *,
+        n_modes: int,
+        gain: Array,
+        has_velocity: bool,
+        has_lag: bool,
+    ) -> None:
+        super().__init__(A, B, period, scale)
+        self._n = n_modes
+        self._gain = gain
+        self._has_velocity, self._has_lag = has_velocity, has_lag
+
+    @property
+    def state(self) -> Array:
+        """Coordinates q and rates q', shape (2 n,); a view, so that it can be written to."""
+        return self._full_state[: 2 * self._n]
+
+    @state.setter
+    def state(self, value: Array) -> None:
+        self._full_state[: 2 * self._n] = value
+
+    def reset(self) -> None:
+        """Put the beam at rest, straight, on a still hub."""
+        self._full_state[:] = 0.0
+
+    def step(self, acceleration: float) -> None:
+        """Advance one tick under a hub acceleration held over it [m/s^2]."""
+        self._advance(acceleration)
+
+    def coordinates(self, tau: float | Array, acceleration: float) -> Array:
+        """Return q at `tau` seconds into the current tick, exact, without a change of state.
+
+        Parameters
+        ----------
+        tau : float or ndarray, shape (n_tau,)
+            Between 0 and the period.
+        acceleration : float
+            Of the hub, held since the tick [m/s^2].
+
+        Returns
+        -------
+        ndarray, shape (n,) or (n_tau, n)
+        """
+        return self._state_after(tau, acceleration)[..., : self._n]
+
+    def residual_acceleration(self, tau: float | Array, acceleration: float) -> Array:
+        """Return a_R [m/s^2] at `tau`: what the left-out modes follow, shape () or (n_tau,)."""
+        if self._has_lag:
+            return np.asarray(self._state_after(tau, acceleration)[..., -1])
+        return np.full(np.shape(tau), acceleration, dtype=np.float64)
+
+    def kick(self, delta_velocity: float) -> None:
+        """Change the hub's velocity at once [m/s], as a piecewise-constant velocity command does at a tick.
+
+        The left-out modes, which have no inertia of their own, do not show the blow.
+        """
+        self._full_state[self._n : 2 * self._n] -= self._gain * delta_velocity
+        if self._has_velocity:
+            self._full_state[2 * self._n] += delta_velocity
+
+    def run(self, accelerations: Array) -> Array:
+        """Return q and q' at every tick of a record, shape (n_samples + 1, 2 n), the present state first.
+
+        Parameters
+        ----------
+        accelerations : ndarray, shape (n_samples,)
+            Held from tick to tick [m/s^2]. The stepper is left at the end of the record.
+        """
+        return self._run(accelerations)[:, : 2 * self._n]
+
+
+@dataclass(frozen=True)
+class HubAndBeam:
+    """Where hub and beam are at one instant, or at several.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : ndarray, shape () or (n_tau,)
+        Of the hub [m], [m/s], [m/s^2].
+    coordinates : ndarray, shape (n,) or (n_tau, n)
+        q.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    coordinates: Array
+
+
+class ForceStepper(LinearStepper):
+    """The beam on a free hub under a force, held over each tick.
+
+    Displacements are u(z, t) = alpha + shape(z) @ q - R(z) alpha''.
+
+    Parameters
+    ----------
+    A, B, period, scale
+        See `LinearStepper`; states are [alpha, q, alpha', q'].
+    """
+
+    def __init__(self, A: Array, B: Array, period: float, scale: Array) -> None:
+        super().__init__(A, B, period, scale)
+        self._n = B.size // 2
+
+    @property
+    def state(self) -> Array:
+        """Hub and beam, [alpha, q, alpha', q'], shape (2 + 2 n,); a view, so that it can be written to."""
+        return self._full_state
+
+    @state.setter
+    def state(self, value: Array) -> None:
+        self._full_state[:] = value
+
+    def reset(self) -> None:
+        """Put the hub at rest at home with a straight, still beam."""
+        self._full_state[:] = 0.0
+
+    def step(self, force: float) -> None:
+        """Advance one tick under a force on the hub held over it [N]."""
+        self._advance(force)
+
+    def coordinates(self, tau: float | Array, force: float) -> tuple[Array, Array]:
+        """Return alpha, shape () or (n_tau,), and q, shape (n,) or (n_tau, n), `tau` into the tick."""
+        state = self._state_after(tau, force)
+        return state[..., 0], state[..., 1 : self._n]
+
+    def motion(self, tau: float | Array, force: float) -> HubAndBeam:
+        """Return position, velocity and acceleration of the hub and q, at `tau` into the current tick."""
+        state = self._state_after(tau, force)
+        acceleration = state @ self._A[self._n] + self._B[self._n] * force
+        return HubAndBeam(state[..., 0], state[..., self._n], acceleration, state[..., 1 : self._n])
+
+    def run(self, forces: Array) -> Array:
+        """Return [alpha, q, alpha', q'] at every tick, shape (n_samples + 1, 2 + 2 n), the present first."""
+        return self._run(forces)

@@ -1,0 +1,1 @@
+"""Tests, as packages: rooms may have test files of the same name."""

@@ -1,0 +1,1 @@
+"""Tests of the beam model: physics against closed forms."""
