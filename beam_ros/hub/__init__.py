@@ -1,7 +1,7 @@
 """The moving hub: what it is to the rest of the suite, its simulation, and the line to a real one."""
 
 from beam_ros.hub.axis import Snapshots, VirtualAxis
-from beam_ros.hub.beam_load import BeamLoad, BeamPoints
+from beam_ros.hub.beam_points import BeamPoints
 from beam_ros.hub.contract import (
     ClockSync,
     HostTime,
@@ -15,12 +15,12 @@ from beam_ros.hub.contract import (
     SequenceReport,
 )
 from beam_ros.hub.parameters import HubParameters
-from beam_ros.hub.plant import Plant, RigidLoad
+from beam_ros.hub.plant import BeamPlant, Plant, RigidPlant
 from beam_ros.hub.sequences import format_chunk_name, parse_chunk_name
 from beam_ros.hub.simulated_hub import SimulatedHub
 
 __all__ = [
-    "BeamLoad",
+    "BeamPlant",
     "BeamPoints",
     "ClockSync",
     "HostTime",
@@ -31,7 +31,7 @@ __all__ = [
     "HubStatus",
     "Outcome",
     "Plant",
-    "RigidLoad",
+    "RigidPlant",
     "SampleBatch",
     "SequenceChunk",
     "SequenceReport",

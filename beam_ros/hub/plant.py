@@ -8,11 +8,13 @@ instants of the recent past.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from beam_model import BeamModel
 from beam_ros.hub.contract import FloatArray
 
 
@@ -69,7 +71,7 @@ class Plant(Protocol):
         """Return hub and beam `tau` seconds into a tick that began in `state`, the hub free."""
 
 
-class RigidLoad:
+class RigidPlant:
     """A hub without a beam: a mass and nothing else.
 
     Parameters
@@ -120,3 +122,115 @@ class RigidLoad:
         """Return the hub `tau` seconds into a tick under a constant force."""
         a = force / self._mass
         return FreeMotion(position + velocity * tau + a * tau * tau / 2, velocity + a * tau, a, self._empty)
+
+
+class BeamPlant:
+    """A flexible beam on the hub, stepped exactly; implements `Plant`.
+
+    Parameters
+    ----------
+    model : BeamModel
+        Beam and hub.
+    period : float
+        The device's tick [s].
+
+    Notes
+    -----
+    Its state is [q, q', alpha', a_R]: the hub's velocity matters to a beam in air, and a_R is the
+    acceleration that the modes left out follow, delayed by eta where there is internal damping.
+    """
+
+    def __init__(self, model: BeamModel, period: float) -> None:
+        self.n_modes = model.n_modes
+        self._period = period
+        self._led = model.motion_stepper(period)
+        self._probe = model.motion_stepper(period)
+        self._free = model.force_stepper(period)
+        self._hub_velocity = 0.0
+        self._residual = 0.0
+        self._delay = model.parameters.damping.internal
+        # f = row 0 of M x'' + C x' + K x with q'' from the other rows: linear in [q, q'], alpha' and alpha''.
+        M, C, K = model.matrices.M, model.matrices.C, model.matrices.K
+        coupling = np.linalg.solve(M[1:, 1:], M[1:, 0])
+        self._force_per_state = np.concatenate(
+            [K[0, 1:] - coupling @ K[1:, 1:], C[0, 1:] - coupling @ C[1:, 1:]]
+        )
+        self._force_per_velocity = float(C[0, 0] - coupling @ C[1:, 0])
+        self._force_per_acceleration = float(M[0, 0] - coupling @ M[1:, 0])
+
+    def state(self) -> FloatArray:
+        """Return a copy of [q, q', alpha', a_R], shape (2 n_modes + 2,)."""
+        result = np.empty(2 * self.n_modes + 2)
+        result[:-2] = self._led.state
+        result[-2] = self._hub_velocity
+        result[-1] = self._residual
+        return result
+
+    def kick(self, delta_velocity: float) -> None:
+        """Let the hub's velocity jump by `delta_velocity` [m/s]."""
+        self._led.kick(delta_velocity)
+        self._hub_velocity += delta_velocity
+
+    def step_led(self, acceleration: float, mean_acceleration: float) -> None:
+        """Advance one period under a constant hub acceleration [m/s^2]."""
+        self._led.step(acceleration)
+        self._hub_velocity += acceleration * self._period
+        self._residual = self._lagged(self._residual, self._period, mean_acceleration)
+
+    def step_free(self, position: float, velocity: float, force: float) -> tuple[float, float]:
+        """Advance one period under a constant force [N]; return the hub's new position and velocity."""
+        n = self.n_modes
+        free = self._free
+        self._place_free(self._led.state, position, velocity)
+        free.step(force)
+        state = free.state
+        position, velocity = float(state[0]), float(state[n + 1])
+        self._led.reset()
+        self._led.kick(velocity)
+        self._led.state = np.concatenate([state[1 : n + 1], state[n + 2 :]])
+        self._hub_velocity = velocity
+        if self._delay:
+            self._residual = float(free.motion(0.0, force).acceleration)
+        return position, velocity
+
+    def force_when_led(self, acceleration: float) -> float:
+        """Return the force [N] that gives the hub this acceleration in the present state."""
+        return (
+            float(self._force_per_state @ self._led.state)
+            + self._force_per_velocity * self._hub_velocity
+            + self._force_per_acceleration * acceleration
+        )
+
+    def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
+        """Return q, shape (n_modes,), `tau` seconds into a tick that began in `state`, the hub led."""
+        self._probe.reset()
+        self._probe.kick(float(state[-2]))
+        self._probe.state = state[:-2]
+        return self._probe.coordinates(tau, acceleration)
+
+    def residual_acceleration(self, state: FloatArray, tau: float, mean_acceleration: float) -> float:
+        """Return the acceleration that the modes left out of q follow then [m/s^2], the hub led."""
+        return self._lagged(float(state[-1]), tau, mean_acceleration)
+
+    def free_motion(
+        self, state: FloatArray, position: float, velocity: float, tau: float, force: float
+    ) -> FreeMotion:
+        """Return hub and beam `tau` seconds into a tick that began in `state`, the hub free."""
+        self._place_free(state[:-2], position, velocity)
+        motion = self._free.motion(tau, force)
+        return FreeMotion(
+            float(motion.position), float(motion.velocity), float(motion.acceleration), motion.coordinates
+        )
+
+    def _place_free(self, elastic: FloatArray, position: float, velocity: float) -> None:
+        n = self.n_modes
+        state = self._free.state
+        state[0] = position
+        state[1 : n + 1] = elastic[:n]
+        state[n + 1] = velocity
+        state[n + 2 :] = elastic[n:]
+
+    def _lagged(self, residual: float, tau: float, acceleration: float) -> float:
+        if self._delay == 0.0:
+            return acceleration
+        return acceleration + (residual - acceleration) * math.exp(-tau / self._delay)

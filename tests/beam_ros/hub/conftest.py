@@ -9,7 +9,7 @@ from beam_ros.hub import (
     HostTime,
     HubParameters,
     HubReport,
-    RigidLoad,
+    RigidPlant,
     SequenceChunk,
     SimulatedHub,
     VirtualAxis,
@@ -43,7 +43,7 @@ def chunks_of(
 
 
 def enabled_axis(parameters: HubParameters, plant: object = None, **options: int) -> VirtualAxis:
-    axis = VirtualAxis(parameters, plant or RigidLoad(0.8, parameters.period), **options)
+    axis = VirtualAxis(parameters, plant or RigidPlant(0.8, parameters.period), **options)
     axis.request(1, "home")
     while axis.state != "homed":
         axis.feed()
@@ -59,7 +59,7 @@ class SimulatedRig:
     """A simulated hub with a host clock that the test moves."""
 
     def __init__(self, parameters: HubParameters, plant: object = None, **options: object) -> None:
-        load = plant or RigidLoad(0.8, parameters.period)
+        load = plant or RigidPlant(0.8, parameters.period)
         self.hub = SimulatedHub(VirtualAxis(parameters, load), **options)
         self.steady_ns = STEADY_START
         self.reports: list[HubReport] = []

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub import HubParameters, Outcome, RigidLoad, VirtualAxis
+from beam_ros.hub import HubParameters, Outcome, RigidPlant, VirtualAxis
 from beam_ros.hub.axis import profile_velocity
 from beam_ros.hub.errors import SnapshotError
 from tests.beam_ros.hub.conftest import enabled_axis, rest_to_rest
@@ -97,7 +97,7 @@ def test_the_axis_does_not_invent_instants_it_has_not_reached_or_has_forgotten()
 
 
 def test_the_state_machine_asks_for_home_before_enable_and_says_so():
-    axis = VirtualAxis(HubParameters(initial_position=0.004), RigidLoad(0.8, T))
+    axis = VirtualAxis(HubParameters(initial_position=0.004), RigidPlant(0.8, T))
     axis.request(1, "enable")
     (failed,) = axis.take_completed()
     assert not failed[1].success
@@ -119,7 +119,7 @@ def test_the_state_machine_asks_for_home_before_enable_and_says_so():
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
 def test_homing_finds_home_within_its_limits_in_every_mode(mode):
     parameters = HubParameters(command_mode=mode, initial_position=-0.0123)
-    axis = VirtualAxis(parameters, RigidLoad(0.8, T))
+    axis = VirtualAxis(parameters, RigidPlant(0.8, T))
     axis.request(1, "home")
     axis.feed()
     ticks = []

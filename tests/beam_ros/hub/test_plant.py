@@ -5,7 +5,8 @@ import pytest
 
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.hub import HubParameters
-from beam_ros.hub.beam_load import BeamLoad, BeamPoints
+from beam_ros.hub.beam_points import BeamPoints
+from beam_ros.hub.plant import BeamPlant
 from tests.beam_ros.hub.conftest import enabled_axis, rest_to_rest
 
 T = 1e-3
@@ -42,7 +43,7 @@ def play(axis, values, extra_ticks=400):
 @pytest.mark.parametrize("damping", [{}, {"air": 0.05}, {"internal": 3e-4}])
 def test_the_axis_shows_what_the_models_own_stepper_computes(damping):
     model = beam(**damping)
-    axis = enabled_axis(HubParameters(), BeamLoad(model, T))
+    axis = enabled_axis(HubParameters(), BeamPlant(model, T))
     values = rest_to_rest(500, 2.0)
     start, _ = play(axis, values)
     reference = model.motion_stepper(T)
@@ -61,7 +62,7 @@ def test_the_force_on_a_led_hub_drives_a_free_hub_along_the_same_path():
     model = beam()
     period = 2.5e-4
     parameters = HubParameters(period_ns=250_000)
-    axis = enabled_axis(parameters, BeamLoad(model, period))
+    axis = enabled_axis(parameters, BeamPlant(model, period))
     n = 2000
     values = rest_to_rest(n, 1.0)
     axis.arm(axis.device_ns, n)
@@ -89,9 +90,9 @@ def test_velocity_steps_and_lines_of_position_bend_the_beam_like_the_smooth_moti
     model = beam()
     points = BeamPoints(model, HEIGHTS)
     values = smooth if mode == "position" else np.append(np.diff(smooth) / T, 0.0)
-    axis = enabled_axis(HubParameters(command_mode=mode), BeamLoad(model, T))
+    axis = enabled_axis(HubParameters(command_mode=mode), BeamPlant(model, T))
     start, _ = play(axis, values)
-    accelerated = enabled_axis(HubParameters(), BeamLoad(model, T))
+    accelerated = enabled_axis(HubParameters(), BeamPlant(model, T))
     a = np.gradient(np.gradient(smooth, T), T)
     begin, _ = play(accelerated, a - a.mean())
     ticks = np.arange(100, 1300, 10)
@@ -104,7 +105,7 @@ def test_velocity_steps_and_lines_of_position_bend_the_beam_like_the_smooth_moti
 
 def test_a_free_hub_with_a_beam_moves_as_the_force_stepper_says_and_brakes_to_rest():
     model = beam()
-    axis = enabled_axis(HubParameters(command_mode="effort"), BeamLoad(model, T))
+    axis = enabled_axis(HubParameters(command_mode="effort"), BeamPlant(model, T))
     values = np.concatenate([np.full(150, 0.3), np.full(140, -0.3)])
     start, _ = play(axis, values)
     reference = model.force_stepper(T)
@@ -123,7 +124,7 @@ def test_a_free_hub_with_a_beam_moves_as_the_force_stepper_says_and_brakes_to_re
 def test_the_deflection_under_a_lasting_acceleration_is_the_static_one():
     # A slow ramp: w(L) = a rho L^4 / (8 EI), raised by gravity's softening of the upright strip.
     model = beam(ratios=(0.7,))
-    load = BeamLoad(model, T)
+    load = BeamPlant(model, T)
     for _ in range(3000):
         load.step_led(1.0, 1.0)
     q = load.coordinates(load.state(), 0.0, 1.0)
