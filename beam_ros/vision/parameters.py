@@ -1,0 +1,309 @@
+"""What the camera and the tracker are told: frozen, validated parameters.
+
+Pixel convention, everywhere in this package: u runs to the right along the columns, v downwards along the
+rows, and *integer coordinates lie at pixel centres*: the centre of the image's first pixel is (0, 0), its
+outer corner (-0.5, -0.5). A position of 320.25 is a quarter of a pixel to the right of the centre of
+column 320. The beam stands upright in the image:
+
+    u = u0 + s x pixels_per_metre        s = +1, or -1 where `flip` says that the camera looks from behind
+    v = v0 - z pixels_per_metre          z along the beam from the clamp, so that the tip is at the top
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from beam_ros.vision.errors import VisionParameterError
+
+StampMeaning = Literal["start", "mid", "end", "arrival"]
+Polarity = Literal["bright", "dark"]
+
+STAMP_MEANINGS: tuple[StampMeaning, ...] = ("start", "mid", "end", "arrival")
+POLARITIES: tuple[Polarity, ...] = ("bright", "dark")
+
+
+def _require(condition: bool, name: str, value: object, expected: str) -> None:
+    if not condition:
+        raise VisionParameterError(f"{name} is {value!r}; expected {expected}: correct it in the rig file")
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(float(value))
+
+
+def _require_number(
+    owner: object, name: str, minimum: float, maximum: float = math.inf, *, open_below: bool = False
+) -> None:
+    value = getattr(owner, name)
+    bound = f"{'>' if open_below else '>='} {minimum:g}" + (
+        f" and <= {maximum:g}" if maximum < math.inf else ""
+    )
+    inside = False
+    if _is_finite(value):
+        number = float(value)
+        inside = (number > minimum if open_below else number >= minimum) and number <= maximum
+    _require(inside, f"{type(owner).__name__}.{name}", value, f"a number {bound}")
+
+
+@dataclass(frozen=True)
+class CameraParameters:
+    """The camera, as the renderer imitates it and the tracker's time stamps need it.
+
+    Attributes
+    ----------
+    width, height : int -- image size [px]
+    rate_hz : float -- frames per second [Hz]
+    exposure_s : float -- exposure of every row [s]; must fit into a frame period
+    readout_s : float -- rolling shutter: delay of the last row's exposure after the first row's [s];
+        0 is a global shutter
+    pixels_per_metre : float -- scale [px/m]
+    origin_px : (float, float) -- (u0, v0), image of the clamp at home [px]
+    flip : bool -- True for a camera that looks from behind: +x points to the left in the image
+    marker_diameter_m : float -- diameter of the round markers [m]
+    contrast : float -- marker above background [grey levels of 255]; negative is dark on bright
+    background : float -- background [grey levels of 255]
+    strip_contrast : float -- strip above background [grey levels of 255]; its sign follows the contrast
+    strip_width_m : float -- apparent width of the strip seen edge-on [m]
+    blur_px : float -- standard deviation of the lens's Gaussian blur [px]
+    noise_grey : float -- standard deviation of the white noise of a pixel [grey levels of 255]
+    stamp : "start", "mid", "end", "arrival" -- which instant of the exposure the image's stamp means; see
+        `beam_ros.vision.timing`
+    latency_s : float -- how much later the stamp is than that instant [s]
+    """
+
+    width: int = 640
+    height: int = 480
+    rate_hz: float = 100.0
+    exposure_s: float = 0.005
+    readout_s: float = 0.0
+    pixels_per_metre: float = 1500.0
+    origin_px: tuple[float, float] = (320.0, 465.0)
+    flip: bool = False
+    marker_diameter_m: float = 0.008
+    contrast: float = 180.0
+    background: float = 30.0
+    strip_contrast: float = 12.0
+    strip_width_m: float = 0.0005
+    blur_px: float = 0.8
+    noise_grey: float = 2.0
+    stamp: StampMeaning = "mid"
+    latency_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            _require(
+                isinstance(value, (int, np.integer)) and 16 <= int(value) <= 16384,
+                f"CameraParameters.{name}",
+                value,
+                "a whole number of pixels from 16 to 16384",
+            )
+        _require_number(self, "rate_hz", 0.0, 100_000.0, open_below=True)
+        _require_number(self, "exposure_s", 0.0)
+        _require_number(self, "readout_s", 0.0)
+        _require_number(self, "pixels_per_metre", 0.0, open_below=True)
+        _require_number(self, "marker_diameter_m", 0.0, open_below=True)
+        _require_number(self, "contrast", -255.0, 255.0)
+        _require_number(self, "background", 0.0, 255.0)
+        _require_number(self, "strip_contrast", 0.0, 255.0)
+        _require_number(self, "strip_width_m", 0.0)
+        _require_number(self, "blur_px", 0.0, 20.0)
+        _require_number(self, "noise_grey", 0.0, 128.0)
+        _require_number(self, "latency_s", -1.0, 10.0)
+        for name in ("exposure_s", "readout_s"):
+            _require(
+                getattr(self, name) <= self.period_s * (1 + 1e-9),
+                f"CameraParameters.{name}",
+                getattr(self, name),
+                f"at most the frame period of {self.period_s:g} s (rate_hz {self.rate_hz:g})",
+            )
+        origin = self.origin_px
+        _require(
+            isinstance(origin, Sequence) and len(origin) == 2 and all(_is_finite(c) for c in origin),
+            "CameraParameters.origin_px",
+            origin,
+            "two numbers (u0, v0) in pixels",
+        )
+        object.__setattr__(self, "origin_px", (float(origin[0]), float(origin[1])))
+        _require(self.contrast != 0, "CameraParameters.contrast", self.contrast, "a contrast other than 0")
+        _require(
+            0 <= self.background + self.contrast <= 255,
+            "CameraParameters.background + contrast",
+            self.background + self.contrast,
+            "a grey level from 0 to 255",
+        )
+        _require(
+            self.stamp in STAMP_MEANINGS,
+            "CameraParameters.stamp",
+            self.stamp,
+            f"one of {', '.join(STAMP_MEANINGS)}",
+        )
+        _require(
+            self.marker_diameter_px >= 2.0,
+            "CameraParameters.marker_diameter_m",
+            self.marker_diameter_m,
+            f"markers of at least 2 px in the image (they are {self.marker_diameter_px:.2g} px)",
+        )
+
+    @property
+    def period_s(self) -> float:
+        """Frame period [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def marker_diameter_px(self) -> float:
+        """Diameter of a marker in the image [px]."""
+        return self.marker_diameter_m * self.pixels_per_metre
+
+    @property
+    def direction(self) -> int:
+        """Sign of du/dx: +1, or -1 with `flip`."""
+        return -1 if self.flip else 1
+
+    def columns(self, x: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Image columns u of positions along x.
+
+        Parameters
+        ----------
+        x : array_like -- positions along the hub's travel [m]
+
+        Returns
+        -------
+        ndarray, same shape -- u [px]
+        """
+        scale = self.direction * self.pixels_per_metre
+        return np.asarray(self.origin_px[0] + scale * np.asarray(x, dtype=np.float64))
+
+    def rows(self, heights: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Image rows v of heights above the clamp.
+
+        Parameters
+        ----------
+        heights : array_like -- z along the beam [m]
+
+        Returns
+        -------
+        ndarray, same shape -- v [px]
+        """
+        return np.asarray(self.origin_px[1] - self.pixels_per_metre * np.asarray(heights, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class TrackerParameters:
+    """What the tracker expects of the markers and when it distrusts them.
+
+    Attributes
+    ----------
+    marker_diameter_px : float -- expected diameter of the markers [px]
+    polarity : "bright" or "dark" -- markers bright on dark, or dark on bright
+    min_contrast_grey : float -- contrast below which nothing is a marker [grey levels of the image]
+    level_fraction : float -- what is subtracted from the region before its centroid is taken, as a fraction
+        of the marker's contrast above the background
+    max_jump_px : float -- largest distance between prediction and measurement of a seen marker [px]
+    gate_growth_px : float -- growth of that distance with every frame in which the marker is lost [px]
+    max_gate_px : float -- where the growth ends [px]
+    row_gate_px : float -- largest distance across the rows from where the marker was last seen [px]: the
+        beam moves along u
+    max_smear_px : float -- longest motion within an exposure that still counts as a marker's image [px]
+    diameter_tolerance : float -- relative tolerance of the diameter against `marker_diameter_px` when
+        markers are acquired
+    area_tolerance : float -- relative tolerance of the area against the marker's own at acquisition
+    shape_tolerance : float -- relative tolerance of the second moments, and bound on the asymmetry (third
+        moments over the cube of the radius of gyration), against the marker's own at acquisition
+    brightness_tolerance : float -- relative tolerance of the brightness against its slow average
+    noise_grey : float or None -- noise of a pixel [grey levels of the image]; None measures it
+    sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: what print,
+        lighting and pixel response leave on real dots
+    expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
+        first [px]; lets the tracker tell markers from other spots. None: exactly as many spots as markers
+        must be in view when they are acquired
+    expected_row_tolerance_px : float -- tolerance of these rows [px]
+    """
+
+    marker_diameter_px: float = 12.0
+    polarity: Polarity = "bright"
+    min_contrast_grey: float = 25.0
+    level_fraction: float = 0.1
+    max_jump_px: float = 24.0
+    gate_growth_px: float = 6.0
+    max_gate_px: float = 80.0
+    row_gate_px: float = 5.0
+    max_smear_px: float = 9.0
+    diameter_tolerance: float = 0.35
+    area_tolerance: float = 0.10
+    shape_tolerance: float = 0.12
+    brightness_tolerance: float = 0.30
+    noise_grey: float | None = None
+    sigma_floor_px: float = 0.0
+    expected_rows_px: tuple[float, ...] | None = None
+    expected_row_tolerance_px: float = 15.0
+
+    def __post_init__(self) -> None:
+        _require_number(self, "marker_diameter_px", 3.0, 500.0)
+        _require_number(self, "min_contrast_grey", 1.0)
+        _require_number(self, "level_fraction", 0.02, 0.6)
+        _require_number(self, "max_jump_px", 1.0)
+        _require_number(self, "gate_growth_px", 0.0)
+        _require_number(self, "max_gate_px", 1.0)
+        _require_number(self, "row_gate_px", 0.5)
+        _require_number(self, "max_smear_px", 0.0)
+        for name in ("diameter_tolerance", "area_tolerance", "shape_tolerance", "brightness_tolerance"):
+            _require_number(self, name, 0.01, 0.9)
+        _require_number(self, "sigma_floor_px", 0.0)
+        _require_number(self, "expected_row_tolerance_px", 0.0, open_below=True)
+        if self.noise_grey is not None:
+            _require_number(self, "noise_grey", 0.0)
+        _require(
+            self.polarity in POLARITIES,
+            "TrackerParameters.polarity",
+            self.polarity,
+            f"one of {', '.join(POLARITIES)}",
+        )
+        _require(
+            self.max_gate_px >= self.max_jump_px,
+            "TrackerParameters.max_gate_px",
+            self.max_gate_px,
+            f"at least max_jump_px ({self.max_jump_px:g})",
+        )
+        if self.expected_rows_px is not None:
+            rows = tuple(float(row) for row in self.expected_rows_px)
+            gaps = [lower - upper for lower, upper in pairwise(rows)]
+            _require(
+                all(math.isfinite(row) for row in rows)
+                and all(gap > 2 * self.expected_row_tolerance_px for gap in gaps),
+                "TrackerParameters.expected_rows_px",
+                rows,
+                "rows from the lowest marker to the highest (falling), further apart than twice "
+                f"expected_row_tolerance_px ({self.expected_row_tolerance_px:g})",
+            )
+            object.__setattr__(self, "expected_rows_px", rows)
+
+    @classmethod
+    def for_camera(
+        cls, camera: CameraParameters, marker_heights: npt.ArrayLike, **changes: object
+    ) -> TrackerParameters:
+        """Parameters that follow from the camera and the marker heights.
+
+        Parameters
+        ----------
+        camera : CameraParameters -- gives diameter, polarity and rows
+        marker_heights : array_like, shape (n_markers,) -- heights above the clamp, rising [m]
+        **changes -- fields to set otherwise
+
+        Returns
+        -------
+        TrackerParameters
+        """
+        derived: dict[str, object] = {
+            "marker_diameter_px": camera.marker_diameter_px,
+            "polarity": "bright" if camera.contrast > 0 else "dark",
+            "expected_rows_px": tuple(float(row) for row in camera.rows(marker_heights)),
+        }
+        return cls(**{**derived, **changes})  # type: ignore[arg-type]

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from beam_ros.vision import CameraParameters, TrackerParameters, VisionParameterError
+
+
+def test_image_axes_follow_the_written_convention():
+    camera = CameraParameters(pixels_per_metre=1000.0, origin_px=(320.0, 465.0))
+    assert camera.columns(0.01) == pytest.approx(330.0)
+    assert camera.rows([0.0, 0.1]) == pytest.approx([465.0, 365.0])
+
+
+def test_a_flipped_camera_mirrors_columns_only():
+    camera = CameraParameters(pixels_per_metre=1000.0, flip=True)
+    assert camera.columns(0.01) == pytest.approx(310.0)
+    assert camera.rows(0.1) == pytest.approx(365.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"width": 0},
+        {"width": 640.5},
+        {"rate_hz": 0.0},
+        {"rate_hz": math.nan},
+        {"exposure_s": 0.011},
+        {"readout_s": -0.001},
+        {"origin_px": (1.0,)},
+        {"origin_px": ("a", 1.0)},
+        {"contrast": 0.0},
+        {"contrast": 240.0},
+        {"stamp": "middle"},
+        {"marker_diameter_m": 1e-5},
+        {"noise_grey": "2"},
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused_with_value_and_remedy(change):
+    with pytest.raises(VisionParameterError, match=r"is .*; expected .*: correct it"):
+        CameraParameters(**change)
+
+
+def test_whole_numbers_are_accepted_for_real_ones():
+    assert CameraParameters(rate_hz=100, contrast=180, origin_px=(320, 465)).period_s == 0.01
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"polarity": "grey"},
+        {"marker_diameter_px": 0.0},
+        {"level_fraction": 0.9},
+        {"max_gate_px": 2.0},
+        {"expected_rows_px": (100.0, 300.0)},
+        {"expected_rows_px": (300.0, 290.0)},
+        {"noise_grey": -1.0},
+    ],
+)
+def test_tracker_parameters_that_contradict_are_refused(change):
+    with pytest.raises(VisionParameterError, match="expected"):
+        TrackerParameters(**change)
+
+
+def test_tracker_parameters_follow_from_the_camera():
+    camera = CameraParameters(contrast=-150.0, background=200.0)
+    parameters = TrackerParameters.for_camera(camera, [0.01, 0.285], area_tolerance=0.2)
+    assert parameters.polarity == "dark"
+    assert parameters.marker_diameter_px == pytest.approx(12.0)
+    assert np.allclose(parameters.expected_rows_px, [450.0, 37.5])
+    assert parameters.area_tolerance == 0.2
