@@ -1,0 +1,77 @@
+"""Copies of the tree and poisoned ROS prefixes for the packaging tests."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+_NOT_OURS = shutil.ignore_patterns(
+    ".git",
+    ".venv*",
+    "build",
+    "install",
+    "log",
+    "runs",
+    "__pycache__",
+    "*.egg-info",
+    ".*_cache",
+    ".hypothesis",
+)
+
+
+@pytest.fixture(scope="session")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the tree as a fresh clone has it; tests leave it as it is."""
+    return copy_tree(tmp_path_factory.mktemp("clone") / "beam rig")
+
+
+def copy_tree(target: Path) -> Path:
+    """Copy what a clone would hold."""
+    return Path(shutil.copytree(ROOT, target, ignore=_NOT_OURS))
+
+
+@pytest.fixture
+def foreign_ros(tmp_path: Path) -> dict[str, str]:
+    """Variables of a sourced ROS 2 whose every module and library fails when it is loaded."""
+    prefix = tmp_path / "opt" / "ros" / "jazzy"
+    packages = prefix / "lib" / "python3" / "site-packages"
+    for module in ("rclpy", "numpy", "rosbags", "std_msgs", "sensor_msgs", "rcl_interfaces"):
+        (packages / module).mkdir(parents=True)
+        (packages / module / "__init__.py").write_text(
+            f"raise RuntimeError('foreign {module} was imported')\n"
+        )
+    for library in ("librcl.so", "librcutils.so", "librmw_fastrtps_cpp.so", "librmw_implementation.so"):
+        (prefix / "lib" / library).write_text("no library\n")
+    return {
+        "PYTHONPATH": str(packages),
+        "LD_LIBRARY_PATH": str(prefix / "lib"),
+        "AMENT_PREFIX_PATH": str(prefix),
+        "COLCON_PREFIX_PATH": str(prefix),
+        "ROS_DISTRO": "jazzy",
+        "ROS_VERSION": "2",
+        "ROS_PYTHON_VERSION": "3",
+        "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+    }
+
+
+@pytest.fixture
+def fake_python(tmp_path: Path) -> Callable[..., Path]:
+    """Write interpreters that answer the set-up's questions as told."""
+
+    def write(answer: str, sourced_ros: str = "", name: str = "python-fake") -> Path:
+        path = tmp_path / "bin" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(
+            "#!/bin/sh\n"
+            f"case \"$*\" in *rclpy*) printf '%s' '{sourced_ros}'; [ -n '{sourced_ros}' ]; exit;; esac\n"
+            f"printf '%s' '{answer}'\n"
+        )
+        path.chmod(0o755)
+        return path
+
+    return write

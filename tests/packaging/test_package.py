@@ -1,0 +1,142 @@
+"""What setup.py, package.xml, the executables and the tree say about one another agrees."""
+
+from __future__ import annotations
+
+import ast
+import runpy
+import sys
+import types
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from beam_ros.executables import MODULES
+from beam_ros.interfaces import NODES, Rig, nodes_of_rig
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("beam_ros", "beam_model", "beam_ident")
+
+ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, or part of another
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "matplotlib": "python3-matplotlib",
+    "cv2": "python3-opencv",
+    "serial": "python3-serial",
+    "tqdm": "python3-tqdm",
+    "ruamel": "python3-ruamel.yaml",
+    "rosbags": None,
+    "mcap": None,
+}
+
+
+@pytest.fixture
+def setup_arguments(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The arguments that setup.py gives to setuptools."""
+    import setuptools
+
+    given: dict[str, Any] = {}
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
+    runpy.run_path("setup.py")
+    return given
+
+
+def manifest() -> ElementTree.Element:
+    """The root of package.xml."""
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def imported_modules() -> set[str]:
+    """Top-level names that the packages import from outside."""
+    found = set()
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    found |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                    found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def test_setup_and_manifest_agree_on_name_version_and_licence(setup_arguments: dict[str, Any]) -> None:
+    root = manifest()
+    assert root.get("format") == "3"
+    assert root.findtext("export/build_type") == "ament_python"
+    for tag in ("name", "version", "license"):
+        assert root.findtext(tag) == setup_arguments[tag]
+    assert "Apache License" in (ROOT / "LICENSE").read_text()
+
+
+def test_the_manifest_names_every_package_that_is_imported() -> None:
+    keys = {element.text for element in manifest().iter("exec_depend")}
+    wanted = {ROSDEP_KEYS.get(module, module) for module in imported_modules()} - {None}
+    assert wanted <= keys
+
+
+def test_the_core_requires_nothing_but_the_pure_core(setup_arguments: dict[str, Any]) -> None:
+    names = {requirement.split(">")[0] for requirement in setup_arguments["install_requires"]}
+    assert names == {"numpy", "scipy", "rosbags", "ruamel.yaml", "tqdm"}
+
+
+def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_arguments: dict[str, Any]) -> None:
+    extras = setup_arguments["extras_require"]
+    wheels = [requirement for requirement in extras["ros"] if requirement.startswith("ros-")]
+    assert [wheel.partition(";")[0] for wheel in wheels] == [
+        "ros-rclpy[fastrtps]==7.1.6",
+        "ros-common-interfaces==5.3.6",
+    ]
+    assert all("x86_64" in wheel and "Linux" in wheel for wheel in wheels)
+    assert set(extras["report"]) < set(extras["rig"]) < set(extras["ros"])
+
+
+def test_every_node_of_the_table_has_an_executable(setup_arguments: dict[str, Any]) -> None:
+    scripts = dict(line.split(" = ") for line in setup_arguments["entry_points"]["console_scripts"])
+    assert set(scripts) == set(MODULES) == {"beam", *NODES}
+    assert scripts == {name: f"beam_ros.executables:{name}" for name in scripts}
+
+
+def test_every_module_is_found_by_setuptools_and_typed(setup_arguments: dict[str, Any]) -> None:
+    for package in PACKAGES:
+        assert (ROOT / package / "py.typed").exists()
+        for path in (ROOT / package).rglob("*.py"):
+            dotted = ".".join(path.parent.relative_to(ROOT).parts)
+            assert dotted in setup_arguments["packages"], f"{path} has no __init__.py beside it"
+
+
+@pytest.mark.parametrize("rig", list(Rig))
+def test_the_launch_file_starts_the_rig_of_the_table(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ROS packages `launch` and `launch_ros` have no wheels: stand-ins record what they are given."""
+
+    class Recorder:
+        def __init__(self, *values: Any, **named: Any) -> None:
+            self.values, self.named = values, named
+
+        def perform(self, context: dict[str, str]) -> str:
+            return context[self.values[0]]
+
+    modules = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+        "launch.substitutions": ("LaunchConfiguration",),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }
+    for name, contents in modules.items():
+        module = types.ModuleType(name)
+        for content in contents:
+            setattr(module, content, Recorder)
+        monkeypatch.setitem(sys.modules, name, module)
+
+    launch_file = runpy.run_path(str(ROOT / "launch" / "rig.launch.py"))
+    actions = launch_file["generate_launch_description"]().values[0]
+    arguments = {action.values[0]: action.named for action in actions if action.values}
+    assert arguments["rig"]["choices"] == ["simulated", "emulated", "real"]
+    assert Path(arguments["params_file"]["default_value"]).exists()
+
+    context = {name: str(named["default_value"]) for name, named in arguments.items()} | {"rig": rig.value}
+    nodes = actions[-1].named["function"](context)
+    assert tuple(node.named["executable"] for node in nodes) == nodes_of_rig(rig)
+    assert [node.named["name"] for node in nodes] == [NODES[name].name for name in nodes_of_rig(rig)]
