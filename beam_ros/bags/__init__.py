@@ -1,0 +1,1 @@
+"""Bags of the rig: written, read, repaired and exported, without ROS."""

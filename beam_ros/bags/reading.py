@@ -1,0 +1,558 @@
+"""Bags read for identification: samples of the hub, displacements, clocks and the experiment's texts.
+
+`Bag` opens what ROS 2's recorder, rosbags or this suite wrote, MCAP or SQLite, and extracts each kind of
+content as arrays. Only header stamps carry time; receive times order nothing. A message that cannot be read
+is left out and counted, never a reason to stop; a bag that cannot be opened is refused with the remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.rosbag2 import Reader, ReaderError
+
+from beam_ros import interfaces
+from beam_ros.bags.batches import decode_batch
+from beam_ros.bags.errors import (
+    BagError,
+    BagNotFoundError,
+    BagTruncatedError,
+    MessageDecodeError,
+    MissingTopicsError,
+    NotABagError,
+)
+from beam_ros.bags.metadata import METADATA_NAME
+from beam_ros.bags.recording_mark import is_being_written, is_marked
+from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch
+from beam_ros.messages import (
+    BATCH_FIELDS,
+    BagTypes,
+    Displacement,
+    MessageContentError,
+    read_clock_sync,
+    read_displacement,
+    read_json,
+)
+
+_T = TypeVar("_T")
+
+STORAGE_SUFFIXES = (".mcap", ".db3")
+_MCAP_MAGIC = b"\x89MCAP"
+
+
+class RawMessage(NamedTuple):
+    """A message as the bag holds it: topic's full name, type, receive time [ns, UNIX], CDR bytes."""
+
+    topic: str
+    type_name: str
+    receive_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class TopicCount:
+    """A topic of a bag with its type and its number of messages."""
+
+    name: str
+    type_name: str
+    message_count: int
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """Messages of a topic that were left out.
+
+    Attributes
+    ----------
+    count : int -- how many
+    first_reason : str -- why the first one was; empty where there is none
+    """
+
+    count: int = 0
+    first_reason: str = ""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A piece of a sampled signal that is missing.
+
+    Attributes
+    ----------
+    start_ns, end_ns : int -- the last sample before and the first one after it [ns, UNIX]
+    missing : int -- samples that would have fitted between
+    is_new_epoch : bool -- the device restarted here
+    """
+
+    start_ns: int
+    end_ns: int
+    missing: int
+    is_new_epoch: bool
+
+
+@dataclass(frozen=True)
+class HubSamples:
+    """All batches of one topic of the hub as one signal; gaps are left as gaps.
+
+    Attributes
+    ----------
+    topic : str -- full name in the bag
+    stamps_ns : ndarray of int64, shape (n,) -- strictly increasing [ns, UNIX]
+    period_ns : int -- the device's period [ns of device time]
+    epochs : ndarray of int64, shape (n,) -- clock epoch of each sample
+    positions, velocities, accelerations, efforts : ndarray, shape (n,), or None -- [m], [m/s], [m/s^2], [N];
+        NaN where only some batches carry the quantity
+    gaps : tuple of Gap -- in order of time
+    duplicates : int -- samples left out because their time was already there
+    unreadable : Unreadable
+    """
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    period_ns: int
+    epochs: NDArray[np.int64]
+    positions: FloatArray | None
+    velocities: FloatArray | None
+    accelerations: FloatArray | None
+    efforts: FloatArray | None
+    gaps: tuple[Gap, ...]
+    duplicates: int
+    unreadable: Unreadable
+
+    @property
+    def lost(self) -> int:
+        """Number of samples missing in all gaps."""
+        return sum(gap.missing for gap in self.gaps)
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """All messages of `beam/displacement` as one table.
+
+    Attributes
+    ----------
+    names : tuple of str, length m -- markers, in the order of the first message
+    stamps_ns : ndarray of int64, shape (n,) -- strictly increasing [ns, UNIX]
+    positions : ndarray, shape (n, m) -- absolute displacement u [m]; NaN where not seen
+    duplicates : int -- values left out because the marker had one at that time already
+    unreadable : Unreadable
+    """
+
+    names: tuple[str, ...]
+    stamps_ns: NDArray[np.int64]
+    positions: FloatArray
+    duplicates: int
+    unreadable: Unreadable
+
+
+class Bag:
+    """An open bag; a context manager.
+
+    Parameters
+    ----------
+    path : Path or str
+        The bag's folder, or a single `.mcap` or `.db3` file.
+    namespace : str, optional
+        Of the rig whose topics are read; needed only where a bag holds several.
+
+    Attributes
+    ----------
+    path : Path
+    topics : tuple of TopicCount -- sorted by name
+    message_count : int
+    start_ns : int -- receive time of the first message [ns, UNIX]; 0 in an empty bag
+    duration_ns : int -- between the first and the last receive time [ns]
+    storage : str -- "mcap" or "sqlite3"
+    namespace : str -- of the rig's topics, "" for none
+
+    Raises
+    ------
+    BagNotFoundError
+        There is nothing at the path.
+    NotABagError
+        What is there is no ROS 2 bag.
+    BagTruncatedError
+        The recording was cut off, still runs, or the file is damaged.
+    """
+
+    def __init__(self, path: Path | str, *, namespace: str | None = None) -> None:
+        self.path = Path(path)
+        self._types = BagTypes()
+        self._reader = _open_reader(self.path)
+        connections = self._reader.connections
+        counts: dict[tuple[str, str], int] = {}
+        for connection in connections:
+            key = (connection.topic, connection.msgtype)
+            counts[key] = counts.get(key, 0) + connection.msgcount
+        self.topics = tuple(TopicCount(*key, count) for key, count in sorted(counts.items()))
+        self.message_count = self._reader.message_count
+        self.start_ns = self._reader.start_time if self.message_count else 0
+        self.duration_ns = max(0, self._reader.duration - 1) if self.message_count else 0
+        self.storage = "sqlite3" if _storage_file(self.path).suffix == ".db3" else "mcap"
+        self.namespace = _find_namespace(self) if namespace is None else namespace.strip("/")
+
+    # --- whatever is in it
+
+    def full_name(self, topic: str) -> str:
+        """Return the name in the bag of a topic of the rig's table."""
+        if topic.startswith("/"):
+            return topic
+        return f"/{self.namespace}/{topic}" if self.namespace else f"/{topic}"
+
+    def count(self, topic: str) -> int:
+        """Return the number of messages on a topic, 0 where there is none."""
+        name = self.full_name(topic)
+        return sum(row.message_count for row in self.topics if row.name == name)
+
+    def require(self, *topics: str) -> None:
+        """Check that topics are there with at least one message.
+
+        Raises
+        ------
+        MissingTopicsError
+            One is not.
+        """
+        missing = [topic for topic in topics if not self.count(topic)]
+        if missing:
+            there = ", ".join(f"{row.name} ({row.message_count})" for row in self.topics) or "no topics"
+            wanted = ", ".join(self.full_name(topic) for topic in missing)
+            raise MissingTopicsError(
+                f"{self.path} has no messages on {wanted}: it holds {there}; record with the nodes running "
+                f"that publish {'it' if len(missing) == 1 else 'them'}, or choose another bag"
+            )
+
+    def raw_messages(self, *topics: str) -> Iterator[RawMessage]:
+        """Yield messages in the order of their receive times, of some topics or of all.
+
+        Raises
+        ------
+        BagTruncatedError
+            The file is damaged further on.
+        """
+        names = {self.full_name(topic) for topic in topics}
+        chosen = [c for c in self._reader.connections if not names or c.topic in names]
+        if not chosen:
+            return
+        messages = self._reader.messages(chosen)
+        while True:
+            try:
+                connection, receive_ns, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as err:
+                raise _damaged(self.path, err) from err
+            yield RawMessage(connection.topic, connection.msgtype, receive_ns, bytes(data))
+
+    def _read(
+        self, topic: str, type_name: str, decode: Callable[[bytes], _T]
+    ) -> tuple[list[_T], Unreadable]:
+        """Decode all messages of a topic; leave out and count what cannot be decoded."""
+        contents = []
+        count, reason = 0, ""
+        for message in self.raw_messages(topic):
+            try:
+                if message.type_name != type_name:
+                    raise MessageDecodeError(f"type {message.type_name}: expected {type_name}")
+                contents.append(decode(message.data))
+            except (MessageDecodeError, MessageContentError) as err:
+                count, reason = count + 1, reason or str(err)
+        return contents, Unreadable(count, reason)
+
+    def _message_decoder(self, type_name: str, read: Callable[[Any], _T]) -> Callable[[bytes], _T]:
+        def decode(data: bytes) -> _T:
+            try:
+                message = self._types.deserialize(data, type_name)
+            except Exception as err:
+                # rosbags raises whatever damaged bytes lead it to.
+                raise MessageDecodeError(
+                    f"{len(data)} bytes that are no {type_name} ({type(err).__name__}: {err})"
+                ) from err
+            return read(message)
+
+        return decode
+
+    # --- the rig's content
+
+    def hub_samples(self, topic: str = "hub/measured") -> HubSamples:
+        """Return `hub/measured` or `hub/applied` as one signal.
+
+        Raises
+        ------
+        MissingTopicsError
+            The topic is missing, or none of its messages can be read.
+        """
+        self.require(topic)
+        batches, unreadable = self._read(topic, interfaces.JOINT_TRAJECTORY, decode_batch)
+        batches, unreadable = _with_stamps(batches, unreadable, "batch")
+        if not batches:
+            raise self._nothing_readable(topic, unreadable)
+        return join_batches(self.full_name(topic), batches, unreadable)
+
+    def displacements(self, topic: str = "beam/displacement") -> Displacements:
+        """Return the markers' displacements as one table.
+
+        Raises
+        ------
+        MissingTopicsError
+            The topic is missing, or none of its messages can be read.
+        """
+        self.require(topic)
+        decode = self._message_decoder(interfaces.JOINT_STATE, read_displacement)
+        rows, unreadable = self._read(topic, interfaces.JOINT_STATE, decode)
+        rows, unreadable = _with_stamps(rows, unreadable, "displacement")
+        if not rows:
+            raise self._nothing_readable(topic, unreadable)
+        return join_displacements(rows, unreadable)
+
+    def clock_syncs(self, topic: str = "hub/clock_sync") -> tuple[ClockSync, ...]:
+        """Return the comparisons of device and host clock, sorted by host time, if there are any."""
+        type_name = interfaces.TOPICS["hub/clock_sync"].type_name
+        syncs, _ = self._read(topic, type_name, self._message_decoder(type_name, read_clock_sync))
+        return tuple(sorted(syncs, key=lambda sync: sync.host_ns))
+
+    def texts(self, topic: str) -> tuple[dict[str, Any], ...]:
+        """Return the JSON objects of a String topic in their order; empty where there are none."""
+        contents, _ = self._read(
+            topic, interfaces.STRING, self._message_decoder(interfaces.STRING, read_json)
+        )
+        return tuple(contents)
+
+    def excitation_info(self) -> dict[str, Any] | None:
+        """Return the newest recipe of the excitation, or None where none was recorded."""
+        infos = self.texts("excitation/info")
+        return infos[-1] if infos else None
+
+    def sequence_states(self) -> tuple[dict[str, Any], ...]:
+        """Return what became of the sequences, in the order in which it was reported."""
+        return self.texts("hub/sequence_state")
+
+    def _nothing_readable(self, topic: str, unreadable: Unreadable) -> MissingTopicsError:
+        return MissingTopicsError(
+            f"{self.path}: none of the {unreadable.count} messages on {self.full_name(topic)} can be read "
+            f"({unreadable.first_reason}); expected what the rig's nodes publish there"
+        )
+
+    # --- its end
+
+    def close(self) -> None:
+        """Close the bag's files."""
+        self._reader.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+# --- opening ---------------------------------------------------------------------------------------------
+
+
+def _damaged(path: Path, err: Exception) -> BagTruncatedError:
+    reason = str(err) or type(err).__name__
+    return BagTruncatedError(
+        f"{path} is cut off or damaged ({reason.rstrip('.')}): expected a whole bag; "
+        f"`beam recover {path}` saves what can be read"
+    )
+
+
+def _storage_file(path: Path) -> Path:
+    if path.is_file():
+        return path
+    files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+    return files[0] if files else path
+
+
+def _open_reader(path: Path) -> Reader:
+    if not path.exists():
+        raise BagNotFoundError(f"{path} does not exist: expected a bag's folder, or a .mcap or .db3 file")
+    try:
+        target = _check_is_bag(path)
+    except OSError as err:
+        if isinstance(err, BagError):
+            raise
+        raise BagError(f"{path} cannot be read: {err.strerror or err}; check its permissions") from err
+    try:
+        reader = Reader(target)
+        reader.open()
+    except Exception as err:
+        # rosbags raises ReaderError for what it expects, and whatever a damaged file leads it to.
+        storage = _storage_file(path)
+        if storage.suffix == ".mcap" and storage.is_file() and not _begins_as_mcap(storage):
+            raise NotABagError(f"{storage} is no MCAP file ({err}); choose a bag of ROS 2") from err
+        if isinstance(err, ReaderError) and "etadata" in str(err):
+            raise NotABagError(
+                f"{path} has a {METADATA_NAME} that cannot be read ({err}); `ros2 bag reindex` makes it anew"
+            ) from err
+        raise _damaged(path, err) from err
+    return reader
+
+
+def _check_is_bag(path: Path) -> Path:
+    """Return what rosbags is to open, or say why nothing there is a bag."""
+    if path.is_file():
+        if path.suffix not in STORAGE_SUFFIXES:
+            raise NotABagError(f"{path} is no bag: expected a bag's folder, or a .mcap or .db3 file")
+        return path
+    if is_being_written(path):
+        raise BagTruncatedError(
+            f"{path} is still being recorded: expected a finished bag; call recorder/stop or end the "
+            "recorder"
+        )
+    if is_marked(path):
+        raise BagTruncatedError(
+            f"{path} was cut off while it was recorded: expected a finished bag; `beam recover {path}` saves "
+            "what can be read"
+        )
+    if (path / METADATA_NAME).is_file():
+        return path
+    storage = _storage_file(path)
+    if storage == path:
+        raise NotABagError(
+            f"{path} holds neither {METADATA_NAME} nor a .mcap or .db3 file: expected the folder of a "
+            "ROS 2 bag"
+        )
+    return storage
+
+
+def _begins_as_mcap(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(_MCAP_MAGIC)) == _MCAP_MAGIC
+
+
+def _find_namespace(bag: Bag) -> str:
+    relative = [name for name in interfaces.TOPICS if not name.startswith("/")]
+    found = {
+        row.name[: -len(name)].strip("/")
+        for row in bag.topics
+        for name in relative
+        if row.name.endswith(f"/{name}")
+    }
+    if len(found) > 1:
+        names = ", ".join(sorted(f"/{name}" for name in found))
+        bag.close()
+        raise MissingTopicsError(
+            f"{bag.path} holds several rigs in the namespaces {names}: expected one; name the one to read"
+        )
+    return found.pop() if found else ""
+
+
+# --- joining ---------------------------------------------------------------------------------------------
+
+_Stamped = TypeVar("_Stamped", SampleBatch, Displacement)
+
+
+def _with_stamps(
+    items: list[_Stamped], unreadable: Unreadable, what: str
+) -> tuple[list[_Stamped], Unreadable]:
+    """Leave out what has no stamp: a receive time never stands in for it."""
+    good = [item for item in items if item.stamp_ns > 0]
+    if len(good) == len(items):
+        return items, unreadable
+    reason = unreadable.first_reason or f"{what} with stamp 0: expected the time of its first sample"
+    return good, Unreadable(unreadable.count + len(items) - len(good), reason)
+
+
+def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable) -> HubSamples:
+    """Put batches together in the order of their stamps.
+
+    Parameters
+    ----------
+    topic : str -- for the result
+    batches : list of SampleBatch -- at least one
+    unreadable : Unreadable -- for the result
+
+    Returns
+    -------
+    HubSamples
+
+    Notes
+    -----
+    Within a batch, sample k lies at the stamp plus k periods; the host's map moves by less than a part in a
+    thousand of a period in that time. Loss is a distance of more than one and a half periods.
+    """
+    batches = sorted(batches, key=lambda batch: batch.stamp_ns)
+    lengths = np.array([len(batch) for batch in batches])
+    named = [batch.period_ns for batch in batches if batch.period_ns > 0]
+    period_ns = int(np.median(named)) if named else 0
+    first = np.repeat(np.array([batch.stamp_ns for batch in batches], dtype=np.int64), lengths)
+    periods = np.repeat(np.array([batch.period_ns for batch in batches], dtype=np.int64), lengths)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    stamps = first + within * periods
+
+    latest_before = np.maximum.accumulate(stamps)
+    keep = np.ones(len(stamps), dtype=bool)
+    keep[1:] = stamps[1:] > latest_before[:-1]
+    stamps = stamps[keep]
+    epochs = np.repeat(np.array([batch.epoch for batch in batches], dtype=np.int64), lengths)[keep]
+
+    quantities: dict[str, FloatArray | None] = {}
+    for name in BATCH_FIELDS:
+        arrays = [getattr(batch, name) for batch in batches]
+        if all(array is None for array in arrays):
+            quantities[name] = None
+            continue
+        filled = [
+            np.full(n, np.nan) if array is None else array for n, array in zip(lengths, arrays, strict=True)
+        ]
+        quantities[name] = np.concatenate(filled)[keep]
+
+    steps = np.diff(stamps)
+    gaps = tuple(
+        Gap(
+            int(stamps[k]),
+            int(stamps[k + 1]),
+            max(1, round(int(steps[k]) / period_ns) - 1),
+            bool(epochs[k + 1] != epochs[k]),
+        )
+        for k in np.flatnonzero(2 * steps > 3 * period_ns)
+        if period_ns > 0
+    )
+    return HubSamples(
+        topic=topic,
+        stamps_ns=stamps,
+        period_ns=period_ns,
+        epochs=epochs,
+        gaps=gaps,
+        duplicates=int(np.count_nonzero(~keep)),
+        unreadable=unreadable,
+        **quantities,
+    )
+
+
+def join_displacements(rows: list[Displacement], unreadable: Unreadable) -> Displacements:
+    """Put messages of `beam/displacement` together: a row for each distinct time, a column for each marker.
+
+    Parameters
+    ----------
+    rows : list of Displacement -- at least one
+    unreadable : Unreadable -- for the result
+
+    Returns
+    -------
+    Displacements
+    """
+    names = tuple(dict.fromkeys(name for row in rows for name in row.names))
+    column = {name: k for k, name in enumerate(names)}
+    stamps, row_of = np.unique(np.array([row.stamp_ns for row in rows], dtype=np.int64), return_inverse=True)
+    positions = np.full((len(stamps), len(names)), np.nan)
+    is_filled = np.zeros(positions.shape, dtype=bool)
+    duplicates = 0
+    for row, k in zip(rows, row_of, strict=True):
+        for name, value in zip(row.names, row.positions, strict=True):
+            j = column[name]
+            if is_filled[k, j]:
+                duplicates += 1
+            else:
+                positions[k, j], is_filled[k, j] = value, True
+    return Displacements(names, stamps, positions, duplicates, unreadable)
