@@ -163,7 +163,7 @@ class Setup:
         }
         self.say(
             "Setting up {} (Python {}, {}). This is done once.".format(
-                os.path.relpath(self.venv, os.getcwd()), dotted(python["version"]), origin[source]
+                shown(self.venv), dotted(python["version"]), origin[source]
             )
         )
         if not is_usable:
@@ -214,7 +214,7 @@ class Setup:
                 f"{self.venv} exists and was not made by this script; expected no such folder; move it away "
                 "or choose another with --venv"
             )
-        self.say(f"Removing what an earlier set-up left in {os.path.relpath(self.venv, os.getcwd())}.")
+        self.say(f"Removing what an earlier set-up left in {shown(self.venv)}.")
         shutil.rmtree(self.venv)
 
     def install(self, environment: dict, source: str, extras: list, numpy_version: str) -> None:
@@ -246,6 +246,7 @@ class Setup:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
+                start_new_session=True,
             )
             reader = LogReader(process.stdout, stream, activity)
             try:
@@ -253,11 +254,11 @@ class Setup:
                 self.watch(process, reader)
             finally:
                 if process.poll() is None:
-                    process.terminate()
+                    end_with_children(process)
                 process.wait()
                 reader.join()
         if process.returncode != 0:
-            raise SetupRefusedError(boil_down(reader.lines, command, os.path.relpath(log, os.getcwd())))
+            raise SetupRefusedError(boil_down(reader.lines, command, shown(log)))
 
     def watch(self, process: subprocess.Popen, reader: "LogReader") -> None:
         """Show what the step is at: one moving line on a terminal, a line every 5 s elsewhere."""
@@ -305,6 +306,14 @@ class Setup:
         sys.stdout.flush()
         os.execve(path, [path, *command[1:]], environment)
         return 0
+
+
+def end_with_children(process: subprocess.Popen) -> None:
+    """End a step that leads a process group of its own, and whatever it has started."""
+    if os.name == "nt":
+        process.terminate()
+    else:
+        os.killpg(process.pid, signal.SIGTERM)
 
 
 class LogReader(threading.Thread):
@@ -499,6 +508,12 @@ def without_foreign_ros(environment: dict, venv: str) -> dict:
     return clean
 
 
+def shown(path: str) -> str:
+    """Return a path as short as it can be written here."""
+    relative = os.path.relpath(path, os.getcwd())
+    return path if relative.startswith(os.pardir) else relative
+
+
 def dotted(version: "list") -> str:
     """Return a version as it is written."""
     return ".".join(str(part) for part in version)
@@ -568,7 +583,7 @@ def bootstrap(arguments: list) -> int:
                 setup.make()
     if options.command:
         return setup.start(options.command)
-    setup.say("Ready: {}".format(os.path.relpath(os.path.join(setup.scripts, "beam"), os.getcwd())))
+    setup.say("Ready: {}".format(shown(os.path.join(setup.scripts, "beam"))))
     return 0
 
 

@@ -18,7 +18,9 @@ import pytest
 from beam_ros.environment import child_environment
 from beam_ros.executables import command
 
-_MARK = "BEAM_TEST_PROCESS"
+MARK = "BEAM_TEST_PROCESS"
+"""Variable that marks a test's processes; its value is the test's own."""
+
 _GRACE_S = 8.0
 
 
@@ -97,7 +99,7 @@ class Executables:
             process = subprocess.Popen(
                 [*command(name), *arguments],
                 cwd=self._folder,
-                env=child_environment({_MARK: self._mark, **(environment or {})}),
+                env=child_environment({MARK: self._mark, **(environment or {})}),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,
@@ -152,7 +154,7 @@ def marked_processes(mark: str) -> list[int]:
 
     The mark is in the environment, which children inherit.
     """
-    wanted = f"{_MARK}={mark}".encode()
+    wanted = f"{MARK}={mark}".encode()
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
