@@ -275,7 +275,8 @@ def _decode(data: bytes) -> tuple[int, str, NDArray[np.int64], _Columns] | None:
     for name, first_offset, rest_offset in layout.values:
         values = np.empty(count)
         (values[0],) = _VALUE.unpack_from(body, offset + first_offset)
-        values[1:] = np.ndarray(count - 1, "<f8", body, second + rest_offset, layout.size)
+        if count > 1:
+            values[1:] = np.ndarray(count - 1, "<f8", body, second + rest_offset, layout.size)
         columns[name] = values
     first_seconds, first_nanoseconds = _STAMP.unpack_from(body, second - _STAMP.size)
     times_ns = np.empty(count, dtype=np.int64)
