@@ -21,3 +21,11 @@ class UsageError(RigError, ValueError):
 
 class RosMissingError(RigError, ImportError):
     """A node was asked for where ROS 2 is not installed."""
+
+
+def faults_of_the_user() -> tuple[type[Exception], ...]:
+    """Return the errors that a person at the command line can mend: told in one line, status 2."""
+    from beam_ident.errors import IdentificationError
+    from beam_model.errors import BeamModelError
+
+    return (RigError, BeamModelError, IdentificationError)

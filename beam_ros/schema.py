@@ -173,7 +173,7 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter(
                 "max_tip_deflection", "float", "predicted tip deflection that is refused", "m", 1e-5, 1.0
             ),
-            Parameter("encoder_resolution", "float", "step of the measured position", "m", 0.0, 1e-3),
+            Parameter("encoder_resolution", "float", "step of the measured position", "m", 1e-12, 1e-3),
             Parameter(
                 "command_mode",
                 "str",
@@ -221,9 +221,7 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             "tracker",
             Parameter("polarity", "str", "markers against ground", choices=("bright", "dark")),
             Parameter("calibration", "str", "calibration file; empty: the nominal scale"),
-            Parameter(
-                "debug_image", "bool", "publish frames with overlays while somebody listens", is_live=True
-            ),
+            Parameter("save_calibration", "str", "file for tracker/fit_calibration to write", is_live=True),
         ),
         *_group(
             "simulation",

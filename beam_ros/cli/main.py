@@ -1,0 +1,113 @@
+"""Entry of the `beam` command: finds the verb, runs it, and turns a fault of the user's into one line.
+
+Verbs are imported only when they are asked for, so that `beam --help` starts at once and nothing pulls in
+ROS, OpenCV or matplotlib before it is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import os
+import sys
+from typing import NoReturn
+
+from beam_ros.errors import faults_of_the_user
+
+VERBS: dict[str, str] = {
+    "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
+    "up": "the rig's nodes together, until Ctrl-C",
+    "run": "one node, as `ros2 run beam_ros NODE`",
+    "model": "the rig's theory: natural frequencies, damping, participation; or the list of all parameters",
+    "design": "the excitation against the hub's limits and the beam's modes",
+    "simulate": "the simulator's core straight into a bag, without DDS",
+    "record": "every topic of a running rig into a bag",
+    "replay": "a bag back onto its topics, without what moves an axis",
+    "recover": "a valid bag from what can be read of a damaged one",
+    "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
+    "export": "a bag as CSV files, or as a flat bag for plotting tools",
+    "identify": "a continuous-time model with common poles from a bag",
+}
+
+OK, FAILED, FAULT_OF_THE_USER, INTERRUPTED = 0, 1, 2, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """Parser whose refusals are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(FAULT_OF_THE_USER, f"{self.prog}: {message}; `{self.prog} --help` shows what is expected\n")
+
+
+def _verb_parser(verb: str) -> argparse.ArgumentParser:
+    module = importlib.import_module(f"beam_ros.cli.{verb}")
+    parser = _Parser(
+        prog=f"beam {verb}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    parser.set_defaults(run=module.run)
+    return parser
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    lines = [f"    beam {verb:<{width}}   {meaning}" for verb, meaning in VERBS.items()]
+    return "\n".join(
+        (
+            "usage: beam VERB ...",
+            "",
+            "Identify a flexible cantilever beam on a moving hub, with or without hardware.",
+            "",
+            *lines,
+            "",
+            "`beam VERB --help` explains a verb. Start with `beam demo`.",
+        )
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the `beam` command.
+
+    Parameters
+    ----------
+    argv : list of str, optional -- arguments without the program's name; by default the process's own
+
+    Returns
+    -------
+    int -- 0 on success, 2 for a fault of the user's, 130 after Ctrl-C
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_overview())
+        return OK if arguments else FAULT_OF_THE_USER
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"beam {version('beam_ros')}")
+        return OK
+    verb, *rest = arguments
+    if verb not in VERBS:
+        print(
+            f"beam: unknown verb {verb!r}: expected one of {', '.join(VERBS)}; `beam --help` explains them",
+            file=sys.stderr,
+        )
+        return FAULT_OF_THE_USER
+    try:
+        parsed = _verb_parser(verb).parse_args(rest)
+        return int(parsed.run(parsed))
+    except SystemExit as exit_request:
+        return int(exit_request.code or 0)
+    except faults_of_the_user() as err:
+        print(f"beam {verb}: {err}", file=sys.stderr)
+        return FAULT_OF_THE_USER
+    except KeyboardInterrupt:
+        print(f"beam {verb}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK

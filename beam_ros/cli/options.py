@@ -1,0 +1,54 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import datetime
+from pathlib import Path
+
+from beam_ros.errors import UsageError
+from beam_ros.rig import Rig
+
+
+def add_rig_file(parser: argparse.ArgumentParser) -> None:
+    """Add the rig file and single parameters on top of it."""
+    parser.add_argument(
+        "--rig-file",
+        type=Path,
+        metavar="FILE",
+        help="ROS parameter file of the rig; what it leaves out comes from the packaged one",
+    )
+    parser.add_argument(
+        "-p",
+        dest="parameters",
+        metavar="NAME:=VALUE",
+        action="append",
+        default=[],
+        help="one parameter on top of the file, as for a node: -p camera.rate:=50.0",
+    )
+
+
+def read_rig(arguments: argparse.Namespace) -> Rig:
+    """Read the rig that `add_rig_file`'s options describe.
+
+    Raises
+    ------
+    ParameterFileError
+        The file or a parameter is wrong.
+    """
+    rig = Rig.from_file(arguments.rig_file)
+    return rig.with_texts(arguments.parameters)
+
+
+def run_folder(given: Path | None, name: str) -> Path:
+    """Choose the folder for a run's results; it is created when there is something to write.
+
+    Raises
+    ------
+    UsageError
+        The folder exists and is not empty.
+    """
+    folder = given or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{name}"
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} exists and is not an empty folder; give another --out")
+    return folder

@@ -1,0 +1,72 @@
+"""Start the rig's nodes together and keep them until Ctrl-C.
+
+They use your own ROS domain and discovery range, so that viewers, `ros2` and other nodes can attach.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+
+from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.errors import UsageError
+from beam_ros.interfaces import Rig as RigKind
+from beam_ros.interfaces import nodes_of_rig
+from beam_ros.launching.processes import NodeGroup, interrupted_by_sigterm
+
+_WATCH_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    kinds = [kind.value for kind in RigKind]
+    parser.add_argument("--rig", choices=kinds, required=True, help="what stands behind the topics")
+    add_rig_file(parser)
+    parser.add_argument("--namespace", default="", help="ROS namespace for every node of this rig")
+    parser.add_argument("--record", type=Path, metavar="BAG", help="also record to this folder")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    rig, kind = read_rig(arguments), RigKind(arguments.rig)
+    has_images = kind is not RigKind.SIMULATED or bool(rig["simulation.images"])
+    executables = list(nodes_of_rig(kind, with_camera_images=has_images))
+    changes: dict[str, object] = {}
+    if arguments.record is not None:
+        if arguments.record.exists():
+            raise UsageError(f"--record {arguments.record}: exists already; give a folder that does not")
+        executables.append("bag_recorder")
+        changes["recorder.path"] = str(arguments.record.resolve())
+    if kind is RigKind.REAL and not rig.text("serial.port"):
+        raise UsageError(
+            "--rig real needs the controller's port: expected serial.port in the rig file, or "
+            "-p serial.port:=/dev/ttyACM0"
+        )
+    with interrupted_by_sigterm(), tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch:
+        if kind is RigKind.EMULATED:
+            port = rig.text("serial.port") or f"{scratch}/controller"
+            changes.update({"emulator.port_link": port, "serial.port": port})
+        rig_file = Path(scratch) / "rig.yaml"
+        rig.with_values(changes).write(rig_file)
+        ros_arguments = ["--ros-args", "--params-file", str(rig_file)]
+        if arguments.namespace:
+            ros_arguments += ["-r", f"__ns:=/{arguments.namespace.strip('/')}"]
+        with NodeGroup({}, Path(scratch) / "logs") as nodes:
+            for executable in executables:
+                nodes.start(executable, ros_arguments)
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+            print(f"{kind.value} rig up: {', '.join(executables)}")
+            print(f"ROS_DOMAIN_ID={domain}, discovery range {reach}; Ctrl-C ends it", flush=True)
+            try:
+                while True:
+                    nodes.check()
+                    time.sleep(_WATCH_S)
+            except KeyboardInterrupt:
+                statuses = nodes.end()
+    failed = [f"{name} with status {status}" for name, status in statuses.items() if status]
+    print("ended" if not failed else f"ended, but {', '.join(failed)}")
+    return 1 if failed else 0

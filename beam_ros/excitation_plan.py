@@ -1,0 +1,219 @@
+"""From the rig's excitation parameters to the samples for its hub, checked before anything moves.
+
+A plan is refused on the axis's limits and on what the beam is predicted to do: a hub that moves millimetres
+bends a resonant tip by centimetres. The hub checks every sequence once more with the same prediction, whoever
+sent it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ident.errors import IdentificationError
+from beam_ident.excitation import AxisLimits, LogChirp, Multisine, Recipe, SampledExcitation, Step
+from beam_model import BeamModel
+from beam_ros.errors import UsageError
+from beam_ros.rig import Rig
+
+FloatArray = NDArray[np.float64]
+
+_HOLD_OF_MODE = {"acceleration": "zoh", "velocity": "zoh", "position": "linear", "effort": "zoh"}
+
+
+def recipe_of_rig(rig: Rig) -> Recipe:
+    """Build the recipe that the rig's `excitation` parameters describe.
+
+    Raises
+    ------
+    UsageError
+        The parameters do not make a signal.
+    """
+    kind = rig.text("excitation.kind")
+    duration, still = rig.number("excitation.duration"), rig.number("excitation.still")
+    try:
+        if kind == "chirp":
+            return LogChirp(
+                start_hz=rig.number("excitation.start_frequency"),
+                end_hz=rig.number("excitation.end_frequency"),
+                sweep_s=duration,
+                acceleration=rig.number("excitation.acceleration"),
+                displacement_ceiling=rig.number("excitation.max_displacement"),
+                still_s=still,
+                fade_in_s=min(1.0, duration / 4),
+                fade_out_s=min(0.25, duration / 4),
+            )
+        if kind == "multisine":
+            n_periods = max(1, round(duration / 10.0))
+            return Multisine(
+                low_hz=rig.number("excitation.start_frequency"),
+                high_hz=rig.number("excitation.end_frequency"),
+                line_period_s=duration / n_periods,
+                n_periods=n_periods,
+                rms_acceleration=rig.number("excitation.acceleration"),
+                displacement_ceiling=rig.number("excitation.max_displacement"),
+                seed=int(rig.number("excitation.seed")),
+                still_s=still,
+                fade_s=min(0.5, duration / 4),
+            )
+        rise = rig.number("excitation.rise_time")
+        return Step(
+            distance=rig.number("excitation.step_size"),
+            rise_s=rise,
+            hold_s=max(0.0, duration - 2 * rise),
+            still_s=still,
+        )
+    except IdentificationError as err:
+        raise UsageError(f"excitation parameters: {err}") from err
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the beam is predicted to do under a plan.
+
+    Attributes
+    ----------
+    tip_deflection : float -- largest |w| at the tip [m]
+    modal_tip_amplitudes : ndarray, shape (n_modes,) -- largest |phi_i(L) q_i| [m]
+    hub_force : float -- largest force on the hub, the beam's reaction included [N]
+    """
+
+    tip_deflection: float
+    modal_tip_amplitudes: FloatArray
+    hub_force: float
+
+
+def predict(model: BeamModel, accelerations: FloatArray, period_s: float) -> Prediction:
+    """Predict the beam's motion under hub accelerations held from tick to tick.
+
+    Parameters
+    ----------
+    model : BeamModel
+    accelerations : ndarray, shape (n_ticks,) -- [m/s^2]
+    period_s : float -- [s]
+    """
+    coordinates = model.motion_stepper(period_s).run(accelerations)[:, : model.n_modes]
+    tip = np.array([model.parameters.length])
+    modal = coordinates * model.shape(tip)[0]
+    deflection = modal.sum(axis=1)[:-1] - model.residual_terms(tip)[0] * accelerations
+    matrices = model.matrices
+    # The beam acts back on the hub: f = J alpha'' + sum E_i q_i'', q_i'' = -omega_i^2 q_i - E_i/M_i alpha''.
+    participation = matrices.M[0, 1:]
+    restoring = coordinates[:-1] @ (participation * model.natural_frequencies**2)
+    rigid = matrices.M[0, 0] - np.sum(participation**2 / np.diag(matrices.M)[1:])
+    return Prediction(
+        float(np.max(np.abs(deflection))),
+        np.max(np.abs(modal), axis=0),
+        float(np.max(np.abs(rigid * accelerations - restoring))),
+    )
+
+
+@dataclass(frozen=True)
+class ExcitationPlan:
+    """A checked excitation for one rig.
+
+    Attributes
+    ----------
+    recipe : Recipe
+    sampled : SampledExcitation -- at the device's period
+    mode : str -- the hub's command mode
+    values : ndarray, shape (n_ticks,) -- samples in the mode's unit
+    prediction : Prediction
+    """
+
+    recipe: Recipe
+    sampled: SampledExcitation
+    mode: str
+    values: FloatArray
+    prediction: Prediction
+
+    def info(self, rig: Rig) -> dict[str, Any]:
+        """Describe the plan for `excitation/info`: recipe, seed, hold, and the rig's parameters."""
+        return {
+            "recipe": self.recipe.to_dict(),
+            "mode": self.mode,
+            "hold": _HOLD_OF_MODE[self.mode],
+            "period_ns": round(self.sampled.period_s * 1e9),
+            "samples": len(self.values),
+            "predicted_tip_deflection": self.prediction.tip_deflection,
+            "rig": rig.to_nested(),
+        }
+
+
+def plan_excitation(rig: Rig) -> ExcitationPlan:
+    """Sample the rig's excitation and check it against the hub's limits and the beam's predicted motion.
+
+    Raises
+    ------
+    UsageError
+        The excitation leaves a limit; the message names it and by how much.
+    """
+    recipe = recipe_of_rig(rig)
+    period_s = rig.number("hub.period")
+    limits = AxisLimits(
+        travel=rig.number("hub.travel") / 2,
+        speed=rig.number("hub.max_speed"),
+        acceleration=rig.number("hub.max_acceleration"),
+    )
+    try:
+        sampled = recipe.sample(period_s, limits)
+    except IdentificationError as err:
+        raise UsageError(f"excitation refused: {err}") from err
+    model = rig.beam_model()
+    mode = rig.text("hub.command_mode")
+    if mode == "effort":
+        values = sampled.accelerations * model.matrices.M[0, 0]
+    else:
+        values = np.asarray(sampled.samples(mode))  # type: ignore[arg-type]
+    plan = ExcitationPlan(recipe, sampled, mode, values, predict(model, sampled.accelerations, period_s))
+    reason = _refusal(rig, plan.prediction)
+    if reason:
+        raise UsageError(f"excitation refused: {reason}")
+    return plan
+
+
+def _refusal(rig: Rig, prediction: Prediction) -> str | None:
+    limit, force_limit = rig.number("hub.max_tip_deflection"), rig.number("hub.max_effort")
+    if prediction.tip_deflection > limit:
+        return (
+            f"predicted tip deflection {prediction.tip_deflection * 1e3:.3g} mm: the limit "
+            f"hub.max_tip_deflection is {limit * 1e3:g} mm; lower excitation.acceleration to "
+            f"{100 * limit / prediction.tip_deflection:.0f} %"
+        )
+    if prediction.hub_force > force_limit:
+        return (
+            f"predicted hub force {prediction.hub_force:.3g} N: the limit hub.max_effort is "
+            f"{force_limit:g} N; lower excitation.acceleration"
+        )
+    return None
+
+
+def tip_guard(rig: Rig) -> Callable[[FloatArray], str | None]:
+    """Build the hub's own check of a sequence against the predicted motion of the beam.
+
+    Returns
+    -------
+    callable -- from samples in the command mode's unit, at device ticks, to a reason for refusal or None
+    """
+    model = rig.beam_model()
+    mode, period_s = rig.text("hub.command_mode"), rig.number("hub.period")
+
+    def guard(values: FloatArray) -> str | None:
+        if mode == "acceleration":
+            accelerations = values
+        elif mode == "effort":
+            accelerations = values / model.matrices.M[0, 0]
+        else:
+            order = {"velocity": 1, "position": 2}[mode]
+            accelerations = np.diff(values, order, prepend=[values[0]] * order) / period_s**order
+        prediction = predict(model, np.asarray(accelerations, dtype=np.float64), period_s)
+        return (
+            _refusal(rig, prediction) if math.isfinite(prediction.tip_deflection) else "prediction diverged"
+        )
+
+    return guard

@@ -1,0 +1,142 @@
+"""A client of a running rig that calls its services and watches its state, to conduct an experiment."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from beam_ros import interfaces
+from beam_ros.errors import RigUnavailableError
+from beam_ros.messages import RosTypes
+from beam_ros.nodes.shell import qos_profile
+
+_SPIN_S = 0.05
+
+
+class RigClient:
+    """The experimenter's own node on the rig's graph.
+
+    Ctrl-C stays an exception of Python here, so that whoever conducts the experiment can end it in order.
+
+    Attributes
+    ----------
+    displacement : dict -- newest u by marker's name [m]; NaN where it was not seen
+    hub_position : float -- newest hub position [m]
+    sequence : dict -- newest `hub/sequence_state`
+    identification : dict or None -- newest `identification/result`
+    """
+
+    def __init__(self, check: Callable[[], None] = lambda: None) -> None:
+        """Join the graph; `check` is called while waiting and raises when a node has fallen."""
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("experimenter")
+        self._types = RosTypes()
+        self._check = check
+        self.displacement: dict[str, float] = {}
+        self.hub_position = math.nan
+        self.sequence: dict[str, Any] = {}
+        self.identification: dict[str, Any] | None = None
+        self._listen("beam/displacement", self._on_displacement)
+        self._listen("hub/state", self._on_hub_state)
+        self._listen("hub/sequence_state", self._on_sequence_state)
+        self._listen("identification/result", self._on_identification)
+
+    def _listen(self, topic: str, callback: Callable[[Any], None]) -> None:
+        row = interfaces.TOPICS[topic]
+        self._node.create_subscription(
+            self._types.message_class(row.type_name), topic, callback, qos_profile(row.qos)
+        )
+
+    def _on_displacement(self, message: Any) -> None:
+        self.displacement = dict(zip(message.name, message.position, strict=True))
+
+    def _on_hub_state(self, message: Any) -> None:
+        self.hub_position = message.position[0]
+
+    def _on_sequence_state(self, message: Any) -> None:
+        self.sequence = json.loads(message.data)
+
+    def _on_identification(self, message: Any) -> None:
+        self.identification = json.loads(message.data)
+
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float,
+        what: str,
+        remedy: str,
+        on_tick: Callable[[float], None] = lambda elapsed_s: None,
+    ) -> None:
+        """Spin until a condition holds.
+
+        Parameters
+        ----------
+        condition : callable -- what is waited for
+        timeout_s : float -- patience
+        what, remedy : str -- for the error: what did not happen, and what to do
+        on_tick : callable -- called with the seconds waited so far, for progress
+
+        Raises
+        ------
+        RigUnavailableError
+            The time is over, or a node has fallen.
+        """
+        start = time.monotonic()
+        while not condition():
+            elapsed = time.monotonic() - start
+            if elapsed > timeout_s:
+                raise RigUnavailableError(f"{what} within {timeout_s:g} s; {remedy}")
+            self._check()
+            on_tick(elapsed)
+            rclpy.spin_once(self._node, timeout_sec=_SPIN_S)
+
+    def call(self, service: str, *, value: bool | None = None, timeout_s: float = 15.0) -> str:
+        """Call a service of the table and return its message.
+
+        Parameters
+        ----------
+        service : str -- key of `beam_ros.interfaces.SERVICES`
+        value : bool, optional -- for a SetBool service
+        timeout_s : float -- patience, discovery included
+
+        Raises
+        ------
+        RigUnavailableError
+            The service is not there, does not answer, or refuses.
+        """
+        service_class = self._types.service_class(interfaces.SERVICES[service].type_name)
+        client = self._node.create_client(service_class, service)
+        log_hint = "look at the node's log or at /diagnostics"
+        try:
+            self.wait(client.service_is_ready, timeout_s, f"service {service} did not appear", log_hint)
+            request = service_class.Request()
+            if value is not None:
+                request.data = value
+            future = client.call_async(request)
+            self.wait(future.done, timeout_s, f"service {service} did not answer", log_hint)
+            response = future.result()
+        finally:
+            self._node.destroy_client(client)
+        if not response.success:
+            raise RigUnavailableError(f"{service} was refused: {response.message}")
+        return str(response.message)
+
+    def __enter__(self) -> RigClient:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._node.destroy_node()
+        rclpy.try_shutdown()

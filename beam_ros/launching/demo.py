@@ -1,0 +1,169 @@
+"""The demo: the whole experiment over ROS 2, conducted from one process, each node a process of its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from beam_ros.cli.progress import Progress
+from beam_ros.errors import RigUnavailableError
+from beam_ros.interfaces import Rig as RigKind
+from beam_ros.interfaces import nodes_of_rig
+from beam_ros.launching.processes import (
+    NodeGroup,
+    PrivateDomain,
+    interrupted_by_sigterm,
+    private_domain_environment,
+)
+from beam_ros.rig import Rig
+
+_START_TIMEOUT_S = 30.0
+_IDENTIFY_TIMEOUT_S = 90.0
+
+
+def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> dict[str, Any]:
+    """Run the experiment and return its result.
+
+    Parameters
+    ----------
+    rig : Rig -- parameters of the rig and its excitation
+    kind : RigKind -- simulated or emulated
+    folder : Path -- takes the bag, model.json and report.html
+    record_images : bool -- record the camera's frames too
+
+    Returns
+    -------
+    dict -- what the identifier published on `identification/result`
+
+    Raises
+    ------
+    RigUnavailableError
+        A node fell, did not answer or refused.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(interrupted_by_sigterm())
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="beam-rig-")))
+        domain = PrivateDomain()
+        stack.callback(domain.release)
+        environment = private_domain_environment(domain.number, scratch / "ros")
+        os.environ.update(environment)
+        folder.mkdir(parents=True, exist_ok=True)
+        rig_here = _rig_for_run(rig, kind, folder, scratch, record_images)
+        nodes = stack.enter_context(NodeGroup(environment, folder / "logs"))
+        try:
+            result = _experiment(rig_here, kind, nodes, domain.number)
+        finally:
+            with Progress("stop", 1) as stage:
+                statuses = nodes.end()
+                stage.finish(_ends(statuses))
+        if any(statuses.values()):
+            raise RigUnavailableError(f"a node did not end cleanly: {_ends(statuses)}; see {folder}/logs")
+    return result
+
+
+def _ends(statuses: Mapping[str, int]) -> str:
+    failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
+    return ", ".join(failed) or f"{len(statuses)} nodes ended with status 0"
+
+
+def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_images: bool) -> Rig:
+    """Fill in where this run records and reports, and how hub and emulator find each other."""
+    changes: dict[str, Any] = {
+        "recorder.path": str((folder / "bag").resolve()),
+        "recorder.images": record_images,
+        "recorder.start_at_launch": False,
+        "identifier.bag": str((folder / "bag").resolve()),
+        "identifier.report": str(folder.resolve()),
+    }
+    if kind is RigKind.EMULATED:
+        port = str(scratch / "controller")
+        changes.update({"emulator.port_link": port, "serial.port": port})
+    here = rig.with_values(changes)
+    here.write(folder / "rig.yaml")
+    return here
+
+
+def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[str, Any]:
+    arguments = ("--ros-args", "--params-file", str(nodes.log_folder.parent / "rig.yaml"))
+    with Progress("start", _START_TIMEOUT_S, "s") as stage:
+        rig_nodes = nodes_of_rig(kind, with_camera_images=bool(rig["simulation.images"]))
+        for executable in (*rig_nodes, "bag_recorder", "identifier"):
+            nodes.start(executable, arguments)
+        from beam_ros.launching.client import RigClient
+
+        client = RigClient(nodes.check)
+        with client:
+            client.wait(
+                lambda: bool(client.displacement) and not math.isnan(client.hub_position),
+                _START_TIMEOUT_S,
+                "neither hub/state nor beam/displacement arrived",
+                f"look at the nodes' logs in {nodes.log_folder}",
+                stage.update,
+            )
+            stage.finish(f"{len(nodes.nodes)} nodes on domain {domain}, this machine only")
+            return _measure_and_identify(rig, client)
+
+
+def _measure_and_identify(rig: Rig, client: Any) -> dict[str, Any]:
+    with Progress("home and enable", 30.0, "s") as stage:
+        client.call("hub/home", timeout_s=30.0)
+        if rig["simulation.images"]:
+            client.call("tracker/tare")
+        client.call("hub/enable", value=True)
+        stage.finish(
+            f"hub at {client.hub_position * 1e3:+.3f} mm, markers {', '.join(client.displacement)} in sight"
+        )
+    client.call("recorder/start")
+    length = float(rig["excitation.duration"]) + float(rig["excitation.still"])  # type: ignore[arg-type]
+    with Progress(f"{rig['excitation.kind']}", length, "s") as stage:
+        client.sequence = {}
+        client.call("excitation/start", timeout_s=30.0)
+        client.wait(
+            lambda: client.sequence.get("state") not in (None, "loading", "ready"),
+            30.0,
+            "the sequence did not start",
+            "hub/sequence_state says how far it came",
+        )
+        client.wait(
+            lambda: client.sequence["state"] != "running",
+            length + 10.0,
+            "the sequence did not end",
+            "look at hub/sequence_state",
+            lambda elapsed_s: stage.update(elapsed_s, _live(client)),
+        )
+        if client.sequence["state"] != "done":
+            raise RigUnavailableError(
+                f"the sequence ended as {client.sequence['state']}: {client.sequence['reason']}; expected done"
+            )
+        stage.finish(
+            f"{rig.number('excitation.duration'):g} s of excitation, then {rig.number('excitation.still'):g} s still"
+        )
+    with Progress("record", 1.0) as stage:
+        recorded = client.call("recorder/stop")
+        client.call("hub/enable", value=False)
+        stage.finish(recorded)
+    with Progress("identify", _IDENTIFY_TIMEOUT_S, "s") as stage:
+        client.identification = None
+        client.call("identifier/identify")
+        client.wait(
+            lambda: client.identification is not None,
+            _IDENTIFY_TIMEOUT_S,
+            "the identifier published no result",
+            "look at identifier.log",
+            stage.update,
+        )
+        result: dict[str, Any] = client.identification
+        if "error" in result:
+            raise RigUnavailableError(f"identification failed: {result['error']}")
+        stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
+    return result
+
+
+def _live(client: Any) -> str:
+    *_, tip = client.displacement.values()
+    return f"hub {client.hub_position * 1e3:+7.3f} mm   tip marker {tip * 1e3:+7.2f} mm"

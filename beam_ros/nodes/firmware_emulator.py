@@ -1,0 +1,78 @@
+"""The node `firmware_emulator`: a motion controller on a pseudo-terminal, with the beam that it moves.
+
+Hub data leaves it over the serial line alone; on the graph it is only the camera that films its beam.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from beam_ros.errors import RigUnavailableError
+from beam_ros.hub.emulator import EmulatedController
+from beam_ros.hub.plant import BeamPlant
+from beam_ros.nodes.camera import CameraOutput
+from beam_ros.nodes.shell import RigNode, run_node
+
+_FILM_S = 0.005
+
+
+class FirmwareEmulator(RigNode):
+    """The controller, its beam and the camera."""
+
+    def __init__(self) -> None:
+        super().__init__("firmware_emulator")
+        model = self.rig.beam_model()
+        parameters = self.rig.hub_parameters(
+            clock_drift_ppm=self.rig.number("emulator.clock_drift_ppm"), clock_start_ns=_POWER_ON_NS
+        )
+        self._link: Path | None = None
+        self._controller = EmulatedController(parameters, BeamPlant(model, parameters.period))
+        self._camera = CameraOutput(
+            self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
+        )
+        self._link_port()
+        self.create_timer(_FILM_S, self._film)
+
+    def _link_port(self) -> None:
+        path = self.rig.text("emulator.port_link")
+        if path:
+            link = Path(path)
+            if link.is_symlink():
+                link.unlink()
+            try:
+                link.symlink_to(self._controller.port)
+            except OSError as err:
+                raise RigUnavailableError(
+                    f"emulator.port_link {link}: cannot be made ({err.strerror}); give a path in an existing "
+                    "folder where no file stands"
+                ) from err
+            self._link = link
+        self.get_logger().info(f"motion controller on {path or self._controller.port}")
+
+    def _film(self) -> None:
+        self._camera.publish_until(self._controller.reached_ns)
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report where the controller is and how the camera keeps up."""
+        counters = {"frames": self._camera.published, "dropped frames": self._camera.dropped_frames}
+        return "OK", f"controller on {self._controller.port}", counters
+
+    def close(self) -> None:
+        """Switch the controller off."""
+        if (
+            self._link is not None
+            and self._link.is_symlink()
+            and os.readlink(self._link) == self._controller.port
+        ):
+            self._link.unlink()
+        self._controller.close()
+
+
+_POWER_ON_NS = 123_456_000_000
+"""What the device's clock reads at power-on: an epoch that nobody could mistake for the host's."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(FirmwareEmulator, argv)

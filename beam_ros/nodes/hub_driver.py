@@ -1,0 +1,26 @@
+"""The node `hub` with hardware: the motion controller behind a serial port."""
+
+from __future__ import annotations
+
+from beam_ros.excitation_plan import tip_guard
+from beam_ros.hub.contract import Hub
+from beam_ros.hub.driver import DriverHub
+from beam_ros.nodes.hub import HubNode
+from beam_ros.nodes.shell import run_node
+from beam_ros.rig import Rig
+
+
+class HubDriver(HubNode):
+    """The real rig's hub."""
+
+    def __init__(self) -> None:
+        super().__init__("hub_driver", _connect)
+
+
+def _connect(rig: Rig) -> Hub:
+    return DriverHub(rig.hub_parameters(), guard=tip_guard(rig))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(HubDriver, argv)

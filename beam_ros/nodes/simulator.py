@@ -1,0 +1,64 @@
+"""The node `hub` without hardware: the Galerkin model of the beam, integrated in real time and filmed."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock
+
+from beam_ros import messages
+from beam_ros.excitation_plan import tip_guard
+from beam_ros.hub.axis import VirtualAxis
+from beam_ros.hub.contract import Hub, HubReport
+from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.simulated_hub import SimulatedHub
+from beam_ros.nodes.camera import CameraOutput
+from beam_ros.nodes.hub import HubNode
+from beam_ros.nodes.shell import run_node
+from beam_ros.rig import Rig
+
+
+class Simulator(HubNode):
+    """The simulated rig: hub, beam and camera."""
+
+    def __init__(self) -> None:
+        self._camera: CameraOutput | None = None
+        super().__init__("simulator", self._build)
+        factor = self.rig.number("simulation.real_time_factor")
+        self._simulated_time = self.offer("/clock") if factor != 1.0 else None
+
+    def _build(self, rig: Rig) -> Hub:
+        self._model = rig.beam_model()
+        parameters = rig.hub_parameters()
+        plant = BeamPlant(self._model, parameters.period)
+        factor = rig.number("simulation.real_time_factor")
+        self._simulated = SimulatedHub(
+            VirtualAxis(parameters, plant), real_time_factor=factor, guard=tip_guard(rig)
+        )
+        return self._simulated
+
+    def publish_report(self, report: HubReport) -> None:
+        """Publish the hub's report, and what the camera saw meanwhile."""
+        super().publish_report(report)
+        reached_ns = self._simulated.reached_ns
+        if self._camera is None:
+            with_images = bool(self.rig["simulation.images"])
+            self._camera = CameraOutput(
+                self, self._model, self._simulated.snapshots, reached_ns, with_images=with_images
+            )
+        self._camera.publish_until(reached_ns)
+        if self._simulated_time is not None:
+            seconds, nanoseconds = divmod(reached_ns, messages.SECOND_NS)
+            self._simulated_time.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report the hub's health and the camera's lost frames."""
+        level, sentence, counters = super().health()
+        if self._camera is not None:
+            counters["frames"] = self._camera.published
+            counters["dropped frames"] = self._camera.dropped_frames
+        return level, sentence, counters
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(Simulator, argv)

@@ -1,0 +1,188 @@
+"""The node `tracker`: frames in, sub-pixel displacements of the markers out."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from beam_ros import interfaces, messages
+from beam_ros.nodes.shell import RigNode, qos_profile, run_node
+from beam_ros.vision.calibration import CalibrationProcedure, LinearCalibration
+from beam_ros.vision.errors import CalibrationError, ImageFormatError
+from beam_ros.vision.images import grey_image
+from beam_ros.vision.storage import load_calibration, save_calibration
+from beam_ros.vision.timing import FrameTiming
+from beam_ros.vision.tracking import FrameResult, MarkerTracker
+
+_RECENT_FRAMES = 100
+_MINIMUM_FRAMES = 10
+_LOOK_FOR_CAMERA_S = 0.2
+
+
+class VisionTracker(RigNode):
+    """Follows the markers in `camera/image_raw` and publishes where they are."""
+
+    def __init__(self) -> None:
+        super().__init__("vision_tracker")
+        rig, camera = self.rig, self.rig.camera_parameters()
+        self._names = rig.marker_names
+        self._heights = np.asarray(rig.numbers("markers.heights"))
+        self._tracker = MarkerTracker(rig.tracker_parameters(), len(self._names), FrameTiming(camera))
+        self._image_size = (camera.width, camera.height)
+        self._calibration = self._first_calibration()
+        self._procedure = CalibrationProcedure(len(self._names), self._image_size)
+        self._recent: deque[tuple[list[float], list[float]]] = deque(maxlen=_RECENT_FRAMES)
+        self._hub_position = math.nan
+        self._counts: Counter[str] = Counter()
+        self._frames_before = 0
+        self._trouble = ""
+        self._displacement = self.offer("beam/displacement")
+        self._markers = self.offer("beam/markers")
+        self.listen("hub/state", self._on_hub_state)
+        self.serve("tracker/reset", self._on_reset)
+        self.serve("tracker/tare", self._on_tare)
+        self.serve("tracker/capture_point", self._on_capture_point)
+        self.serve("tracker/fit_calibration", self._on_fit_calibration)
+        self._camera_search = self.create_timer(_LOOK_FOR_CAMERA_S, self._look_for_camera)
+
+    def _first_calibration(self) -> LinearCalibration:
+        path = self.rig.text("tracker.calibration")
+        if not path:
+            return LinearCalibration.from_camera(self.rig.camera_parameters(), len(self._names))
+        calibration = load_calibration(Path(path))
+        calibration.require_camera(*self._image_size)
+        return calibration
+
+    def _look_for_camera(self) -> None:
+        """Subscribe as soon as a camera is there, with the reliability that it offers."""
+        row = interfaces.TOPICS["camera/image_raw"]
+        offers = self.get_publishers_info_by_topic(self.resolve_topic_name(row.name))
+        if not offers:
+            return
+        profile: QoSProfile = qos_profile(row.qos)
+        if any(offer.qos_profile.reliability != ReliabilityPolicy.RELIABLE for offer in offers):
+            profile.reliability = ReliabilityPolicy.BEST_EFFORT
+        self.create_subscription(self.types.message_class(row.type_name), row.name, self._on_image, profile)
+        self._camera_search.cancel()
+        self.get_logger().info(f"camera found on {row.name}")
+
+    def _on_hub_state(self, message: Any) -> None:
+        self._hub_position = messages.read_hub_state(message).position
+
+    def _on_image(self, message: Any) -> None:
+        stamp_ns = messages.stamp_ns(message)
+        self._counts["frames"] += 1
+        try:
+            grey = grey_image(
+                message.encoding,
+                message.height,
+                message.width,
+                message.step,
+                message.data,
+                is_bigendian=bool(message.is_bigendian),
+            )
+            self._calibration.require_camera(message.width, message.height)
+            result = self._tracker.process(grey, stamp_ns)
+        except (ImageFormatError, CalibrationError) as err:
+            self._counts["unusable frames"] += 1
+            self._trouble = str(err)
+            self.get_logger().error(self._trouble, throttle_duration_sec=5.0)
+            nothing = np.full(len(self._names), math.nan)
+            self._displacement.publish(messages.displacement(self.types, stamp_ns, self._names, nothing))
+            return
+        self._trouble = ""
+        self._publish(result)
+
+    def _publish(self, result: FrameResult) -> None:
+        columns = [marker.u_px for marker in result.markers]
+        sigmas = [marker.sigma_px for marker in result.markers]
+        self._recent.append((columns, sigmas))
+        found = self._calibration.displacement(columns, sigmas)
+        stamps = [marker.stamp_ns for marker in result.markers]
+        for stamp_ns in sorted(set(stamps)):
+            chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
+            names = [self._names[k] for k in chosen]
+            self._displacement.publish(messages.displacement(self.types, stamp_ns, names, found.x_m[chosen]))
+        rows = np.zeros(len(self._names), dtype=messages.MARKER_DTYPE)
+        rows["x"], rows["z"] = found.x_m, self._heights
+        rows["x_m"], rows["sigma_m"] = found.x_m, found.sigma_m
+        rows["u"], rows["v"] = columns, [marker.v_px for marker in result.markers]
+        rows["id"] = np.arange(len(self._names))
+        rows["valid"] = [marker.is_valid for marker in result.markers]
+        self._markers.publish(messages.marker_cloud(self.types, messages.MarkerCloud(result.stamp_ns, rows)))
+        for name, marker in zip(self._names, result.markers, strict=True):
+            if not marker.is_valid:
+                self._counts[f"{name} {marker.reason}"] += 1
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        self._tracker.reset()
+        self._recent.clear()
+        response.success, response.message = True, "markers are acquired anew"
+        return response
+
+    def _recent_frames(self) -> tuple[list[list[float]], list[list[float]]]:
+        if len(self._recent) < _MINIMUM_FRAMES:
+            raise CalibrationError(
+                f"{len(self._recent)} frames since the last reset; expected at least {_MINIMUM_FRAMES}: is a "
+                "camera publishing on camera/image_raw?"
+            )
+        columns, sigmas = zip(*self._recent, strict=True)
+        return list(columns), list(sigmas)
+
+    def _on_tare(self, _request: Any, response: Any) -> Any:
+        try:
+            self._calibration = self._calibration.tare(*self._recent_frames())
+            response.success, response.message = True, f"zero from {len(self._recent)} frames"
+        except CalibrationError as err:
+            response.success, response.message = False, str(err)
+        return response
+
+    def _on_capture_point(self, _request: Any, response: Any) -> Any:
+        encoder_sd = self.rig.number("hub.encoder_resolution") / math.sqrt(12.0)
+        try:
+            self._procedure.capture_point(*self._recent_frames(), self._hub_position, encoder_sd)
+            response.success = True
+            response.message = f"point {len(self._procedure.points)} at {self._hub_position:.6f} m"
+        except CalibrationError as err:
+            response.success, response.message = False, str(err)
+        return response
+
+    def _on_fit_calibration(self, _request: Any, response: Any) -> Any:
+        try:
+            fit = self._procedure.fit({"reference": "hub/state", "markers": list(self._names)})
+            path = self.rig.text("tracker.save_calibration")
+            if path:
+                save_calibration(fit.calibration, Path(path))
+        except CalibrationError as err:
+            response.success, response.message = False, str(err)
+            return response
+        self._calibration = fit.calibration
+        scales = ", ".join(f"{scale:.2f}" for scale in fit.calibration.pixels_per_metre)
+        warnings = "; ".join(fit.warnings)
+        response.success = True
+        response.message = f"{scales} px/m{f'; {warnings}' if warnings else ''}"
+        self._procedure.clear()
+        return response
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report the frame rate, lost markers, and what is wrong with the frames."""
+        frames = self._counts["frames"]
+        rate, self._frames_before = frames - self._frames_before, frames
+        counters = {**self._counts, "frames in the last second": rate}
+        if self._trouble:
+            return "ERROR", self._trouble, counters
+        if rate == 0:
+            return "WARN", "no frames on camera/image_raw", counters
+        if not self._tracker.is_acquired:
+            return "WARN", "not every marker is in sight", counters
+        return "OK", f"{len(self._names)} markers in sight", counters
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(VisionTracker, argv)
