@@ -171,6 +171,32 @@ def test_a_missing_ros_is_one_line_with_its_remedy() -> None:
         assert part in ended.stderr
 
 
+@pytest.mark.ros
+@pytest.mark.parametrize(("executable", "status"), [("simulator", 0), ("beam", 130)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_while_modules_load_ends_at_once_without_a_traceback(
+    executable: str, status: int, number: signal.Signals
+) -> None:
+    code = (
+        "import os, sys\n"
+        "from beam_ros.executables import MODULES, run_executable\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == MODULES['{executable}']: os.kill(os.getpid(), {int(number)})\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        f"sys.exit(run_executable('{executable}', ['--help']))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment.child_environment(),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "")
+
+
 def test_an_unknown_executable_is_refused() -> None:
     ended = subprocess.run(
         [*command("simulater")],

@@ -1,0 +1,105 @@
+"""The tree as a package of a ROS 2 workspace: colcon builds it, and what it installs runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from beam_ros.environment import child_environment
+from beam_ros.executables import MODULES
+from tests.packaging.conftest import copy_tree
+from tests.real_processes import MARK, marked_processes
+
+VERSION = "99.1.2"
+"""Given to the copy, so that it cannot be mistaken for the tree that the tests' environment has installed."""
+
+
+@pytest.fixture(scope="module", params=[(), ("--symlink-install",)], ids=["copied", "symlinked"])
+def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace with this package built in it; its folder."""
+    folder = tmp_path_factory.mktemp("workspace")
+    source = copy_tree(folder / "src" / "beam")
+    for name in ("setup.py", "package.xml"):
+        text = (source / name).read_text()
+        assert text.count("0.1.0") == 1
+        (source / name).write_text(text.replace("0.1.0", VERSION))
+    built = subprocess.run(
+        [sys.executable, "-m", "colcon", "--log-level", "error", "build", *request.param],
+        cwd=folder,
+        env=child_environment({"COLCON_LOG_PATH": str(folder / "log")}),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "1 package finished" in built.stdout
+    return folder
+
+
+def in_workspace(workspace: Path, line: str, **environment: str) -> subprocess.Popen[str]:
+    """Start a shell line where the workspace has been sourced, as `ros2 run` would find its executables."""
+    executables = workspace / "install" / "beam_ros" / "lib" / "beam_ros"
+    return subprocess.Popen(
+        ["bash", "-c", f'. install/setup.bash && PATH="{executables}:$PATH" && {line}'],
+        cwd=workspace,
+        env=child_environment(environment),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def test_ros2_finds_the_package_its_files_and_its_executables(workspace: Path) -> None:
+    prefix = workspace / "install" / "beam_ros"
+    for path in (
+        "share/ament_index/resource_index/packages/beam_ros",
+        "share/beam_ros/package.xml",
+        "share/beam_ros/launch/rig.launch.py",
+        "share/beam_ros/config/rig.yaml",
+    ):
+        assert (prefix / path).is_file(), path
+    executables = [path for path in (prefix / "lib" / "beam_ros").iterdir() if os.access(path, os.X_OK)]
+    assert {path.name for path in executables} == set(MODULES)
+
+
+def test_the_command_that_runs_is_the_workspaces_own(workspace: Path) -> None:
+    process = in_workspace(workspace, "beam --version && beam model")
+    stdout, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stderr) == (0, "")
+    assert stdout.startswith(f"beam {VERSION}\n")
+
+
+@pytest.mark.ros
+def test_a_node_of_the_workspace_runs_and_ends_on_ctrl_c(workspace: Path) -> None:
+    mark = str(workspace)
+    process = in_workspace(workspace, "exec simulator --ros-args -r __ns:=/built", **{MARK: mark})
+    try:
+        wait_for_log(process.pid)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=20)
+    finally:
+        for pid in marked_processes(mark):
+            os.kill(pid, signal.SIGKILL)
+    assert process.returncode == 0, stdout + stderr
+    assert "Traceback" not in stdout + stderr
+
+
+def wait_for_log(pid: int) -> None:
+    """Wait until a node has joined the graph: it then has its own sockets for DDS."""
+    end = time.monotonic() + 20
+    while time.monotonic() < end:
+        threads = [path.read_text().strip() for path in Path(f"/proc/{pid}/task").glob("*/comm")]
+        if any(name.startswith("dds.") for name in threads):
+            time.sleep(0.5)
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"process {pid} joined no graph within 20 s")
