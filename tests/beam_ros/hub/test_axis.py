@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hub_scenes import enabled_axis, rest_to_rest
 
 from beam_ros.hub import HubParameters, Outcome, RigidPlant, VirtualAxis
 from beam_ros.hub.axis import profile_velocity
 from beam_ros.hub.errors import SnapshotError
-from tests.beam_ros.hub.conftest import enabled_axis, rest_to_rest
 
 T = 1e-3
 TICK = 1_000_000

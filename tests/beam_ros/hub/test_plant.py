@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hub_scenes import enabled_axis, rest_to_rest
 
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.hub import HubParameters
 from beam_ros.hub.beam_points import BeamPoints
 from beam_ros.hub.plant import BeamPlant
-from tests.beam_ros.hub.conftest import enabled_axis, rest_to_rest
 
 T = 1e-3
 TICK = 1_000_000

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hub_scenes import UNIX_START as NOW
+from hub_scenes import chunks_of, rest_to_rest
 
 from beam_ros.hub import HubParameters, format_chunk_name, parse_chunk_name
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.sequences import CommandGate, check_sequence, expand_to_ticks
-from tests.beam_ros.hub.conftest import UNIX_START as NOW
-from tests.beam_ros.hub.conftest import chunks_of, rest_to_rest
 
 ACCELERATION = HubParameters()
 VELOCITY = HubParameters(command_mode="velocity")

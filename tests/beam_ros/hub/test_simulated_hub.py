@@ -2,17 +2,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hub_scenes import STEADY_START, UNIX_START, SimulatedRig, chunks_of, rest_to_rest
 
 from beam_ros.hub import HostTime, HubParameters, SequenceChunk
-from tests.beam_ros.hub.conftest import STEADY_START, UNIX_START, chunks_of, rest_to_rest
 
 
 def states(reports):
     return [s.state for r in reports for s in r.sequences]
 
 
-def test_batches_have_twenty_ticks_and_strictly_increasing_stamps_without_gaps(simulated_rig):
-    rig = simulated_rig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=987_654_321_000))
+def test_batches_have_twenty_ticks_and_strictly_increasing_stamps_without_gaps():
+    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=987_654_321_000))
     rng = np.random.default_rng(1)
     for _ in range(200):
         rig.run(float(rng.uniform(0.001, 0.03)), step_ns=10**9)
@@ -26,8 +26,8 @@ def test_batches_have_twenty_ticks_and_strictly_increasing_stamps_without_gaps(s
     assert abs(stamps[0] - UNIX_START) <= 1_000_000
 
 
-def test_a_sequence_runs_at_its_start_stamp_and_is_reported_all_the_way(simulated_rig):
-    rig = simulated_rig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=5_000_000_123))
+def test_a_sequence_runs_at_its_start_stamp_and_is_reported_all_the_way():
+    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=5_000_000_123))
     rig.enable()
     values = rest_to_rest(1200)
     start_ns = rig.now.unix_ns + 300_000_000
@@ -46,8 +46,8 @@ def test_a_sequence_runs_at_its_start_stamp_and_is_reported_all_the_way(simulate
     assert rig.hub.setpoint(rig.now.unix_ns, 0.0, rig.now).success
 
 
-def test_stop_aborts_a_running_sequence_and_unloads_it(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_stop_aborts_a_running_sequence_and_unloads_it():
+    rig = SimulatedRig(HubParameters())
     rig.enable()
     for chunk in chunks_of(rest_to_rest(1200), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)
@@ -59,8 +59,8 @@ def test_stop_aborts_a_running_sequence_and_unloads_it(simulated_rig):
     assert reports[-1].status.state == "homed"
 
 
-def test_stop_before_the_start_unloads_the_sequence(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_stop_before_the_start_unloads_the_sequence():
+    rig = SimulatedRig(HubParameters())
     rig.enable()
     for chunk in chunks_of(rest_to_rest(500), rig.now.unix_ns + 500_000_000):
         rig.hub.load(chunk, rig.now)
@@ -69,8 +69,8 @@ def test_stop_before_the_start_unloads_the_sequence(simulated_rig):
     assert states(rig.run(1.0)) == ["aborted"]
 
 
-def test_stop_while_loading_unloads_the_chunks(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_stop_while_loading_unloads_the_chunks():
+    rig = SimulatedRig(HubParameters())
     rig.enable()
     chunks = chunks_of(rest_to_rest(1000), rig.now.unix_ns + 900_000_000)
     rig.hub.load(chunks[0], rig.now)
@@ -78,8 +78,8 @@ def test_stop_while_loading_unloads_the_chunks(simulated_rig):
     assert states(rig.run(0.1)) == ["loading", "aborted"]
 
 
-def test_a_host_that_stops_polling_finds_the_axis_stopped(simulated_rig):
-    rig = simulated_rig(HubParameters(command_mode="velocity"))
+def test_a_host_that_stops_polling_finds_the_axis_stopped():
+    rig = SimulatedRig(HubParameters(command_mode="velocity"))
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now)
     (report,) = rig.run(0.5, step_ns=10**9)
@@ -89,8 +89,8 @@ def test_a_host_that_stops_polling_finds_the_axis_stopped(simulated_rig):
     assert len(report.measured) == 25
 
 
-def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps():
+    rig = SimulatedRig(HubParameters())
     rig.enable()
     rig.run(0.1)
     before = rig.reports[-1].measured or rig.run(0.02)[-1].measured
@@ -104,16 +104,16 @@ def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps(simulated_rig):
     assert rig.reports[-1].status.state == "homed"
 
 
-def test_the_real_time_factor_scales_time_and_stamps(simulated_rig):
-    rig = simulated_rig(HubParameters(), real_time_factor=2.0)
+def test_the_real_time_factor_scales_time_and_stamps():
+    rig = SimulatedRig(HubParameters(), real_time_factor=2.0)
     reports = rig.run(1.0)
     stamps = [b.stamp_ns for r in reports for b in r.measured]
     assert len(stamps) == 100
     assert stamps[-1] - stamps[0] == 99 * 20_000_000
 
 
-def test_a_jump_of_the_real_time_clock_is_an_error_and_the_stamps_do_not_follow(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_a_jump_of_the_real_time_clock_is_an_error_and_the_stamps_do_not_follow():
+    rig = SimulatedRig(HubParameters())
     rig.run(0.1)
     events, stamps = [], []
     for k in range(20):
@@ -128,8 +128,8 @@ def test_a_jump_of_the_real_time_clock_is_an_error_and_the_stamps_do_not_follow(
     assert report.status.counters["real_time_jumps"] == 1
 
 
-def test_the_clock_syncs_redo_the_map(simulated_rig):
-    rig = simulated_rig(HubParameters(clock_drift_ppm=-80.0, clock_start_ns=10**15))
+def test_the_clock_syncs_redo_the_map():
+    rig = SimulatedRig(HubParameters(clock_drift_ppm=-80.0, clock_start_ns=10**15))
     rig.run(20.0)
     syncs = [s for r in rig.reports for s in r.clock]
     assert len(syncs) >= 95
@@ -140,8 +140,8 @@ def test_the_clock_syncs_redo_the_map(simulated_rig):
     assert abs(offset) < 5
 
 
-def test_a_camera_sees_the_hub_at_exact_stamps_of_the_past(simulated_rig):
-    rig = simulated_rig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=123_456_789))
+def test_a_camera_sees_the_hub_at_exact_stamps_of_the_past():
+    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=123_456_789))
     rig.enable()
     values = rest_to_rest(800, 2.0)
     start_ns = rig.now.unix_ns + 200_000_000
@@ -155,8 +155,8 @@ def test_a_camera_sees_the_hub_at_exact_stamps_of_the_past(simulated_rig):
     assert rig.hub.snapshots([rig.hub.reached_ns]).coordinates.shape == (1, 0)
 
 
-def test_close_leaves_the_axis_at_rest_and_disabled(simulated_rig):
-    rig = simulated_rig(HubParameters(command_mode="velocity"))
+def test_close_leaves_the_axis_at_rest_and_disabled():
+    rig = SimulatedRig(HubParameters(command_mode="velocity"))
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.2, rig.now)
     rig.run(0.1)
@@ -165,8 +165,8 @@ def test_close_leaves_the_axis_at_rest_and_disabled(simulated_rig):
     assert rig.hub.axis.velocity == 0.0
 
 
-def test_an_unusable_chunk_never_reaches_the_axis(simulated_rig):
-    rig = simulated_rig(HubParameters())
+def test_an_unusable_chunk_never_reaches_the_axis():
+    rig = SimulatedRig(HubParameters())
     rig.enable()
     rig.hub.load(SequenceChunk("old", 1, 1, 0, 1_000_000, 0, np.zeros(5)), rig.now)
     (report,) = rig.run(0.01)

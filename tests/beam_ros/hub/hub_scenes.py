@@ -1,9 +1,8 @@
+"""Hubs, moves and host clocks that the tests of this room share."""
+
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-import pytest
 
 from beam_ros.hub import (
     HostTime,
@@ -88,8 +87,3 @@ class SimulatedRig:
                     break
             else:
                 raise AssertionError(f"{kind} did not end")
-
-
-@pytest.fixture
-def simulated_rig() -> Callable[..., SimulatedRig]:
-    return SimulatedRig
