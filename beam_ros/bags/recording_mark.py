@@ -7,6 +7,7 @@ one that was killed.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -33,7 +34,8 @@ class RecordingMark:
         self._path = folder / MARK_NAME
         self._file: IO[str] = self._path.open("x", encoding="utf-8")
         if fcntl is not None:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(OSError):  # a file system without locks: the mark alone must do
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         note = "this bag is being written, or its recording was cut off; `beam recover` repairs it"
         json.dump({"writer_pid": os.getpid(), "file": file_name, "note": note}, self._file)
         self._file.flush()
