@@ -162,8 +162,11 @@ class Setup:
             "none": "without ROS",
         }
         self.say(
-            "Setting up {} (Python {}, {}). This is done once.".format(
-                shown(self.venv), dotted(python["version"]), origin[source]
+            "{} {} (Python {}, {}). This is done once.".format(
+                "Bringing up to date" if is_usable else "Setting up",
+                shown(self.venv),
+                dotted(python["version"]),
+                origin[source],
             )
         )
         if not is_usable:
@@ -597,7 +600,11 @@ class locked_tree:  # noqa: N801 - reads as a statement
         except ImportError:  # Windows has none
             return
         self.descriptor = os.open(ROOT, os.O_RDONLY)
-        fcntl.flock(self.descriptor, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print("Waiting for another set-up of this tree to end.", file=sys.stderr, flush=True)
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX)
 
     def __exit__(self, *_error: object) -> None:
         if self.descriptor >= 0:
