@@ -166,10 +166,9 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         raise UsageError(f"excitation refused: {err}") from err
     model = rig.beam_model()
     mode = rig.text("hub.command_mode")
-    if mode == "effort":
-        values = sampled.accelerations * model.matrices.M[0, 0]
-    else:
-        values = np.asarray(sampled.samples(mode))  # type: ignore[arg-type]
+    total_mass = model.matrices.M[0, 0]
+    is_force = mode == "effort"
+    values = sampled.accelerations * total_mass if is_force else sampled.samples(mode)  # type: ignore[arg-type]
     plan = ExcitationPlan(recipe, sampled, mode, values, predict(model, sampled.accelerations, period_s))
     reason = _refusal(rig, plan.prediction)
     if reason:

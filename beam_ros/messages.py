@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beam_ros import interfaces
 from beam_ros.errors import RigError, RosMissingError
-from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch, SequenceChunk
+from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch, SequenceChunk, SequenceReport
 
 SECOND_NS = 1_000_000_000
 
@@ -578,6 +578,17 @@ def read_clock_sync(message: Any) -> ClockSync:
 def json_text(types: MessageTypes, content: Mapping[str, Any]) -> Any:
     """Build a String that carries JSON; NaN and infinities, which JSON does not know, become null."""
     return types.make(interfaces.STRING, data=json.dumps(_without_nan(content)))
+
+
+def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
+    """Build the String of `hub/sequence_state`."""
+    content = {
+        "id": report.sequence_id,
+        "state": report.state,
+        "points": report.points,
+        "reason": report.reason,
+    }
+    return json_text(types, content)
 
 
 def _without_nan(value: Any) -> Any:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import TextIO
-
-from tqdm import tqdm
+from typing import Any, TextIO
 
 _LINE_EVERY_S = 5.0
 
@@ -26,18 +24,19 @@ class Progress:
     def __init__(self, title: str, total: float, unit: str = "", stream: TextIO | None = None) -> None:
         self.title, self.total, self.unit = title, total, unit
         self._stream = stream or sys.stderr
-        self._bar = (
-            tqdm(
-                total=total,
-                desc=f"{title:<24}",
-                file=self._stream,
-                leave=False,
-                bar_format="{desc} {bar:30} {percentage:3.0f} %  {postfix}",
-            )
-            if self._stream.isatty()
-            else None
-        )
+        self._bar = self._terminal_bar() if self._stream.isatty() else None
         self._last_line = time.monotonic()
+
+    def _terminal_bar(self) -> Any:
+        from tqdm import tqdm
+
+        return tqdm(
+            total=self.total,
+            desc=f"{self.title:<24}",
+            file=self._stream,
+            leave=False,
+            bar_format="{desc} {bar:30} {percentage:3.0f} %  {postfix}",
+        )
 
     def update(self, done: float, note: str = "") -> None:
         """Say how far the stage has come.

@@ -15,7 +15,7 @@ from rclpy.task import Future
 
 from beam_ros import messages
 from beam_ros.bags.batches import encode_batch
-from beam_ros.hub.contract import HostTime, Hub, HubReport, HubStatus, RequestKind
+from beam_ros.hub.contract import HostTime, Hub, HubReport, HubStatus, RequestKind, SequenceReport
 from beam_ros.messages import MessageContentError
 from beam_ros.nodes.shell import RigNode
 from beam_ros.rig import Rig
@@ -101,13 +101,10 @@ class HubNode(RigNode):
             return
         if mode != self._mode:
             reason = f"samples in {mode}: the hub is commanded in {self._mode}"
-            self._publish_sequence(chunk.sequence_id, "refused", len(chunk.values), reason)
+            report = SequenceReport(chunk.sequence_id, "refused", len(chunk.values), reason)
+            self._sequence_state.publish(messages.sequence_state(self.types, report))
             return
         self._hub.load(chunk, host_time())
-
-    def _publish_sequence(self, sequence_id: str, state: str, points: int, reason: str) -> None:
-        content = {"id": sequence_id, "state": state, "points": points, "reason": reason}
-        self._sequence_state.publish(messages.json_text(self.types, content))
 
     def _poll(self) -> None:
         self.publish_report(self._hub.poll(host_time()))
@@ -120,7 +117,7 @@ class HubNode(RigNode):
         for sync in report.clock:
             self._clock_sync.publish(messages.clock_sync(self.types, sync))
         for sequence in report.sequences:
-            self._publish_sequence(sequence.sequence_id, sequence.state, sequence.points, sequence.reason)
+            self._sequence_state.publish(messages.sequence_state(self.types, sequence))
         if report.measured:
             self._state.publish(messages.hub_state(self.types, _newest_sample(report.measured[-1])))
         for number, outcome in report.completed:

@@ -1,0 +1,80 @@
+"""The node `identifier`: a model from the bag of its parameter, published as JSON.
+
+The fit takes seconds, so it runs in a thread of its own; the executor keeps answering meanwhile.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from beam_ros import messages
+from beam_ros.errors import faults_of_the_user
+from beam_ros.identification import identify_bag
+from beam_ros.nodes.shell import RigNode, run_node
+
+_COLLECT_S = 0.1
+
+
+class Identifier(RigNode):
+    """Identifies one bag at a time."""
+
+    def __init__(self) -> None:
+        super().__init__("identifier")
+        self._result = self.offer("identification/result")
+        self._thread: threading.Thread | None = None
+        self._outcome: dict[str, Any] | None = None
+        self._phrase = "ready"
+        self.serve("identifier/identify", self._on_identify)
+        self.create_timer(_COLLECT_S, self._collect)
+
+    def _on_identify(self, _request: Any, response: Any) -> Any:
+        bag = self.rig.text("identifier.bag")
+        if self._thread is not None:
+            response.success, response.message = False, f"busy: {self._phrase}"
+        elif not bag:
+            response.success = False
+            response.message = "no bag: set the parameter identifier.bag to a recorded bag's folder"
+        else:
+            self._thread = threading.Thread(target=self._identify, args=(Path(bag),), daemon=True)
+            self._thread.start()
+            response.success, response.message = True, f"identifying {bag}"
+        return response
+
+    def _identify(self, bag: Path) -> None:
+        rig = self.rig
+        folder = rig.text("identifier.report") or str(bag.with_name(f"{bag.name}_identified"))
+        try:
+            self._outcome = identify_bag(
+                bag,
+                structure=rig.text("identifier.structure"),
+                n_modes=int(rig.number("identifier.modes")) or None,
+                folder=Path(folder),
+                progress=self._on_progress,
+            )
+        except faults_of_the_user() as err:
+            self._outcome = {"bag": str(bag), "error": str(err)}
+        except Exception as err:
+            self._outcome = {"bag": str(bag), "error": f"{type(err).__name__}: {err}"}
+            raise
+
+    def _on_progress(self, phrase: str, share: float) -> None:
+        self._phrase = f"{phrase} ({share:.0%})"
+
+    def _collect(self) -> None:
+        if self._outcome is None:
+            return
+        outcome, self._outcome, self._thread, self._phrase = self._outcome, None, None, "ready"
+        if "error" in outcome:
+            self.get_logger().error(outcome["error"])
+        self._result.publish(messages.json_text(self.types, outcome))
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report what the fit is doing."""
+        return "OK", self._phrase, {}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(Identifier, argv)

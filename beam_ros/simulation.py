@@ -1,0 +1,190 @@
+"""The experiment without ROS: the simulator's core straight into a bag, as fast as the computer can.
+
+The same virtual axis, the same plant and the same camera as in the simulator node, led by a made-up clock,
+so that a seed gives the same bag to the last byte of every message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ros import messages
+from beam_ros.bags.batches import encode_batch
+from beam_ros.bags.writing import BagWriter
+from beam_ros.errors import RigUnavailableError
+from beam_ros.excitation_plan import plan_excitation, tip_guard
+from beam_ros.filming import Exposure, Film
+from beam_ros.hub.axis import VirtualAxis
+from beam_ros.hub.contract import HostTime, HubReport, RequestKind
+from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.simulated_hub import SimulatedHub
+from beam_ros.messages import BagTypes
+from beam_ros.rig import Rig
+
+FloatArray = NDArray[np.float64]
+Measure = Callable[[Exposure], tuple[tuple[int, ...], FloatArray]]
+
+START_NS = 1_700_000_000_000_000_000
+"""Made-up real time at which every simulated experiment begins [ns, UNIX]."""
+
+_STEP_NS = 10_000_000
+_LEAD_NS = 500_000_000
+_PATIENCE_S = 60.0
+
+
+def simulate(
+    rig: Rig,
+    path: Path,
+    *,
+    with_camera: bool = False,
+    on_progress: Callable[[float, float], None] = lambda done_s, total_s: None,
+) -> int:
+    """Run the rig's excitation on the simulated rig and write the bag.
+
+    Parameters
+    ----------
+    rig : Rig
+    path : Path -- the bag's folder; must not exist
+    with_camera : bool -- render every frame and track it; else displacements carry white noise
+    on_progress : callable -- called with simulated seconds so far and in all
+
+    Returns
+    -------
+    int -- messages written
+
+    Raises
+    ------
+    UsageError
+        The excitation leaves a limit.
+    BagExistsError
+        Something is at the path.
+    """
+    plan = plan_excitation(rig)
+    model = rig.beam_model()
+    parameters = rig.hub_parameters()
+    axis = VirtualAxis(parameters, BeamPlant(model, parameters.period))
+    hub = SimulatedHub(axis, guard=tip_guard(rig))
+    types = BagTypes()
+    with BagWriter(path) as bag:
+        run = _Run(hub, bag, types)
+        run.step()
+        film = Film(rig, model, hub.snapshots, hub.reached_ns)
+        measure = _tracked(rig, film) if with_camera else _noisy(rig, film)
+        names = rig.marker_names
+
+        def record_displacements() -> None:
+            for exposure in film.due(hub.reached_ns):
+                stamps, u = measure(exposure)
+                for stamp_ns in sorted(set(stamps)):
+                    chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
+                    seen = [names[k] for k in chosen]
+                    message = messages.displacement(types, stamp_ns, seen, u[chosen])
+                    bag.write_message("beam/displacement", run.now_ns, message)
+
+        run.after_step = record_displacements
+        run.ask("home")
+        run.ask("enable")
+        start_ns = run.now_ns + _LEAD_NS
+        period_ns = parameters.period_ns
+        info = {**plan.info(rig), "sequence_id": "simulated", "start_ns": start_ns}
+        bag.write_message("excitation/info", run.now_ns, messages.json_text(types, info))
+        for chunk in messages.split_sequence("simulated", start_ns, period_ns, plan.values):
+            hub.load(chunk, run.now)
+        total_s = (_LEAD_NS + len(plan.values) * period_ns) * 1e-9
+        begun_ns = run.now_ns
+        while run.sequence_state not in ("done", "refused", "aborted", "underrun"):
+            run.step()
+            on_progress((run.now_ns - begun_ns) * 1e-9, total_s)
+        if run.sequence_state != "done":
+            raise RigUnavailableError(
+                f"the simulated hub ended the sequence as {run.sequence_state}: {run.sequence_reason}; change the "
+                "excitation or the hub's limits"
+            )
+        hub.close()
+        return bag.message_count
+
+
+class _Run:
+    """Made-up time, the hub's answers, and what of them is recorded."""
+
+    def __init__(self, hub: SimulatedHub, bag: BagWriter, types: BagTypes) -> None:
+        self._hub, self._bag, self._types = hub, bag, types
+        self._elapsed_ns = 0
+        self._completed: dict[int, str] = {}
+        self.sequence_state = ""
+        self.sequence_reason = ""
+        self.after_step: Callable[[], None] = lambda: None
+
+    @property
+    def now_ns(self) -> int:
+        return START_NS + self._elapsed_ns
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(self._elapsed_ns, self.now_ns)
+
+    def step(self) -> None:
+        self._elapsed_ns += _STEP_NS
+        self._record(self._hub.poll(self.now))
+        self.after_step()
+
+    def ask(self, kind: RequestKind) -> None:
+        number = self._hub.request(kind)
+        end_ns = self._elapsed_ns + round(_PATIENCE_S * 1e9)
+        while number not in self._completed:
+            if self._elapsed_ns > end_ns:
+                raise RigUnavailableError(f"the simulated hub did not {kind} within {_PATIENCE_S:g} s")
+            self.step()
+        if self._completed[number]:
+            raise RigUnavailableError(f"the simulated hub did not {kind}: {self._completed[number]}")
+
+    def _record(self, report: HubReport) -> None:
+        bag, types, now_ns = self._bag, self._types, self.now_ns
+        for topic, batches in (("hub/applied", report.applied), ("hub/measured", report.measured)):
+            for batch in batches:
+                bag.write(topic, now_ns, encode_batch(batch))
+        for sync in report.clock:
+            bag.write_message("hub/clock_sync", now_ns, messages.clock_sync(types, sync))
+        for sequence in report.sequences:
+            self.sequence_state, self.sequence_reason = sequence.state, sequence.reason
+            if sequence.state != "loading":
+                bag.write_message("hub/sequence_state", now_ns, messages.sequence_state(types, sequence))
+        for number, outcome in report.completed:
+            self._completed[number] = "" if outcome.success else outcome.message
+
+
+def _noisy(rig: Rig, film: Film) -> Measure:
+    rng = np.random.default_rng(int(rig.number("simulation.seed")))
+    noise = rig.number("simulation.displacement_noise")
+
+    def measure(exposure: Exposure) -> tuple[tuple[int, ...], FloatArray]:
+        u = film.mean_displacement(exposure)
+        return film.marker_stamps(exposure), u + noise * rng.standard_normal(len(u))
+
+    return measure
+
+
+def _tracked(rig: Rig, film: Film) -> Measure:
+    from beam_ros.vision.calibration import LinearCalibration
+    from beam_ros.vision.rendering import SceneRenderer
+    from beam_ros.vision.tracking import MarkerTracker
+
+    heights = rig.numbers("markers.heights")
+    seed = int(rig.number("simulation.seed"))
+    rng = np.random.default_rng(seed)
+    renderer = SceneRenderer(film.camera, heights, strip_heights=film.strip_heights, seed=seed)
+    tracker = MarkerTracker(rig.tracker_parameters(), len(heights), film.timing)
+    calibration = LinearCalibration.from_camera(film.camera, len(heights))
+
+    def measure(exposure: Exposure) -> tuple[tuple[int, ...], FloatArray]:
+        frame = renderer.render(exposure.markers, rng, exposure.strip)
+        result = tracker.process(frame, exposure.stamp_ns)
+        columns = [marker.u_px for marker in result.markers]
+        found = calibration.displacement(columns, [marker.sigma_px for marker in result.markers])
+        return tuple(marker.stamp_ns for marker in result.markers), found.x_m
+
+    return measure
