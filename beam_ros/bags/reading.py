@@ -248,9 +248,7 @@ class Bag:
                 raise _damaged(self.path, err) from err
             yield RawMessage(connection.topic, connection.msgtype, receive_ns, bytes(data))
 
-    def _read(
-        self, topic: str, type_name: str, decode: Callable[[bytes], _T]
-    ) -> tuple[list[_T], Unreadable]:
+    def _read(self, topic: str, type_name: str, decode: Callable[[bytes], _T]) -> tuple[list[_T], Unreadable]:
         """Decode all messages of a topic; leave out and count what cannot be decoded."""
         contents = []
         count, reason = 0, ""
@@ -406,8 +404,7 @@ def _check_is_bag(path: Path) -> Path:
         return path
     if is_being_written(path):
         raise BagTruncatedError(
-            f"{path} is still being recorded: expected a finished bag; call recorder/stop or end the "
-            "recorder"
+            f"{path} is still being recorded: expected a finished bag; call recorder/stop or end the recorder"
         )
     if is_marked(path):
         raise BagTruncatedError(

@@ -165,7 +165,7 @@ def _hub_signal(bag: Bag, topic: str) -> SignalSummary:
     return SignalSummary(
         topic=samples.topic,
         samples=len(samples.stamps_ns),
-        duration_s=(samples.stamps_ns[-1] - samples.stamps_ns[0]) * 1e-9,
+        duration_s=int(samples.stamps_ns[-1] - samples.stamps_ns[0]) * 1e-9,
         rate_hz=1e9 / samples.period_ns if samples.period_ns else 0.0,
         gaps=len(samples.gaps),
         lost=samples.lost,

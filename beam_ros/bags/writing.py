@@ -139,9 +139,7 @@ class BagWriter:
             )
         if type_name not in self._schemas:
             definition, _ = store.generate_msgdef(type_name, ros_version=2)
-            self._schemas[type_name] = self._writer.register_schema(
-                type_name, "ros2msg", definition.encode()
-            )
+            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition.encode())
         metadata = {"offered_qos_profiles": to_yaml(qos_profiles(qos)).strip()}
         channel = self._writer.register_channel(name, "cdr", self._schemas[type_name], metadata)
         self._topics[name] = TopicRecord(name, type_name, store.hash_rihs01(type_name), qos)

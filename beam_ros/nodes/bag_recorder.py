@@ -1,0 +1,218 @@
+"""The node `recorder`: every topic of the rig into one bag, as the bytes that were on the wire.
+
+Subscriptions are raw, so that nothing is decoded, and take the quality of service that the publishers offer.
+They exist only while a recording runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from beam_ros import interfaces, messages
+from beam_ros.bags.errors import BagError
+from beam_ros.bags.recording import LossCounter, Recording
+from beam_ros.interfaces import QualityOfService
+from beam_ros.nodes.shell import FAULT_OF_THE_USER, RigNode, qos_profile, run_node
+
+_DEPTH = 1000
+
+
+class TopicTap:
+    """One topic's way from the graph into the recording.
+
+    Parameters
+    ----------
+    node : RigNode -- owns the subscription
+    topic : interfaces.Topic -- row of the table
+    recording : Recording -- takes the messages
+    """
+
+    def __init__(self, node: RigNode, topic: interfaces.Topic, recording: Recording) -> None:
+        self.losses = LossCounter()
+        self._node = node
+        self._topic = topic
+        self._recording = recording
+        self._name = node.resolve_topic_name(topic.name)
+        self._is_announced = False
+        self._has_one_publisher = False
+        self._qos = replace(topic.qos, depth=_DEPTH)
+        self._subscription = self._subscribe()
+        self.follow_publishers()
+
+    def _subscribe(self) -> Subscription:
+        message_class = self._node.types.message_class(self._topic.type_name)
+        return self._node.create_subscription(
+            message_class, self._name, self._take, qos_profile(self._qos), raw=True
+        )
+
+    def _offered(self) -> tuple[QualityOfService, ...]:
+        return tuple(
+            QualityOfService(
+                depth=info.qos_profile.depth,
+                is_reliable=info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+                is_latched=info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            )
+            for info in self._node.get_publishers_info_by_topic(self._name)
+        )
+
+    def follow_publishers(self) -> None:
+        """Ask for the most that all publishers offer; subscribe anew where that is not what was asked for."""
+        offered = self._offered()
+        self._has_one_publisher = len(offered) == 1
+        if not offered:
+            return
+        qos = QualityOfService(
+            _DEPTH, all(qos.is_reliable for qos in offered), all(qos.is_latched for qos in offered)
+        )
+        if qos != self._qos:
+            self._node.destroy_subscription(self._subscription)
+            self._qos = qos
+            self._subscription = self._subscribe()
+
+    def _take(self, data: bytes, info: dict[str, int | None]) -> None:
+        if not self._is_announced:
+            self._is_announced = True
+            offered = self._offered() or (self._topic.qos,)
+            self._recording.announce(self._name, self._topic.type_name, offered)
+        if self._has_one_publisher:
+            self.losses.see(info["publication_sequence_number"])
+        else:
+            self.losses.forget()
+        now_ns = time.time_ns()
+        received_ns, sent_ns = info["received_timestamp"] or now_ns, info["source_timestamp"] or now_ns
+        self._recording.put(self._name, received_ns, sent_ns, data)
+
+    def close(self) -> None:
+        """Give the subscription up."""
+        self._node.destroy_subscription(self._subscription)
+
+
+class BagRecorder(RigNode):
+    """Records the rig on request, or from its start."""
+
+    def __init__(self) -> None:
+        super().__init__("bag_recorder")
+        self._recording: Recording | None = None
+        self._taps: list[TopicTap] = []
+        self._last: dict[str, Any] = {"recording": False, "path": "", "messages": 0, "lost": 0, "failure": ""}
+        self._state = self.offer("recorder/state")
+        self.serve("recorder/start", self._on_start)
+        self.serve("recorder/stop", self._on_stop)
+        self.create_timer(0.5, self._watch)
+        if self.rig["recorder.start_at_launch"]:
+            self._start()
+        self._publish_state()
+
+    def _start(self) -> None:
+        path = Path(str(self.rig["recorder.path"]) or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
+        self._recording = Recording(path)
+        with_images = bool(self.rig["recorder.images"])
+        topics = [t for t in interfaces.TOPICS.values() if with_images or not t.is_image]
+        self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
+        self.get_logger().info(f"recording to {path}")
+
+    def _stop(self) -> None:
+        recording = self._recording
+        assert recording is not None
+        for tap in self._taps:
+            tap.close()
+        try:
+            recording.stop()
+        finally:
+            self._last = {**self._describe(), "recording": False}
+            self._recording, self._taps = None, []
+
+    def _describe(self) -> dict[str, Any]:
+        recording = self._recording
+        if recording is None:
+            return self._last
+        return {
+            "recording": True,
+            "path": str(recording.path.resolve()),
+            "messages": recording.message_count,
+            "lost": recording.dropped + sum(tap.losses.lost for tap in self._taps),
+            "failure": recording.failure,
+        }
+
+    def _publish_state(self) -> None:
+        self._state.publish(messages.json_text(self.types, self._describe()))
+
+    def _watch(self) -> None:
+        if self._recording is not None:
+            for tap in self._taps:
+                tap.follow_publishers()
+            self._publish_state()
+
+    def _on_start(self, _request: Any, response: Any) -> Any:
+        if self._recording is not None:
+            response.success = False
+            response.message = f"already recording to {self._recording.path}; call recorder/stop first"
+            return response
+        try:
+            self._start()
+        except BagError as err:
+            response.success, response.message = False, str(err)
+        else:
+            response.success, response.message = True, f"recording to {self._describe()['path']}"
+        self._publish_state()
+        return response
+
+    def _on_stop(self, _request: Any, response: Any) -> Any:
+        if self._recording is None:
+            response.success, response.message = False, "no recording is running; call recorder/start first"
+            return response
+        try:
+            self._stop()
+        except BagError as err:
+            self.get_logger().error(str(err))
+            response.success, response.message = False, str(err)
+        else:
+            self.get_logger().info(f"wrote {self._last['messages']} messages to {self._last['path']}")
+            lost = f", {self._last['lost']} lost" if self._last["lost"] else ""
+            response.success = True
+            response.message = f"{self._last['messages']} messages{lost} in {self._last['path']}"
+        self._publish_state()
+        return response
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report what is recorded, and as an error what could not be."""
+        state = self._describe()
+        counters: dict[str, object] = {"messages": state["messages"], "lost": state["lost"]}
+        if state["failure"]:
+            return "ERROR", str(state["failure"]), counters
+        sentence = f"recording to {state['path']}" if state["recording"] else "not recording"
+        return ("WARN" if state["lost"] else "OK"), sentence, counters
+
+    def close(self) -> None:
+        """Finish the bag that is being written; a failure stays in `failure`."""
+        if self._recording is not None:
+            with contextlib.suppress(BagError):
+                self._stop()
+
+    @property
+    def failure(self) -> str:
+        """Why the last recording could not be written to its end; empty where it was."""
+        return str(self._last["failure"])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; the exit status is 2 also where the disk did not take the recording."""
+    nodes: list[BagRecorder] = []
+
+    def build() -> BagRecorder:
+        nodes.append(BagRecorder())
+        return nodes[0]
+
+    status = run_node(build, argv)
+    if nodes and nodes[0].failure:
+        print(f"beam_ros node: {nodes[0].failure}", file=sys.stderr)  # noqa: T201
+        return FAULT_OF_THE_USER
+    return status
