@@ -9,7 +9,7 @@ PACKAGE = "beam_ros"
 REPORT = ["matplotlib>=3.8"]
 
 # OpenCV 4.11 is the last that takes NumPy 1.26; pip finds it when NumPy is held there.
-RIG = [*REPORT, "opencv-python-headless>=4.6", "pyserial>=3.5", "mcap>=1.1"]
+RIG = [*REPORT, "opencv-python-headless>=4.6", "pyserial>=3.5"]
 
 # ROS 2 Jazzy as wheels, pinned: later versions under these names are another distribution. They exist for
 # x86-64 Linux only; elsewhere, and where a ROS 2 is sourced, the machine's own is used.
@@ -52,6 +52,7 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "rosbags>=0.11,<0.12",
+        "mcap>=1.1",
         "ruamel.yaml>=0.17.21",
         "tqdm>=4.60",
     ],

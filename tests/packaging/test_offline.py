@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ from beam_ros.environment import child_environment
 CORE_ONLY = """
 import sys
 
-ABSENT = {"rclpy", "cv2", "serial", "mcap", "matplotlib", "cobs", "PIL", "pytest"}
+ABSENT = {"rclpy", "cv2", "serial", "matplotlib", "cobs", "PIL", "pytest"}
 
 class Blocker:
     def find_spec(self, name, path=None, target=None):
@@ -57,6 +58,15 @@ def test_model_and_design_need_the_pure_core_alone(tmp_path: Path) -> None:
         ended = run_core_only(tmp_path, "beam", verb)
         assert (ended.returncode, ended.stderr) == (0, "")
         assert "Hz" in ended.stdout
+
+
+def test_a_bag_is_simulated_and_identified_with_the_pure_core_alone(tmp_path: Path) -> None:
+    short = ("-p", "excitation.duration:=6.0", "-p", "excitation.still:=2.0")
+    for arguments in (("simulate", "--bag", "bag", *short), ("info", "bag"), ("identify", "bag", "--json")):
+        ended = run_core_only(tmp_path, "beam", *arguments)
+        assert ended.returncode == 0, ended.stderr
+        assert "Traceback" not in ended.stderr
+    assert json.loads(ended.stdout)["modes"]
 
 
 def test_what_needs_ros_says_so_in_one_line(tmp_path: Path) -> None:

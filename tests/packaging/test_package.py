@@ -78,7 +78,7 @@ def test_the_manifest_names_every_package_that_is_imported() -> None:
 
 def test_the_core_requires_nothing_but_the_pure_core(setup_arguments: dict[str, Any]) -> None:
     names = {requirement.split(">")[0] for requirement in setup_arguments["install_requires"]}
-    assert names == {"numpy", "scipy", "rosbags", "ruamel.yaml", "tqdm"}
+    assert names == {"numpy", "scipy", "rosbags", "mcap", "ruamel.yaml", "tqdm"}
 
 
 def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_arguments: dict[str, Any]) -> None:
