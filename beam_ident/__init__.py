@@ -1,0 +1,48 @@
+"""Continuous-time identification of vibrating structures from sampled records."""
+
+from beam_ident.comparison import ModelComparison, compare_models
+from beam_ident.errors import (
+    EstimationError,
+    ExcitationError,
+    ExcitationLimitError,
+    IdentificationError,
+    ModelFormatError,
+    RecordError,
+)
+from beam_ident.excitation import AxisLimits, LogChirp, Multisine, Recipe, SampledExcitation, Step
+from beam_ident.identification import IdentificationResult, OrderEntry, OutputFit, identify
+from beam_ident.modal_fit import Prior
+from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
+from beam_ident.modal_structure import ModalStructure
+from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.validation import Scores, Whiteness
+
+__all__ = [
+    "AxisLimits",
+    "EstimationError",
+    "ExcitationError",
+    "ExcitationLimitError",
+    "IdentificationError",
+    "IdentificationResult",
+    "InputSignal",
+    "LogChirp",
+    "ModalFrequencyResponse",
+    "ModalModel",
+    "ModalStructure",
+    "ModelComparison",
+    "ModelFormatError",
+    "Multisine",
+    "OrderEntry",
+    "OutputFit",
+    "OutputSignal",
+    "Prior",
+    "Recipe",
+    "RecordError",
+    "SampledExcitation",
+    "Scores",
+    "Step",
+    "TimeRecord",
+    "Whiteness",
+    "compare_models",
+    "identify",
+]

@@ -1,0 +1,454 @@
+"""Identify a modal model from records, without hints.
+
+Modes are added one at a time: the scan proposes where, the fit refines all of them
+together, and the Bayesian information criterion decides whether the new one is
+worth its parameters.  A mode must also pass gates: the fit converged, the pole is
+known well enough to mean something, and its residues stand out of their
+uncertainty at the outputs taken together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from beam_ident.bandwidth import Band, excited_band
+from beam_ident.errors import EstimationError
+from beam_ident.input_noise import input_noise_share
+from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes
+from beam_ident.modal_model import ModalModel
+from beam_ident.modal_regression import ClockState, ModalRegression
+from beam_ident.modal_scan import ModalScan
+from beam_ident.modal_structure import ModalStructure, StructureKind
+from beam_ident.piecewise import FloatArray
+from beam_ident.records import TimeRecord
+from beam_ident.validation import Scores, Whiteness
+
+LATENCY_PRIOR = Prior(0.0, math.inf)
+CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
+MAX_MODES = 10
+
+Progress = Callable[[str, float], None]
+
+_MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
+_SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
+_TRIES_PER_ORDER = 2
+
+
+@dataclass(frozen=True)
+class OrderEntry:
+    """One line of the order table.
+
+    Attributes
+    ----------
+    n_modes, n_parameters : int
+    bic, aic : float
+    r_squared : float -- lowest R_T^2 over the outputs
+    worst_fit_percent : float -- lowest FIT over the outputs
+    condition : float -- of the scaled information matrix
+    converged : bool
+    refused_because : str -- empty when the order passed all gates
+    is_chosen : bool
+    """
+
+    n_modes: int
+    n_parameters: int
+    bic: float
+    aic: float
+    r_squared: float
+    worst_fit_percent: float
+    condition: float
+    converged: bool
+    refused_because: str
+    is_chosen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class OutputFit:
+    """One output: what was measured and what the model says.
+
+    Attributes
+    ----------
+    name, unit : str
+    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit, in the order of the records.
+    deflection : ndarray, shape (n_used,)
+        Measured less direct part, offset and ramp.
+    noise_sd : float
+    scores : Scores -- on the output
+    deflection_scores : Scores -- on the deflection
+    whiteness : Whiteness
+    offset, ramp : float
+        Of the first record: at its middle, and over its whole length.
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+    residuals: FloatArray
+    deflection: FloatArray
+    noise_sd: float
+    scores: Scores
+    deflection_scores: Scores
+    whiteness: Whiteness
+    offset: float
+    ramp: float
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationResult:
+    """A modal model and what is to be known about its estimation.
+
+    Attributes
+    ----------
+    model : ModalModel
+    structure : ModalStructure
+    outputs : tuple of OutputFit
+    orders : tuple of OrderEntry -- the order table; one line when the order was given
+    band : Band -- where modes were looked for
+    converged : bool
+    reason : str -- why the iteration ended
+    iterations : int
+    warnings : tuple of str -- what a reader must know before trusting the numbers
+    """
+
+    model: ModalModel
+    structure: ModalStructure
+    outputs: tuple[OutputFit, ...]
+    orders: tuple[OrderEntry, ...]
+    band: Band
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    def output(self, name: str) -> OutputFit:
+        """Return the fit of one output by its name."""
+        for output in self.outputs:
+            if output.name == name:
+                return output
+        raise EstimationError(
+            f"no output {name!r} in this result; available: {', '.join(self.model.output_names)}"
+        )
+
+
+def identify(
+    record: TimeRecord | Sequence[TimeRecord],
+    structure: StructureKind | ModalStructure = "base_motion",
+    n_modes: int | None = None,
+    latency: Prior = LATENCY_PRIOR,
+    clock_rate: Prior = CLOCK_RATE_PRIOR,
+    input_name: str | None = None,
+    max_modes: int = MAX_MODES,
+    progress: Progress | None = None,
+) -> IdentificationResult:
+    """Identify a modal model with poles common to all outputs.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share the model.
+    structure : str or ModalStructure
+        Which model goes with the input; "base_motion" for a hub position.
+    n_modes : int or None
+        Number of modes; None lets the Bayesian information criterion decide.
+    latency, clock_rate : Prior
+        Knowledge about the outputs' clock against the input's: latency [s] and relative
+        rate.  ``Prior(mean, 0)`` fixes them, ``Prior(0, inf)`` leaves them to the data.
+    input_name : str or None
+        Which input, where a record has several.
+    max_modes : int
+        Bound on the modes tried when ``n_modes`` is None.
+    progress : callable or None
+        Called with a phrase and the share done, between 0 and 1.
+
+    Returns
+    -------
+    IdentificationResult
+
+    Raises
+    ------
+    EstimationError
+        A record from which nothing can be identified: too few samples for the order,
+        a constant output, an input and outputs at rest, an impossible order.
+    """
+    records = [record] if isinstance(record, TimeRecord) else list(record)
+    terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
+    if n_modes is not None and not 1 <= n_modes <= 40:
+        raise EstimationError(f"n_modes is {n_modes}; expected 1 to 40, or None to let the data decide")
+    if max_modes < 1:
+        raise EstimationError(f"max_modes is {max_modes}; expected at least 1")
+    report = progress if progress is not None else _silent
+    regression = ModalRegression(records, terms, input_name)
+    _refuse_hopeless(regression, n_modes)
+    search = _Search(records, regression, latency, clock_rate, input_name, report)
+    search.run(n_modes, max_modes)
+    return search.result()
+
+
+def _silent(phrase: str, share: float) -> None:
+    del phrase, share
+
+
+def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
+    for name, values in zip(regression.output_names, regression.values, strict=True):
+        if np.ptp(values) == 0.0:
+            raise EstimationError(
+                f"output {name!r} is constant ({values[0]:g}) over {len(values)} samples; nothing can be "
+                "identified from "
+                "it. Check the sensor, or leave this output out"
+            )
+        needed = 4 * (regression.n_shared_fixed + regression.n_nuisance(n_modes or 1) + 3 * (n_modes or 1))
+        if len(values) < needed:
+            raise EstimationError(
+                f"output {name!r} has {len(values)} usable samples for {n_modes or 1} modes; expected at "
+                f"least {needed}. "
+                "Record longer or ask for fewer modes"
+            )
+
+
+class _Search:
+    """The search over orders, and the best fit found so far."""
+
+    def __init__(
+        self,
+        records: list[TimeRecord],
+        regression: ModalRegression,
+        latency: Prior,
+        clock_rate: Prior,
+        input_name: str | None,
+        progress: Progress,
+    ) -> None:
+        self.regression = regression
+        self.latency, self.clock_rate = latency, clock_rate
+        self.progress = progress
+        structure = regression.structure
+        rate = max(len(t) for t in regression.times) / regression.duration_s
+        bands = [
+            excited_band(d, structure.differentiations, regression.duration_s, rate)
+            for d in regression.drives
+        ]
+        self.band = Band(
+            min(b.low_hz for b in bands), max(b.high_hz for b in bands), any(b.is_excited for b in bands)
+        )
+        if not self.band.is_excited:  # without an input there are no two clocks to compare
+            self.latency, self.clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
+        self.scan = ModalScan(records, structure, input_name, self.band)
+        self.base = self._fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean), 0)
+        self.chosen = self.base
+        self.entries: list[OrderEntry] = [self._entry(self.base, "")]
+        self.chosen_entry = 0
+
+    def _fit(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, n_modes: int) -> ModalFit:
+        if n_modes == 0 and not self.regression.structure.has_direct:
+            latency, rate = Prior(self.latency.mean), Prior(self.clock_rate.mean)
+        else:
+            latency, rate = self.latency, self.clock_rate
+        return fit_modes(self.regression, omegas, zetas, clock, latency, rate)
+
+    def run(self, n_modes: int | None, max_modes: int) -> None:
+        limit = n_modes if n_modes is not None else max_modes
+        while len(self.chosen.omegas) < limit:
+            current = self.chosen
+            n = len(current.omegas)
+            if n_modes is None and not self._affords(n + 1):
+                break
+            excluded: list[float] = []
+            found = False
+            for attempt in range(_TRIES_PER_ORDER if n_modes is None else 1):
+                share = min(0.95, (n + 0.5 * attempt) / (limit if n_modes is not None else 5))
+                self.progress(f"looking for mode {n + 1}", share)
+                candidate = self.scan.propose(current, excluded)
+                if candidate is None:
+                    break
+                omegas = np.append(current.omegas, candidate.omega)
+                zetas = np.append(current.zetas, candidate.zeta)
+                trial = self._fit(omegas, zetas, current.clock, n + 1)
+                refusal = self._refusal(trial, current, n_modes is not None)
+                self.entries.append(self._entry(trial, refusal))
+                if not refusal or n_modes is not None:
+                    self.chosen, self.chosen_entry, found = trial, len(self.entries) - 1, True
+                    break
+                excluded.append(candidate.omega)
+            if not found:
+                break
+        self.progress("done", 1.0)
+
+    def _affords(self, n_modes: int) -> bool:
+        columns = self.regression.n_shared_fixed + n_modes + self.regression.n_nuisance(n_modes)
+        return min(len(v) for v in self.regression.values) > 4 * (columns + 2 * n_modes)
+
+    def _bic(self, fit: ModalFit) -> float:
+        return 2.0 * fit.cost + fit.n_parameters * math.log(self.regression.n_samples)
+
+    def _refusal(self, trial: ModalFit, current: ModalFit, is_given: bool) -> str:
+        if not trial.converged:
+            return f"the fit did not converge: {trial.reason}"
+        for mode in range(len(trial.omegas)):
+            complaint = mode_complaint(trial, self.regression, mode, self.band)
+            if complaint:
+                return complaint
+        if not is_given and not self._bic(trial) < self._bic(current):
+            return "not worth its parameters by BIC"
+        return ""
+
+    def _entry(self, fit: ModalFit, refusal: str) -> OrderEntry:
+        shares, fits = [], []
+        for values, residuals in zip(self.regression.values, fit.residuals, strict=True):
+            scores = Scores.of(values, residuals)
+            shares.append(scores.r_squared)
+            fits.append(scores.fit_percent)
+        return OrderEntry(
+            n_modes=len(fit.omegas),
+            n_parameters=fit.n_parameters,
+            bic=self._bic(fit),
+            aic=2.0 * fit.cost + 2.0 * fit.n_parameters,
+            r_squared=min(shares),
+            worst_fit_percent=min(fits),
+            condition=fit.information_condition,
+            converged=fit.converged,
+            refused_because=refusal,
+        )
+
+    def result(self) -> IdentificationResult:
+        fit, regression = self.chosen, self.regression
+        n = len(fit.omegas)
+        if n == 0:
+            raise EstimationError(
+                f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
+                "noise "
+                f"({self.entries[-1].refused_because or 'no candidate'}). Excite more, record longer, or "
+                "ask for a "
+                "number of modes to see the best candidate"
+            )
+        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+        outputs = tuple(
+            self._output_fit(j, blocks[regression.block_of[j]].matrix) for j in range(regression.n_outputs)
+        )
+        entries = [
+            OrderEntry(**{**vars(entry), "is_chosen": index == self.chosen_entry})
+            for index, entry in enumerate(self.entries)
+        ]
+        return IdentificationResult(
+            model=model,
+            structure=regression.structure,
+            outputs=outputs,
+            orders=tuple(entries),
+            band=self.band,
+            converged=fit.converged,
+            reason=fit.reason,
+            iterations=fit.iterations,
+            warnings=tuple(self._warnings(model, outputs)),
+        )
+
+    def _output_fit(self, j: int, matrix: FloatArray) -> OutputFit:
+        fit, regression = self.chosen, self.regression
+        structure = regression.structure
+        found = fit.coefficients[j]
+        n, n_fixed = len(fit.omegas), regression.n_shared_fixed
+        rigid = np.zeros_like(found)
+        if structure.has_direct:
+            rigid[0] = found[0]
+        n_own = regression.n_nuisance(n)
+        n_plain = int(structure.has_offset) + int(structure.has_ramp)
+        for own in range(n_fixed + n, len(found), n_own) if n_own else ():
+            rigid[own : own + n_plain] = found[own : own + n_plain]
+        values, residuals = regression.values[j], fit.residuals[j]
+        deflection = values - matrix @ rigid
+        own = n_fixed + n
+        offset = float(found[own]) if structure.has_offset else 0.0
+        ramp = float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0
+        return OutputFit(
+            name=regression.output_names[j],
+            unit=regression.units[j],
+            times_s=regression.times[j],
+            measured=values,
+            modelled=values - residuals,
+            residuals=residuals,
+            deflection=deflection,
+            noise_sd=float(fit.sigmas[j]),
+            scores=Scores.of(values, residuals),
+            deflection_scores=Scores.of(deflection, residuals),
+            whiteness=Whiteness.of(residuals),
+            offset=offset,
+            ramp=ramp,
+        )
+
+    def _warnings(self, model: ModalModel, outputs: tuple[OutputFit, ...]) -> list[str]:
+        fit = self.chosen
+        warnings = []
+        if not fit.converged:
+            warnings.append(f"The fit did not converge: {fit.reason}.")
+        for mode in range(model.n_modes):
+            complaint = mode_complaint(fit, self.regression, mode, self.band)
+            if complaint:
+                warnings.append(f"Mode {mode + 1}: {complaint}.")
+        if fit.rank_deficient and self.band.is_excited:
+            warnings.append(
+                f"Some linear terms cannot be told apart at {', '.join(fit.rank_deficient)}; they were set "
+                "to zero."
+            )
+        if not self.band.is_excited:
+            warnings.append(
+                "The input stands still: only the free decay was identified, residues mean nothing."
+            )
+        coloured = [output.name for output in outputs if not output.whiteness.is_white]
+        if coloured:
+            warnings.append(
+                f"The residuals of {', '.join(coloured)} are not white: the stated standard deviations may "
+                "be wrong."
+            )
+        noisy = [
+            (drive, share)
+            for drive in self.regression.drives
+            if drive.sigma > 0.0 and (share := input_noise_share(model, drive)) > 0.1
+        ]
+        for drive, share in noisy:
+            warnings.append(
+                f"Noise on the input {drive.name!r} reaches the outputs with {share:.0%} of their noise "
+                "variance: "
+                "intervals are too narrow."
+            )
+        return warnings
+
+
+def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: Band) -> str:
+    """Return why a mode cannot be trusted, or an empty string when it can."""
+    n = len(fit.omegas)
+    omega, zeta = float(fit.omegas[mode]), float(fit.zetas[mode])
+    hertz = omega / (2.0 * np.pi)
+    if zeta <= 2.0 * MIN_DAMPING:
+        return f"the damping ratio at {hertz:.4g} Hz ran to zero"
+    if not 0.5 * band.low_hz < hertz < 1.3 * band.high_hz:
+        return f"the frequency ran out of the excited band, to {hertz:.4g} Hz"
+    frequency_sd = math.sqrt(max(float(fit.covariance[mode, mode]), 0.0))
+    damping_sd = math.sqrt(max(float(fit.covariance[n + mode, n + mode]), 0.0))
+    if not frequency_sd < _MAX_FREQUENCY_SD:
+        return f"the frequency at {hertz:.4g} Hz is known to {100 * frequency_sd:.1f} % only"
+    if not damping_sd < zeta:
+        return f"the damping ratio at {hertz:.4g} Hz is {zeta:.2g} +- {damping_sd:.2g}"
+    index, values = [], []
+    place = len(fit.covariance) - sum(len(c) for c in fit.coefficients)
+    n_own = regression.n_nuisance(n)
+    n_plain = n_own - 2 * n if regression.structure.has_free_response else n_own
+    for found in fit.coefficients:
+        columns = [regression.n_shared_fixed + mode] if band.is_excited else []
+        if regression.structure.has_free_response and not band.is_excited:
+            own = regression.n_shared_fixed + n + n_plain + 2 * mode
+            columns += [own, own + 1]
+        index += [place + c for c in columns]
+        values += [found[c] for c in columns]
+        place += len(found)
+    amplitudes = np.array(values)
+    covariance = fit.covariance[np.ix_(index, index)]
+    statistic = float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0])
+    if statistic < chi2.isf(_SIGNIFICANCE, len(amplitudes)):
+        return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
+    return ""

@@ -1,0 +1,387 @@
+"""Maximum-likelihood fit of a modal model: variable projection with exact gradients.
+
+For given poles and clock all other parameters solve a linear least-squares problem
+(QR on scaled columns).  What remains, ``log omega`` and ``zeta`` of every mode and, where
+they are free, latency and clock rate, is found by Levenberg-Marquardt on the
+concentrated likelihood ``sum_j n_j/2 log RSS_j`` with the Jacobian projected onto the
+complement of the linear columns (Golub and Pereyra 1973, in Kaufman's form), so that
+every output weighs by its own noise.  A step that does not lower the cost is never
+taken, iterations are bounded, and the result says how it ended.  The covariance is
+the inverse of the full information matrix, linear parameters included.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
+
+from beam_ident.errors import EstimationError
+from beam_ident.modal_regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.piecewise import FloatArray
+
+MIN_DAMPING = 1e-6
+MAX_DAMPING = 0.95
+
+_RANK_TOLERANCE = 1e-10
+_STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible changes
+_COST_TOLERANCE = 1e-7  # in log-likelihood
+_NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian knowledge about a clock parameter.
+
+    Parameters
+    ----------
+    mean : float
+    sd : float
+        0 fixes the parameter at its mean, infinity leaves it to the data alone.
+    """
+
+    mean: float = 0.0
+    sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.mean) or math.isnan(self.sd) or self.sd < 0.0:
+            raise EstimationError(
+                f"prior is {self.mean} +- {self.sd}; expected a finite mean and sd >= 0 (or inf)"
+            )
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the parameter is estimated."""
+        return self.sd > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ModalFit:
+    """The estimate and how it came about.
+
+    Attributes
+    ----------
+    omegas, zetas : ndarray, shape (n_modes,) -- natural frequencies [rad/s], damping ratios
+    clock : ClockState
+    coefficients : tuple of ndarray -- linear parameters of every output
+    residuals : tuple of ndarray -- measured minus modelled, per output
+    sigmas : ndarray, shape (n_outputs,) -- noise standard deviations
+    cost : float -- concentrated negative log-likelihood (up to a constant)
+    covariance : ndarray
+        Of (log omega.., zeta.., free clock parameters.., linear parameters of output 1, ..).
+    information_condition : float
+        Condition of the scaled information matrix of poles and clock.
+    rank_deficient : tuple of str -- outputs whose linear columns depend on each other
+    """
+
+    omegas: FloatArray
+    zetas: FloatArray
+    clock: ClockState
+    coefficients: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    sigmas: FloatArray
+    cost: float
+    covariance: FloatArray
+    information_condition: float
+    rank_deficient: tuple[str, ...]
+    converged: bool
+    reason: str
+    iterations: int
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of estimated parameters."""
+        return len(self.covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearSolution:
+    """QR of one block's columns, scaled to unit length and with dependent ones left out."""
+
+    basis: FloatArray
+    triangle: FloatArray
+    kept: NDArray[np.intp]
+    scales: FloatArray
+
+    @staticmethod
+    def of(matrix: FloatArray) -> _LinearSolution:
+        scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+        scales[scales == 0.0] = 1.0
+        basis, triangle, order = qr(matrix / scales, mode="economic", pivoting=True, check_finite=False)
+        diagonal = np.abs(np.diag(triangle))
+        rank = int(np.count_nonzero(diagonal > _RANK_TOLERANCE * max(diagonal[0], 1e-300)))
+        return _LinearSolution(basis[:, :rank], triangle[:rank, :rank], order[:rank], scales)
+
+    def coefficients(self, values: FloatArray) -> FloatArray:
+        """Return ``A^+ values``, for one or several right-hand sides."""
+        result = np.zeros((len(self.scales), *values.shape[1:]))
+        solved = solve_triangular(self.triangle, self.basis.T @ values, check_finite=False)
+        scales = self.scales[self.kept]
+        result[self.kept] = solved / (scales[:, None] if values.ndim > 1 else scales)
+        return result
+
+    def inverse_gram(self) -> FloatArray:
+        """Return ``(A^T A)^-1``, zero for columns left out."""
+        inverse = solve_triangular(self.triangle, np.eye(len(self.kept)), check_finite=False)
+        inverse = inverse / self.scales[self.kept][:, None]
+        result = np.zeros((len(self.scales), len(self.scales)))
+        result[np.ix_(self.kept, self.kept)] = inverse @ inverse.T
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Everything known at one point of the nonlinear parameters."""
+
+    theta: FloatArray
+    cost: float
+    coefficients: list[FloatArray]
+    residuals: list[FloatArray]
+    rss: FloatArray
+    blocks: list[ColumnBlock]
+    solutions: list[_LinearSolution]
+
+
+class _Problem:
+    """The likelihood of a regression as a function of its nonlinear parameters."""
+
+    def __init__(self, regression: ModalRegression, n_modes: int, latency: Prior, rate: Prior) -> None:
+        self.regression = regression
+        self.n_modes = n_modes
+        self.latency, self.rate = latency, rate
+        self.n_theta = 2 * n_modes + int(latency.is_free) + int(rate.is_free)
+        self.sizes = np.array([len(v) for v in regression.values], dtype=np.float64)
+        scale = np.array([max(float(np.max(np.abs(v))), 1e-300) for v in regression.values])
+        self.floor = self.sizes * (_NOISE_FLOOR * scale) ** 2
+
+    def clock(self, theta: FloatArray) -> ClockState:
+        place = 2 * self.n_modes
+        latency, rate = self.latency.mean, self.rate.mean
+        if self.latency.is_free:
+            latency = float(theta[place])
+            place += 1
+        if self.rate.is_free:
+            rate = float(theta[place])
+        return ClockState(latency, rate)
+
+    def prior_terms(self, theta: FloatArray) -> list[tuple[int, float, float]]:
+        """Return (index, deviation / sd, 1 / sd) of every finite prior."""
+        terms = []
+        place = 2 * self.n_modes
+        for prior in (self.latency, self.rate):
+            if prior.is_free:
+                if math.isfinite(prior.sd):
+                    terms.append((place, (float(theta[place]) - prior.mean) / prior.sd, 1.0 / prior.sd))
+                place += 1
+        return terms
+
+    def state(self, theta: FloatArray) -> _State:
+        n = self.n_modes
+        regression = self.regression
+        blocks = regression.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
+        solutions = [_LinearSolution.of(block.matrix) for block in blocks]
+        coefficients, residuals = [], []
+        for values, block in zip(regression.values, regression.block_of, strict=True):
+            found = solutions[block].coefficients(values)
+            coefficients.append(found)
+            residuals.append(values - blocks[block].matrix @ found)
+        rss = np.array([float(e @ e) for e in residuals]) + self.floor
+        cost = float(0.5 * np.sum(self.sizes * np.log(rss)))
+        cost += 0.5 * sum(deviation**2 for _, deviation, _ in self.prior_terms(theta))
+        return _State(theta, cost, coefficients, residuals, rss, blocks, solutions)
+
+    def jacobian(self, state: _State, output: int) -> FloatArray:
+        """Return the derivative of one output's model by the nonlinear parameters."""
+        block = state.blocks[self.regression.block_of[output]]
+        found = state.coefficients[output]
+        n = self.n_modes
+        result = np.empty((len(block.matrix), self.n_theta), order="F")
+        for mode, touched in enumerate(block.modes):
+            share = found[touched.columns]
+            result[:, mode] = touched.by_log_omega @ share
+            result[:, n + mode] = touched.by_zeta @ share
+        place = 2 * n
+        if place < self.n_theta:
+            assert block.by_time is not None
+            speed = block.by_time @ found
+            if self.latency.is_free:
+                result[:, place] = speed * block.latency_factor
+                place += 1
+            if self.rate.is_free:
+                result[:, place] = speed * block.rate_factor
+        return result
+
+    def normal_equations(self, state: _State, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return information matrix and descent direction of the nonlinear parameters."""
+        information = np.zeros((self.n_theta, self.n_theta))
+        direction = np.zeros(self.n_theta)
+        for output in range(self.regression.n_outputs):
+            jacobian = self.jacobian(state, output)
+            basis = state.solutions[self.regression.block_of[output]].basis
+            direction += jacobian.T @ state.residuals[output] / variances[output]
+            jacobian -= basis @ (basis.T @ jacobian)
+            information += jacobian.T @ jacobian / variances[output]
+        for place, deviation, weight in self.prior_terms(state.theta):
+            information[place, place] += weight**2
+            direction[place] -= deviation * weight
+        return information, direction
+
+    def clipped(self, theta: FloatArray) -> FloatArray:
+        n = self.n_modes
+        result = theta.copy()
+        result[n : 2 * n] = np.clip(result[n : 2 * n], MIN_DAMPING, MAX_DAMPING)
+        place = 2 * n
+        if self.latency.is_free:
+            result[place] = np.clip(result[place], -0.2, 0.2)
+            place += 1
+        if self.rate.is_free:
+            result[place] = np.clip(result[place], -0.1, 0.1)
+        return np.asarray(result)
+
+
+def _scaled_solve(information: FloatArray, direction: FloatArray, damping: float) -> FloatArray:
+    """Solve the damped normal equations on unit diagonal."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] += damping
+    step = np.linalg.lstsq(scaled, direction * scale, rcond=1e-14)[0]
+    return np.asarray(step * scale)
+
+
+def fit_modes(
+    regression: ModalRegression,
+    omegas: FloatArray,
+    zetas: FloatArray,
+    clock: ClockState,
+    latency: Prior,
+    clock_rate: Prior,
+    max_iterations: int = 40,
+) -> ModalFit:
+    """Fit all parameters of the modal model from a starting point.
+
+    Parameters
+    ----------
+    regression : ModalRegression
+    omegas, zetas : ndarray, shape (n_modes,) -- where to start [rad/s], [-]
+    clock : ClockState -- where to start
+    latency, clock_rate : Prior
+    max_iterations : int -- bound on the accepted steps
+
+    Returns
+    -------
+    ModalFit
+        With modes in order of frequency.
+    """
+    n = len(omegas)
+    problem = _Problem(regression, n, latency, clock_rate)
+    start = [np.log(omegas), zetas]
+    if latency.is_free:
+        start.append(np.array([clock.latency]))
+    if clock_rate.is_free:
+        start.append(np.array([clock.rate]))
+    state = problem.state(problem.clipped(np.concatenate(start)))
+    converged, reason, iterations, damping = problem.n_theta == 0, "nothing nonlinear to estimate", 0, 1e-3
+    while problem.n_theta and not converged:
+        variances = state.rss / problem.sizes
+        information, direction = problem.normal_equations(state, variances)
+        accepted = False
+        for _ in range(12):
+            step = _scaled_solve(information, direction, damping)
+            largest = float(np.max(np.abs(step[:n]), initial=0.0))
+            if largest > 0.1:
+                step = step * (0.1 / largest)
+            candidate = problem.clipped(state.theta + step)
+            taken = candidate - state.theta
+            size = math.sqrt(max(float(taken @ information @ taken), 0.0))
+            if size < _STEP_TOLERANCE and damping < 1.0:
+                converged, reason = True, f"step below {_STEP_TOLERANCE} standard deviations"
+                break
+            trial = problem.state(candidate)
+            if np.isfinite(trial.cost) and trial.cost <= state.cost:
+                fallen = state.cost - trial.cost
+                state, accepted = trial, True
+                if fallen < _COST_TOLERANCE and damping < 1.0:
+                    converged, reason = True, "the cost falls no further"
+                damping = max(damping * 0.1, 1e-12)
+                break
+            damping = max(damping * 10.0, 1e-6)
+        iterations += 1
+        if converged:
+            break
+        if not accepted:
+            gain = float(direction @ np.linalg.lstsq(information, direction, rcond=1e-14)[0])
+            converged = gain < 1e-4 * problem.n_theta
+            reason = "no step lowers the cost further" if converged else "stalled: no step lowers the cost"
+            break
+        if iterations >= max_iterations:
+            reason = f"stopped after {max_iterations} iterations"
+            break
+    return _finish(problem, state, converged, reason, iterations)
+
+
+def _finish(problem: _Problem, state: _State, converged: bool, reason: str, iterations: int) -> ModalFit:
+    regression, n, n_theta = problem.regression, problem.n_modes, problem.n_theta
+    order = np.argsort(state.theta[:n])
+    ranks = np.array([len(state.solutions[b].kept) for b in regression.block_of])
+    freedom = problem.sizes - ranks - n_theta / regression.n_outputs
+    variances = state.rss / np.maximum(freedom, 1.0)
+    information, _ = problem.normal_equations(state, variances)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    condition = float(np.linalg.cond(scaled)) if n_theta else 1.0
+    theta_covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
+    if n_theta and not condition < 1e12:
+        converged, reason = False, "the data do not determine all poles: the information matrix is singular"
+    sizes = [len(c) for c in state.coefficients]
+    covariance = np.zeros((n_theta + sum(sizes), n_theta + sum(sizes)))
+    sensitivity = np.zeros((n_theta + sum(sizes), n_theta))
+    sensitivity[:n_theta] = np.eye(n_theta)
+    place = n_theta
+    for output in range(regression.n_outputs):
+        solution = state.solutions[regression.block_of[output]]
+        here = slice(place, place + sizes[output])
+        sensitivity[here] = -solution.coefficients(problem.jacobian(state, output))
+        covariance[here, here] = variances[output] * solution.inverse_gram()
+        place += sizes[output]
+    covariance += sensitivity @ theta_covariance @ sensitivity.T
+    # Put the modes in order of frequency, in the parameters and in every linear block.
+    n_fixed = regression.n_shared_fixed
+    permutation = np.arange(len(covariance))
+    permutation[:n] = order
+    permutation[n : 2 * n] = n + order
+    coefficients = []
+    place = n_theta
+    for output, found in enumerate(state.coefficients):
+        local = np.arange(sizes[output])
+        local[n_fixed : n_fixed + n] = n_fixed + order
+        if regression.structure.has_free_response:
+            n_own = regression.n_nuisance(n)
+            for first in range(n_fixed + n, sizes[output], n_own):
+                pairs = np.arange(first + n_own - 2 * n, first + n_own).reshape(n, 2)
+                local[pairs.ravel()] = pairs[order].ravel()
+        coefficients.append(found[local])
+        permutation[place : place + sizes[output]] = place + local
+        place += sizes[output]
+    deficient = tuple(
+        name
+        for name, block, size in zip(regression.output_names, regression.block_of, sizes, strict=True)
+        if len(state.solutions[block].kept) < size
+    )
+    return ModalFit(
+        omegas=np.exp(state.theta[:n])[order],
+        zetas=state.theta[n : 2 * n][order],
+        clock=problem.clock(state.theta),
+        coefficients=tuple(coefficients),
+        residuals=tuple(state.residuals),
+        sigmas=np.sqrt(variances),
+        cost=state.cost,
+        covariance=covariance[np.ix_(permutation, permutation)],
+        information_condition=condition,
+        rank_deficient=deficient,
+        converged=converged,
+        reason=reason,
+        iterations=iterations,
+    )

@@ -1,0 +1,388 @@
+"""The identified modal model: modal parameters with their joint uncertainty.
+
+One object holds what every user of an identification needs: natural frequencies,
+damping ratios, residues, residual terms and gains, with one covariance matrix over
+all of them, so that every derived quantity (bands of a frequency response, a
+comparison of two models, a physical fit) can carry its uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ident.errors import ModelFormatError
+from beam_ident.modal_fit import ModalFit
+from beam_ident.modal_regression import ClockState, ModalRegression, forced_columns
+from beam_ident.modal_structure import ModalStructure, StructureKind
+from beam_ident.piecewise import FloatArray
+from beam_ident.records import InputSignal
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ModalFrequencyResponse:
+    """Frequency response of a model, with the uncertainty of the model's parameters.
+
+    Attributes
+    ----------
+    omegas : ndarray, shape (n_frequencies,) -- [rad/s]
+    output_names : tuple of str
+    response : complex ndarray, shape (n_frequencies, n_outputs)
+    covariance : ndarray, shape (n_frequencies, n_outputs, 2, 2)
+        Covariance of real and imaginary part.
+    """
+
+    omegas: FloatArray
+    output_names: tuple[str, ...]
+    response: NDArray[np.complex128]
+    covariance: FloatArray
+
+    @property
+    def magnitude_sd(self) -> FloatArray:
+        """Standard deviation of the magnitude, shape (n_frequencies, n_outputs)."""
+        unit = self._unit
+        variance = np.einsum("foa,foab,fob->fo", unit, self.covariance, unit)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    @property
+    def phase_sd(self) -> FloatArray:
+        """Standard deviation of the phase [rad], shape (n_frequencies, n_outputs)."""
+        unit = self._unit
+        across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
+        variance = np.einsum("foa,foab,fob->fo", across, self.covariance, across)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / np.maximum(np.abs(self.response), 1e-300))
+
+    @property
+    def _unit(self) -> FloatArray:
+        size = np.maximum(np.abs(self.response), 1e-300)
+        return np.stack([self.response.real / size, self.response.imag / size], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalModel:
+    """A sum of second-order modes with common poles over all outputs.
+
+    Attributes
+    ----------
+    structure : {"base_motion", "velocity", "acceleration", "force", "receptance"}
+        Where the modes stand (see :mod:`beam_ident.modal_structure`).
+    input_name : str
+    output_names : tuple of str
+    natural_frequencies : ndarray, shape (n_modes,) -- [rad/s]
+    damping_ratios : ndarray, shape (n_modes,)
+    residues : ndarray, shape (n_outputs, n_modes)
+        For a moved base pure numbers: the mode's share in -s^2 alpha.
+    residual_terms : ndarray, shape (n_outputs,) -- static term R_j [s^2 for a moved base]
+    gains : ndarray, shape (n_outputs,) -- direct gain c_j (0 for a receptance)
+    latency : float -- how late the outputs' stamps are [s]
+    clock_rate : float -- how much faster the outputs' clock runs than the input's
+    covariance : ndarray, shape (n_parameters, n_parameters)
+    parameter_names : tuple of str
+        ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
+        ``c[j]``, ``R[j]``, ``r_i[j]``; a parameter that was not estimated has variance 0.
+    noise_sd : ndarray, shape (n_outputs,) -- of the residuals
+    """
+
+    structure: StructureKind
+    input_name: str
+    output_names: tuple[str, ...]
+    natural_frequencies: FloatArray
+    damping_ratios: FloatArray
+    residues: FloatArray
+    residual_terms: FloatArray
+    gains: FloatArray
+    latency: float
+    clock_rate: float
+    covariance: FloatArray
+    noise_sd: FloatArray
+    parameter_names: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in (
+            "natural_frequencies",
+            "damping_ratios",
+            "residues",
+            "residual_terms",
+            "gains",
+            "covariance",
+            "noise_sd",
+        ):
+            values = np.array(getattr(self, name), dtype=np.float64, copy=True)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        names = _parameter_names(self.n_modes, self.output_names)
+        object.__setattr__(self, "parameter_names", names)
+        n, m = self.n_modes, len(self.output_names)
+        shapes = {
+            "damping_ratios": (n,),
+            "residues": (m, n),
+            "residual_terms": (m,),
+            "gains": (m,),
+            "noise_sd": (m,),
+            "covariance": (len(names), len(names)),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ModelFormatError(
+                    f"modal model: {name} has shape {getattr(self, name).shape}; expected {shape} for {n} "
+                    "modes and "
+                    f"{m} outputs"
+                )
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return len(self.natural_frequencies)
+
+    @property
+    def frequencies_hz(self) -> FloatArray:
+        """Natural frequencies [Hz]."""
+        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Upper poles [rad/s], shape (n_modes,)."""
+        omega, zeta = self.natural_frequencies, self.damping_ratios
+        return np.asarray(omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """All parameters in the order of ``parameter_names``."""
+        parts = [self.natural_frequencies, self.damping_ratios, [self.latency, self.clock_rate]]
+        for gain, residual, residues in zip(self.gains, self.residual_terms, self.residues, strict=True):
+            parts.append(np.concatenate([[gain, residual], residues]))
+        return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """Standard deviations in the order of ``parameter_names``."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    def _sd(self, first: int, count: int) -> FloatArray:
+        return self.standard_deviations[first : first + count]
+
+    @property
+    def natural_frequency_sd(self) -> FloatArray:
+        """Standard deviations of the natural frequencies [rad/s]."""
+        return self._sd(0, self.n_modes)
+
+    @property
+    def damping_ratio_sd(self) -> FloatArray:
+        """Standard deviations of the damping ratios."""
+        return self._sd(self.n_modes, self.n_modes)
+
+    @property
+    def latency_sd(self) -> float:
+        """Standard deviation of the latency [s]."""
+        return float(self.standard_deviations[2 * self.n_modes])
+
+    @property
+    def clock_rate_sd(self) -> float:
+        """Standard deviation of the clock rate."""
+        return float(self.standard_deviations[2 * self.n_modes + 1])
+
+    def _output_sd(self) -> FloatArray:
+        return self.standard_deviations[2 * self.n_modes + 2 :].reshape(
+            len(self.output_names), self.n_modes + 2
+        )
+
+    @property
+    def gain_sd(self) -> FloatArray:
+        """Standard deviations of the gains, shape (n_outputs,)."""
+        return self._output_sd()[:, 0]
+
+    @property
+    def residual_term_sd(self) -> FloatArray:
+        """Standard deviations of the residual terms, shape (n_outputs,)."""
+        return self._output_sd()[:, 1]
+
+    @property
+    def residue_sd(self) -> FloatArray:
+        """Standard deviations of the residues, shape (n_outputs, n_modes)."""
+        return self._output_sd()[:, 2:]
+
+    def simulate(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
+        """Return the outputs that an input causes from rest, shape (n_times, n_outputs).
+
+        Parameters
+        ----------
+        drive : InputSignal -- of the kind that the structure names
+        times_s : ndarray, shape (n_times,) -- instants on the input's clock [s]
+        exposure_s : float -- box average centred on each instant [s]
+        """
+        columns = forced_columns(
+            drive,
+            ModalStructure(self.structure),
+            np.asarray(times_s, dtype=np.float64),
+            exposure_s,
+            self.natural_frequencies,
+            self.damping_ratios,
+        )
+        return np.asarray(columns @ self._linear_parameters().T)
+
+    def _linear_parameters(self) -> FloatArray:
+        parts = [self.residual_terms[:, None], self.residues]
+        if ModalStructure(self.structure).has_direct:
+            parts.insert(0, self.gains[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def frequency_response(self, omegas: FloatArray) -> ModalFrequencyResponse:
+        """Return the response from input to outputs, with bands.
+
+        Parameters
+        ----------
+        omegas : ndarray, shape (n_frequencies,) -- positive frequencies [rad/s]
+        """
+        omegas = np.asarray(omegas, dtype=np.float64)
+        structure = ModalStructure(self.structure)
+        s = 1j * omegas
+        front = structure.sign * s**structure.differentiations
+        direct = np.array([structure.direct_response(value) for value in s], dtype=np.complex128)
+        n, m = self.n_modes, len(self.output_names)
+        omega_n, zeta = self.natural_frequencies, self.damping_ratios
+        denominators = s[:, None] ** 2 + 2.0 * zeta * omega_n * s[:, None] + omega_n**2
+        basis = front[:, None] / denominators
+        by_omega = -basis / denominators * (2.0 * zeta * s[:, None] + 2.0 * omega_n)
+        by_zeta = -basis / denominators * (2.0 * omega_n * s[:, None])
+        response = np.empty((len(omegas), m), dtype=np.complex128)
+        covariance = np.empty((len(omegas), m, 2, 2))
+        for j in range(m):
+            response[:, j] = (
+                self.gains[j] * direct + front * self.residual_terms[j] + basis @ self.residues[j]
+            )
+            gradient = np.zeros((len(omegas), len(self.parameter_names)), dtype=np.complex128)
+            gradient[:, :n] = by_omega * self.residues[j]
+            gradient[:, n : 2 * n] = by_zeta * self.residues[j]
+            place = 2 * n + 2 + j * (n + 2)
+            gradient[:, place] = direct
+            gradient[:, place + 1] = front
+            gradient[:, place + 2 : place + 2 + n] = basis
+            parts = np.stack([gradient.real, gradient.imag], axis=1)
+            covariance[:, j] = np.einsum("fap,pq,fbq->fab", parts, self.covariance, parts, optimize=True)
+        return ModalFrequencyResponse(omegas, self.output_names, response, covariance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
+        return {
+            "schema": SCHEMA,
+            "type": "modal_model",
+            "structure": self.structure,
+            "input_name": self.input_name,
+            "output_names": list(self.output_names),
+            "natural_frequencies_rad_s": self.natural_frequencies.tolist(),
+            "damping_ratios": self.damping_ratios.tolist(),
+            "residues": self.residues.tolist(),
+            "residual_terms": self.residual_terms.tolist(),
+            "gains": self.gains.tolist(),
+            "latency_s": self.latency,
+            "clock_rate": self.clock_rate,
+            "noise_sd": self.noise_sd.tolist(),
+            "parameter_names": list(self.parameter_names),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ModalModel:
+        """Rebuild a model written by :meth:`to_dict`.
+
+        Raises
+        ------
+        ModelFormatError
+            Another schema, a missing entry, or shapes that do not agree.
+        """
+        if data.get("type") != "modal_model" or data.get("schema") != SCHEMA:
+            raise ModelFormatError(
+                f"this is a {data.get('type')!r} of schema {data.get('schema')!r}; expected a "
+                "'modal_model' of schema "
+                f"{SCHEMA}"
+            )
+        try:
+            n_outputs, n_modes = len(data["output_names"]), len(data["natural_frequencies_rad_s"])
+            return ModalModel(
+                structure=ModalStructure(data["structure"]).kind,
+                input_name=str(data["input_name"]),
+                output_names=tuple(data["output_names"]),
+                natural_frequencies=np.asarray(data["natural_frequencies_rad_s"], dtype=np.float64),
+                damping_ratios=np.asarray(data["damping_ratios"], dtype=np.float64),
+                residues=np.asarray(data["residues"], dtype=np.float64).reshape(n_outputs, n_modes),
+                residual_terms=np.asarray(data["residual_terms"], dtype=np.float64),
+                gains=np.asarray(data["gains"], dtype=np.float64),
+                latency=float(data["latency_s"]),
+                clock_rate=float(data["clock_rate"]),
+                covariance=np.asarray(data["covariance"], dtype=np.float64),
+                noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
+            )
+        except KeyError as err:
+            raise ModelFormatError(f"modal model: the entry {err} is missing") from err
+
+    @staticmethod
+    def from_fit(
+        fit: ModalFit, regression: ModalRegression, latency_is_free: bool, rate_is_free: bool
+    ) -> ModalModel:
+        """Collect the parameters of a fit, leaving out offsets, ramps and free responses."""
+        structure = regression.structure
+        n, m = len(fit.omegas), regression.n_outputs
+        names = _parameter_names(n, regression.output_names)
+        source: list[int] = list(range(2 * n))
+        place = 2 * n
+        for is_free in (latency_is_free, rate_is_free):
+            source.append(place if is_free else -1)
+            place += int(is_free)
+        gains, residuals, residues = np.zeros(m), np.zeros(m), np.zeros((m, n))
+        for j, found in enumerate(fit.coefficients):
+            column = 0
+            if structure.has_direct:
+                gains[j] = found[0]
+                source.append(place)
+                column = 1
+            else:
+                source.append(-1)
+            if structure.has_residual:
+                residuals[j] = found[column]
+                source.append(place + column)
+                column += 1
+            else:
+                source.append(-1)
+            residues[j] = found[column : column + n]
+            source.extend(range(place + column, place + column + n))
+            place += len(found)
+        index = np.array(source)
+        covariance = fit.covariance[np.ix_(index, index)]
+        absent = index < 0
+        covariance[absent, :] = 0.0
+        covariance[:, absent] = 0.0
+        scale = np.ones(len(names))
+        scale[:n] = fit.omegas
+        return ModalModel(
+            structure=structure.kind,
+            input_name=regression.drives[0].name,
+            output_names=regression.output_names,
+            natural_frequencies=fit.omegas,
+            damping_ratios=fit.zetas,
+            residues=residues,
+            residual_terms=residuals,
+            gains=gains,
+            latency=fit.clock.latency,
+            clock_rate=fit.clock.rate,
+            covariance=covariance * np.outer(scale, scale),
+            noise_sd=fit.sigmas,
+        )
+
+    @property
+    def clock(self) -> ClockState:
+        """Latency and clock rate together."""
+        return ClockState(self.latency, self.clock_rate)
+
+
+def _parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:
+    numbers = range(1, n_modes + 1)
+    names = [f"omega_{i}" for i in numbers] + [f"zeta_{i}" for i in numbers] + ["latency", "clock_rate"]
+    for output in output_names:
+        names += [f"c[{output}]", f"R[{output}]", *(f"r_{i}[{output}]" for i in numbers)]
+    return tuple(names)

@@ -1,0 +1,394 @@
+"""Columns of the modal model at the stamps where the outputs were measured.
+
+Given poles and clock, every structure of :mod:`beam_ident.modal_structure` is linear in
+the rest: gains, residues, offsets, ramps and free responses.  This module builds
+the columns of that linear problem and their exact derivatives with respect to
+``log omega``, ``zeta`` and the instant of measurement.  Outputs that share stamps
+share columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ident.errors import EstimationError
+from beam_ident.modal_structure import ModalStructure
+from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
+from beam_ident.pole_response import PoleResponse
+from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+
+CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
+
+_MIN_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class ClockState:
+    """Relation of the outputs' clock to the input's.
+
+    A stamp ``t`` was taken at the instant ``m + (t - latency - m) / (1 + rate)`` of the
+    input's clock, with ``m`` the middle of the record: a positive latency means that
+    stamps are late, a positive rate that the outputs' clock runs fast.
+    """
+
+    latency: float = 0.0
+    rate: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ModeColumns:
+    """Derivatives of the columns that one mode touches."""
+
+    columns: NDArray[np.intp]
+    by_log_omega: FloatArray
+    by_zeta: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnBlock:
+    """The linear problem of all outputs that share stamps.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (n_rows, n_columns)
+    modes : tuple of ModeColumns
+        Derivatives by the poles; empty when none were asked for.
+    by_time : ndarray or None, shape (n_rows, n_columns)
+        Derivative by the instant of measurement.
+    latency_factor, rate_factor : ndarray, shape (n_rows,)
+        Derivative of the instant by latency and clock rate.
+    """
+
+    matrix: FloatArray
+    modes: tuple[ModeColumns, ...]
+    by_time: FloatArray | None
+    latency_factor: FloatArray
+    rate_factor: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Distinct stamps and exposure of one record."""
+
+    times: FloatArray
+    exposure_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _GridColumns:
+    """All columns at one grid; derivatives by (log omega, zeta, time) where asked for."""
+
+    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time
+    forced: list[tuple[FloatArray, ...]]  # value[, by log omega, by zeta, by time]
+    free: list[tuple[NDArray[np.complex128], ...]]
+    ramp: FloatArray
+    latency_factor: FloatArray
+    rate_factor: FloatArray
+
+
+class _PreparedRecord:
+    """One record with its input turned into exact signals."""
+
+    def __init__(self, record: TimeRecord, drive: InputSignal, structure: ModalStructure) -> None:
+        kind = structure.kind
+        if kind == "base_motion" and drive.hold == "zoh":
+            raise EstimationError(
+                f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
+                "give hold='linear' or 'cubic'"
+            )
+        self.structure = structure
+        self.span = drive.span_s
+        signal = drive.signal(margin_s=CLOCK_MARGIN_S, from_rest=kind != "base_motion")
+        self.rest = float(drive.values[0]) if kind == "base_motion" else 0.0
+        self.drive = signal.shifted(-self.rest) if self.rest else signal
+        self.drive_integral = self.drive.antiderivative()
+        if kind == "base_motion":
+            position = signal
+            smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
+        else:
+            position = self.drive
+            for _ in range(1 if kind == "velocity" else 2):
+                position = position.antiderivative()
+            smooth = position
+        self.position = position
+        self.position_integral = position.antiderivative()
+        self.residual: tuple[PiecewisePolynomial, PiecewisePolynomial]
+        if structure.is_motion:
+            rate = smooth.derivative()
+            self.residual = (rate.derivative(), rate)
+        else:
+            self.residual = (self.drive, self.drive_integral)
+        self.grids: list[_Grid] = []
+        self.grid_of: dict[str, int] = {}
+        self.rows_of: dict[str, NDArray[np.intp]] = {}
+        keys: dict[tuple[bytes, float], int] = {}
+        for output in record.outputs:
+            key = (output.times_s.tobytes(), output.exposure_s)
+            if key not in keys:
+                keys[key] = len(self.grids)
+                self.grids.append(_Grid(output.times_s, output.exposure_s))
+            half = 0.5 * output.exposure_s
+            inside = (output.times_s - half >= self.span[0]) & (output.times_s + half <= self.span[1])
+            self.grid_of[output.name] = keys[key]
+            self.rows_of[output.name] = np.flatnonzero(inside & output.is_valid)
+        stamps = np.concatenate([g.times for g in self.grids])
+        self.start = float(np.min(stamps))
+        self.middle = 0.5 * float(np.min(stamps) + np.max(stamps))
+        self.length = max(float(np.max(stamps) - np.min(stamps)), 1e-12)
+        self.values = {output.name: output.values for output in record.outputs}
+
+    def columns(
+        self,
+        grid: _Grid,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        gradients: bool,
+        responses: list[PoleResponse],
+    ) -> _GridColumns:
+        """Return every column at one grid of stamps."""
+        structure = self.structure
+        stretch = 1.0 / (1.0 + clock.rate)
+        late = grid.times - clock.latency - self.middle
+        times = self.middle + late * stretch
+        instants = Instants.on(self.drive, times, grid.exposure_s)
+        fixed: list[tuple[FloatArray, FloatArray]] = []
+        direct, direct_rate = instants.mean(self.position, self.position_integral)
+        if structure.has_direct:
+            fixed.append((direct, direct_rate))
+        if structure.has_residual:
+            value, rate = instants.mean(*self.residual)
+            fixed.append((structure.sign * value, structure.sign * rate))
+        forced: list[tuple[FloatArray, ...]] = []
+        free: list[tuple[NDArray[np.complex128], ...]] = []
+        power = structure.differentiations
+        for omega, zeta, response in zip(omegas, zetas, responses, strict=True):
+            pole = response.pole
+            sampled = response.sample(instants, self.drive_integral)
+            factor = pole**power * structure.sign / pole.imag
+            value = np.imag(factor * sampled.values)
+            if power == 2:
+                value = value + structure.sign * (direct - self.rest)
+            elapsed = times - self.start
+            half = 0.5 * pole * grid.exposure_s
+            shape = np.sinh(half) / half if abs(half) > 1e-6 else 1.0 + half**2 / 6.0
+            decay = np.exp(pole * elapsed) * shape
+            if not gradients or sampled.pole_slopes is None or sampled.time_slopes is None:
+                forced.append((value,))
+                free.append((decay,))
+                continue
+            root = np.sqrt(1.0 - zeta**2)
+            pole_by = (pole, omega * complex(-1.0, -zeta / root))
+            slope = sampled.pole_slopes
+            if power:
+                slope = slope + power / pole * sampled.values
+            oscillation = np.imag(factor * sampled.values)
+            by_pole = [np.imag(factor * slope * d) - oscillation * (d.imag / pole.imag) for d in pole_by]
+            by_time = np.imag(factor * sampled.time_slopes)
+            if power == 2:
+                by_time = by_time + structure.sign * direct_rate
+            forced.append((value, by_pole[0], by_pole[1], by_time))
+            log_shape = (
+                0.5 * grid.exposure_s * (1.0 / np.tanh(half) - 1.0 / half if abs(half) > 1e-4 else half / 3.0)
+            )
+            decay_slope = decay * (elapsed + log_shape)
+            free.append((decay, decay_slope * pole_by[0], decay_slope * pole_by[1], pole * decay))
+        ramp = (grid.times - self.middle) / self.length
+        return _GridColumns(fixed, forced, free, ramp, np.full_like(times, -stretch), -late * stretch**2)
+
+
+class ModalRegression:
+    """The modal model of a set of records as a linear problem with a few nonlinear parameters.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        Experiments that share poles, gains and residues.
+    structure : ModalStructure
+    input_name : str or None
+        Which input; may be left out where there is only one.
+
+    Raises
+    ------
+    EstimationError
+        No input chosen among several, a held position, too few usable samples.
+    """
+
+    def __init__(
+        self, records: Sequence[TimeRecord], structure: ModalStructure, input_name: str | None = None
+    ) -> None:
+        if not records:
+            raise EstimationError("no record to identify from; give at least one TimeRecord")
+        self.structure = structure
+        self.drives: list[InputSignal] = []
+        for record in records:
+            if input_name is None and len(record.inputs) > 1:
+                available = ", ".join(s.name for s in record.inputs)
+                raise EstimationError(
+                    f"record {record.name!r} has the inputs {available}; say which with input_name"
+                )
+            self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
+        self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, self.drives, strict=True)]
+        names = list(dict.fromkeys(name for record in records for name in record.output_names))
+        self.units: list[str] = [
+            next(o.unit for record in records for o in record.outputs if o.name == name) for name in names
+        ]
+        self.output_names: tuple[str, ...] = tuple(names)
+        self.values: list[FloatArray] = []
+        self.times: list[FloatArray] = []
+        self._parts: list[tuple[tuple[int, int, bytes], ...]] = []
+        self._rows: dict[tuple[int, int, bytes], NDArray[np.intp]] = {}
+        for name in names:
+            parts, values, times = [], [], []
+            for index, prepared in enumerate(self._prepared):
+                if name not in prepared.rows_of:
+                    continue
+                rows = prepared.rows_of[name]
+                key = (index, prepared.grid_of[name], rows.tobytes())
+                self._rows[key] = rows
+                parts.append(key)
+                values.append(prepared.values[name][rows])
+                times.append(prepared.grids[prepared.grid_of[name]].times[rows])
+            self._parts.append(tuple(parts))
+            self.values.append(np.concatenate(values))
+            self.times.append(np.concatenate(times))
+            if len(self.values[-1]) < _MIN_SAMPLES:
+                raise EstimationError(
+                    f"output {name!r} has {len(self.values[-1])} samples that were seen while the input "
+                    "was known; "
+                    f"expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
+                )
+        self._block_keys = list(dict.fromkeys(self._parts))
+        self.block_of: tuple[int, ...] = tuple(self._block_keys.index(p) for p in self._parts)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.output_names)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of output samples used, over all outputs."""
+        return sum(len(v) for v in self.values)
+
+    @property
+    def n_shared_fixed(self) -> int:
+        """Number of columns (direct gain, residual term) in front of the residues."""
+        return int(self.structure.has_direct) + int(self.structure.has_residual)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the longest record [s]."""
+        return max(p.length for p in self._prepared)
+
+    def n_nuisance(self, n_modes: int) -> int:
+        """Number of columns that each record has for itself."""
+        s = self.structure
+        return int(s.has_offset) + int(s.has_ramp) + (2 * n_modes if s.has_free_response else 0)
+
+    def blocks(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> list[ColumnBlock]:
+        """Return the columns of every group of outputs that share stamps.
+
+        Columns stand in the order direct gain, residual term, residues of all modes,
+        then for each record offset, ramp, and the real and imaginary free response of
+        each mode.
+        """
+        poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
+        cache: dict[tuple[int, int], _GridColumns] = {}
+        for index, prepared in enumerate(self._prepared):
+            responses = [PoleResponse(p, prepared.drive, gradients=gradients) for p in poles]
+            for number, grid in enumerate(prepared.grids):
+                cache[index, number] = prepared.columns(grid, omegas, zetas, clock, gradients, responses)
+        return [self._assemble(parts, cache, len(poles), gradients) for parts in self._block_keys]
+
+    def _assemble(
+        self,
+        parts: tuple[tuple[int, int, bytes], ...],
+        cache: dict[tuple[int, int], _GridColumns],
+        n_modes: int,
+        gradients: bool,
+    ) -> ColumnBlock:
+        structure = self.structure
+        n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
+        lengths = [len(self._rows[part]) for part in parts]
+        n_rows, n_columns = sum(lengths), n_fixed + n_modes + n_own * len(parts)
+        matrix = np.zeros((n_rows, n_columns), order="F")
+        by_time = np.zeros_like(matrix) if gradients else None
+        n_free = 2 * len(parts) if structure.has_free_response else 0
+        touched = [np.zeros((2, n_rows, 1 + n_free)) for _ in range(n_modes)] if gradients else []
+        indices = [np.zeros(1 + n_free, dtype=np.intp) for _ in range(n_modes)]
+        latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
+        first = 0
+        for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
+            rows = self._rows[part]
+            here = slice(first, first + length)
+            first += length
+            source = cache[part[0], part[1]]
+            latency_factor[here] = source.latency_factor[rows]
+            rate_factor[here] = source.rate_factor[rows]
+            for column, (value, rate) in enumerate(source.fixed):
+                matrix[here, column] = value[rows]
+                if by_time is not None:
+                    by_time[here, column] = rate[rows]
+            own = n_fixed + n_modes + n_own * number
+            if structure.has_offset:
+                matrix[here, own] = 1.0
+                own += 1
+            if structure.has_ramp:
+                matrix[here, own] = source.ramp[rows]
+                own += 1
+            for mode in range(n_modes):
+                column = n_fixed + mode
+                matrix[here, column] = source.forced[mode][0][rows]
+                indices[mode][0] = column
+                if by_time is not None:
+                    by_time[here, column] = source.forced[mode][3][rows]
+                    touched[mode][0, here, 0] = source.forced[mode][1][rows]
+                    touched[mode][1, here, 0] = source.forced[mode][2][rows]
+                if not structure.has_free_response:
+                    continue
+                pair = slice(own + 2 * mode, own + 2 * mode + 2)
+                matrix[here, pair] = _real_pair(source.free[mode][0][rows])
+                place = slice(1 + 2 * number, 3 + 2 * number)
+                indices[mode][place] = np.arange(pair.start, pair.stop)
+                if by_time is not None:
+                    by_time[here, pair] = _real_pair(source.free[mode][3][rows])
+                    touched[mode][0, here, place] = _real_pair(source.free[mode][1][rows])
+                    touched[mode][1, here, place] = _real_pair(source.free[mode][2][rows])
+        modes = tuple(ModeColumns(i, t[0], t[1]) for i, t in zip(indices, touched, strict=False))
+        return ColumnBlock(matrix, modes, by_time, latency_factor, rate_factor)
+
+
+def _real_pair(values: NDArray[np.complex128]) -> FloatArray:
+    return np.stack([values.real, values.imag], axis=1)
+
+
+def forced_columns(
+    drive: InputSignal,
+    structure: ModalStructure,
+    times_s: FloatArray,
+    exposure_s: float,
+    omegas: FloatArray,
+    zetas: FloatArray,
+) -> FloatArray:
+    """Return direct, residual and modal columns from rest, shape (n_times, n_shared)."""
+    first, last = drive.span_s
+    half = 0.5 * exposure_s
+    if len(times_s) and (np.min(times_s) - half < first - 1e-9 or np.max(times_s) + half > last + 1e-9):
+        raise EstimationError(
+            f"instants from {np.min(times_s) - half:.6f} to {np.max(times_s) + half:.6f} s, exposure "
+            "included, are asked "
+            f"for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
+        )
+    output = OutputSignal("instants", "", times_s, np.zeros(len(times_s)), exposure_s)
+    prepared = _PreparedRecord(TimeRecord((drive,), (output,)), drive, structure)
+    poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
+    responses = [PoleResponse(pole, prepared.drive, gradients=False) for pole in poles]
+    columns = prepared.columns(prepared.grids[0], omegas, zetas, ClockState(), False, responses)
+    return np.column_stack([value for value, _ in columns.fixed] + [mode[0] for mode in columns.forced])

@@ -1,0 +1,196 @@
+"""A start without hints: scan one more mode over the input's band.
+
+For every candidate frequency the forced and the free response of one mode are
+projected onto the complement of the present model, and the gain in likelihood over
+all outputs is noted.  The grid is as fine as the damping that it is scanned with is
+wide; the best candidate is then refined on a finer grid over frequency and damping.
+The scan works on thinned data, the fit that follows on all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ident.bandwidth import Band
+from beam_ident.modal_fit import ModalFit
+from beam_ident.modal_regression import ClockState, ModalRegression
+from beam_ident.modal_structure import ModalStructure
+from beam_ident.piecewise import FloatArray
+from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+
+SCAN_DAMPING = 0.015
+
+_MAX_STAMPS = 3000
+_MAX_POINTS = 900
+_CHUNK = 48
+_FINE_DAMPINGS = (0.003, 0.015, 0.08)
+_SAMPLES_PER_CYCLE = 12
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A mode that the scan proposes: frequency [rad/s], damping ratio, gain in log-likelihood."""
+
+    omega: float
+    zeta: float
+    gain: float
+
+
+class ModalScan:
+    """Gain in likelihood of one more mode, over a band.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+    structure : ModalStructure
+    input_name : str or None
+    band : Band
+    seed : int
+        Seed of the choice of stamps where there are too many.
+    """
+
+    def __init__(
+        self,
+        records: Sequence[TimeRecord],
+        structure: ModalStructure,
+        input_name: str | None,
+        band: Band,
+        seed: int = 0,
+    ) -> None:
+        self.band = band
+        thinned = [_thinned(record, input_name, structure, band.high_hz, seed) for record in records]
+        self.regression = ModalRegression(thinned, structure, input_name)
+        step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
+        n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
+        self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
+        self._columns: list[FloatArray] | None = None
+        self._columns_clock = ClockState()
+
+    def gains(self, model: ModalFit) -> FloatArray:
+        """Return the gain in log-likelihood over the grid, shape (n_points,)."""
+        clock = model.clock
+        moved = abs(clock.latency - self._columns_clock.latency) * self.omegas[-1] > 0.3
+        if self._columns is None or moved:
+            self._columns = self._candidate_columns(
+                self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock
+            )
+            self._columns_clock = clock
+        return self._gains_of(self._columns, model)
+
+    def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
+        """Return the most promising further mode, or None when the band is used up.
+
+        Parameters
+        ----------
+        model : ModalFit -- the present model
+        excluded : sequence of float
+            Frequencies [rad/s] whose neighbourhood has been tried in vain.
+        """
+        gains = self.gains(model)
+        for omega in excluded:
+            gains = np.where(np.abs(np.log(self.omegas / omega)) < 2.5 * SCAN_DAMPING, -np.inf, gains)
+        best = int(np.argmax(gains))
+        if not np.isfinite(gains[best]):
+            return None
+        fine = self.omegas[best] * np.exp(np.linspace(-1.2, 1.2, 15) * SCAN_DAMPING)
+        omegas = np.tile(fine, len(_FINE_DAMPINGS))
+        zetas = np.repeat(_FINE_DAMPINGS, len(fine))
+        refined = self._gains_of(self._candidate_columns(omegas, zetas, model.clock), model)
+        winner = int(np.argmax(refined))
+        return Candidate(float(omegas[winner]), float(zetas[winner]), float(refined[winner]))
+
+    def _candidate_columns(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState
+    ) -> list[FloatArray]:
+        """Return for every block an array (n_rows, 1 + n_free, n_candidates)."""
+        structure, regression = self.regression.structure, self.regression
+        n_fixed = regression.n_shared_fixed
+        collected: list[list[FloatArray]] = []
+        for first in range(0, len(omegas), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            n = len(omegas[part])
+            blocks = regression.blocks(omegas[part], zetas[part], clock, gradients=False)
+            for number, block in enumerate(blocks):
+                pieces = [block.matrix[:, None, n_fixed : n_fixed + n]]
+                if structure.has_free_response:
+                    n_own = regression.n_nuisance(n)
+                    for own in range(n_fixed + n, block.matrix.shape[1], n_own):
+                        pairs = block.matrix[:, own + n_own - 2 * n : own + n_own]
+                        pieces.append(pairs.reshape(len(pairs), n, 2).transpose(0, 2, 1))
+                if first == 0:
+                    collected.append([])
+                collected[number].append(np.concatenate(pieces, axis=1).astype(np.float64))
+        return [np.concatenate(parts, axis=2) for parts in collected]
+
+    def _gains_of(self, columns: list[FloatArray], model: ModalFit) -> FloatArray:
+        regression = self.regression
+        blocks = regression.blocks(model.omegas, model.zetas, model.clock, gradients=False)
+        total = np.zeros(columns[0].shape[2])
+        for number, (block, candidates) in enumerate(zip(blocks, columns, strict=True)):
+            scale = np.linalg.norm(block.matrix, axis=0)
+            basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
+            basis = basis[:, np.abs(np.diag(triangle)) > 1e-9]
+            n_rows, width, n_points = candidates.shape
+            flat = candidates.reshape(n_rows, width * n_points)
+            norms = np.sqrt(np.einsum("ij,ij->j", flat, flat))
+            flat = flat / np.where(norms > 0.0, norms, 1.0)
+            flat = flat - basis @ (basis.T @ flat)
+            split = flat.reshape(n_rows, width, n_points)
+            gram = np.einsum("iag,ibg->gab", split, split, optimize=True)
+            gram[:, np.arange(width), np.arange(width)] += 1e-6
+            for output, own in enumerate(regression.block_of):
+                if own != number:
+                    continue
+                values = regression.values[output]
+                residual = values - basis @ (basis.T @ values)
+                projected = (flat.T @ residual).reshape(width, n_points).T
+                explained = np.einsum(
+                    "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
+                )
+                share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
+                total -= 0.5 * n_rows * np.log1p(-share)
+        return total
+
+
+def _thinned(
+    record: TimeRecord, input_name: str | None, structure: ModalStructure, high_hz: float, seed: int
+) -> TimeRecord:
+    """Return a record with a regular, not too dense input and not too many stamps."""
+    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    period = drive.period_s
+    needed = 1.0 / (_SAMPLES_PER_CYCLE * high_hz)
+    if period is None or period < 0.5 * needed:
+        signal = drive.signal()
+        first, last = drive.span_s
+        step = min(needed, (last - first) / 64.0)
+        n = int(np.floor((last - first) / step)) + 1
+        grid = first + step * np.arange(n)
+        drive = InputSignal(drive.name, drive.unit, (first, step), signal(grid), "linear", drive.sigma)  # type: ignore[arg-type]
+    rng = np.random.default_rng(seed)
+    outputs = []
+    chosen: dict[bytes, NDArray[np.intp]] = {}
+    for output in record.outputs:
+        key = output.times_s.tobytes()
+        if key not in chosen:
+            n = len(output.times_s)
+            chosen[key] = (
+                np.arange(n) if n <= _MAX_STAMPS else np.sort(rng.choice(n, _MAX_STAMPS, replace=False))
+            )
+        keep = chosen[key]
+        if np.count_nonzero(output.is_valid[keep]) < 20:
+            keep = np.flatnonzero(output.is_valid)[:_MAX_STAMPS]
+        outputs.append(
+            OutputSignal(
+                output.name,
+                output.unit,
+                output.times_s[keep],
+                output.values[keep],
+                output.exposure_s,
+                output.sigma,
+            )
+        )
+    return TimeRecord((drive,), tuple(outputs), record.start_ns, record.name)

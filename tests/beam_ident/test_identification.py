@@ -1,0 +1,237 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    ModalModel,
+    ModalStructure,
+    ModelFormatError,
+    OutputSignal,
+    Prior,
+    TimeRecord,
+    compare_models,
+    identify,
+)
+from tests.beam_ident.truth import OMEGAS, RESIDUAL_TERMS, RESIDUES, ZETAS, beam_record
+
+EXACT_CLOCK = {"latency": Prior(0.0), "clock_rate": Prior(0.0)}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return identify(beam_record(1))
+
+
+def z_scores(model: ModalModel) -> np.ndarray:
+    """Return all modal parameters' errors over their stated standard deviations."""
+    return np.concatenate(
+        [
+            (model.natural_frequencies - OMEGAS) / model.natural_frequency_sd,
+            (model.damping_ratios - ZETAS) / model.damping_ratio_sd,
+            ((model.residues - RESIDUES) / model.residue_sd).ravel(),
+            (model.residual_terms - RESIDUAL_TERMS) / model.residual_term_sd,
+            (model.gains - 1.0) / model.gain_sd,
+        ]
+    )
+
+
+def test_three_modes_are_found_without_hints_the_third_above_half_the_frame_rate(result):
+    assert result.converged
+    np.testing.assert_allclose(result.model.natural_frequencies, OMEGAS, rtol=1e-3)
+    assert np.max(np.abs(z_scores(result.model))) < 4.0
+    assert not result.warnings
+
+
+def test_the_order_table_marks_the_choice_and_says_why_others_were_refused(result):
+    chosen = [entry for entry in result.orders if entry.is_chosen]
+    assert [entry.n_modes for entry in chosen] == [3]
+    assert all(entry.refused_because for entry in result.orders if entry.n_modes > 3)
+
+
+def test_scores_are_given_on_the_deflection_too(result):
+    root = result.output("z010")
+    assert root.scores.r_squared > 0.9999
+    assert root.deflection_scores.r_squared < root.scores.r_squared
+    assert root.noise_sd == pytest.approx(4e-6, rel=0.06)  # 3000 samples: 1.3 %
+
+
+def test_without_noise_the_command_gives_the_truth_to_rounding():
+    model = identify(beam_record(0, noise=0.0, quantity="acceleration"), "acceleration", n_modes=3).model
+    np.testing.assert_allclose(model.natural_frequencies, OMEGAS, rtol=1e-9)
+    np.testing.assert_allclose(model.damping_ratios, ZETAS, rtol=1e-5)
+    np.testing.assert_allclose(model.residues, RESIDUES, rtol=1e-5)
+    assert abs(model.latency) < 1e-9
+
+
+def test_a_latency_of_the_stamps_is_estimated_and_does_not_move_the_poles():
+    late = identify(beam_record(2, latency=3.1e-3), n_modes=3).model
+    assert abs(late.latency - 3.1e-3) < 4.0 * late.latency_sd
+    assert late.latency_sd < 20e-6
+    assert np.max(np.abs(z_scores(late))) < 4.0
+
+
+def test_a_prior_on_the_clock_reaches_the_stated_uncertainty():
+    record = beam_record(3)
+    fixed = identify(record, n_modes=3, **EXACT_CLOCK).model
+    loose = identify(record, n_modes=3, latency=Prior(0.0), clock_rate=Prior(0.0, np.inf)).model
+    tight = identify(record, n_modes=3, latency=Prior(0.0), clock_rate=Prior(0.0, 1e-7)).model
+    sd = [model.natural_frequency_sd[0] for model in (fixed, tight, loose)]
+    assert sd[0] < sd[1] < sd[2]
+    assert fixed.clock_rate_sd == 0.0
+    assert tight.clock_rate_sd < 1e-7
+
+
+def test_samples_that_were_not_seen_are_left_out():
+    record = beam_record(4)
+    rng = np.random.default_rng(0)
+    outputs = []
+    for output in record.outputs:
+        values = output.values.copy()
+        values[rng.random(len(values)) < 0.2] = np.nan
+        outputs.append(OutputSignal(output.name, "m", output.times_s, values, output.exposure_s))
+    model = identify(TimeRecord(record.inputs, tuple(outputs)), n_modes=3).model
+    assert np.max(np.abs(z_scores(model))) < 4.0
+
+
+def test_an_irregular_input_gives_the_same_model_as_a_regular_one():
+    record = beam_record(5)
+    drive = record.inputs[0]
+    keep = np.ones(len(drive.values), dtype=bool)
+    keep[np.random.default_rng(0).choice(np.arange(10, len(keep) - 10), 300, replace=False)] = False
+    irregular = InputSignal("hub", "m", drive.times_s[keep], drive.values[keep], "cubic")
+    assert irregular.period_s is None
+    model = identify(TimeRecord((irregular,), record.outputs), n_modes=3).model
+    assert np.max(np.abs(z_scores(model))) < 4.0
+
+
+def test_two_records_share_a_model_and_halve_its_variance():
+    one = identify(beam_record(6), n_modes=3, **EXACT_CLOCK).model
+    both = identify([beam_record(6), beam_record(7)], n_modes=3, **EXACT_CLOCK).model
+    ratio = one.natural_frequency_sd / both.natural_frequency_sd
+    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.05)
+    assert np.max(np.abs(z_scores(both))) < 4.0
+
+
+def test_offset_ramp_and_a_moving_start_do_not_bias_the_poles():
+    record = beam_record(8).between(6.0, 29.0)
+    outputs = tuple(
+        OutputSignal(o.name, "m", o.times_s, o.values + 1e-3 + 5e-5 * o.times_s, o.exposure_s)
+        for o in record.outputs
+    )
+    moved = TimeRecord(record.inputs, outputs)
+    model = identify(moved, n_modes=3).model
+    assert np.max(np.abs(z_scores(model))) < 4.0
+    without = identify(
+        moved, ModalStructure(has_free_response=False, has_offset=False, has_ramp=False), n_modes=3
+    )
+    assert np.max(np.abs(z_scores(without.model)[:6])) > 10.0
+
+
+def test_models_of_two_records_agree_and_a_changed_model_does_not(result):
+    other = identify(beam_record(9), n_modes=3).model
+    same = compare_models(result.model, other)
+    assert same.degrees_of_freedom == 6
+    assert same.p_value > 1e-3
+    moved = {**other.to_dict(), "damping_ratios": (1.2 * other.damping_ratios).tolist()}
+    assert compare_models(result.model, ModalModel.from_dict(moved)).p_value < 1e-6
+
+
+def test_a_model_survives_json_exactly(result):
+    model = result.model
+    again = ModalModel.from_dict(json.loads(json.dumps(model.to_dict())))
+    np.testing.assert_array_equal(again.parameters, model.parameters)
+    np.testing.assert_array_equal(again.covariance, model.covariance)
+    assert again.parameter_names == model.parameter_names
+    with pytest.raises(ModelFormatError, match="schema 99"):
+        ModalModel.from_dict({**model.to_dict(), "schema": 99})
+    short = model.to_dict()
+    del short["gains"]
+    with pytest.raises(ModelFormatError, match="'gains' is missing"):
+        ModalModel.from_dict(short)
+
+
+def test_simulation_reproduces_the_fit(result):
+    record = beam_record(1)
+    output = result.output("z285")
+    simulated = result.model.simulate(record.inputs[0], output.times_s - result.model.latency, 5e-3)[:, 2]
+    # What is left: offset, ramp, free response and clock rate, all at the level of the noise.
+    assert np.std(simulated - output.modelled) < 1e-6
+
+
+def test_the_frequency_response_has_bands_that_cover_the_truth(result):
+    omegas = 2.0 * np.pi * np.geomspace(2.0, 90.0, 40)
+    s = 1j * omegas[:, None]
+    truth = 1.0 - s**2 * (
+        sum(RESIDUES[:, i] / (s**2 + 2 * ZETAS[i] * OMEGAS[i] * s + OMEGAS[i] ** 2) for i in range(3))
+        + RESIDUAL_TERMS
+    )
+    found = result.model.frequency_response(omegas)
+    z = (np.abs(found.response) - np.abs(truth)) / found.magnitude_sd
+    assert np.max(np.abs(z)) < 4.5
+    assert np.max(np.abs(np.angle(found.response / truth)) / found.phase_sd) < 4.5
+
+
+def test_input_noise_that_matters_is_flagged():
+    record = beam_record(1, encoder=0.0)
+    for sigma, is_flagged in ((1e-9, False), (1e-6, True)):
+        drive = InputSignal("hub", "m", record.inputs[0].times_s, record.inputs[0].values, "cubic", sigma)
+        found = identify(TimeRecord((drive,), record.outputs), n_modes=3)
+        assert any("Noise on the input" in text for text in found.warnings) is is_flagged
+
+
+def test_a_free_decay_is_identified_and_said_to_be_one():
+    times = np.arange(0.0, 10.0, 0.01)
+    pole = complex(-0.05, 20.0)
+    rng = np.random.default_rng(0)
+    values = np.real(1e-3 * np.exp(pole * times)) + 1e-6 * rng.standard_normal(len(times))
+    drive = InputSignal("hub", "m", (0.0, 0.01), np.zeros(1001), "linear")
+    found = identify(TimeRecord((drive,), (OutputSignal("tip", "m", times, values),)))
+    assert found.model.n_modes == 1
+    assert found.model.poles[0] == pytest.approx(pole, rel=1e-4)
+    assert any("stands still" in text for text in found.warnings)
+
+
+def make_small(values, n_input=2000):
+    drive = InputSignal("hub", "m", (0.0, 0.001), np.sin(np.arange(n_input) * 0.03), "cubic")
+    return TimeRecord((drive,), (OutputSignal("tip", "m", (0.0, 0.01), values),))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: identify(make_small(np.ones(150))), "is constant"),
+        (lambda: identify(make_small(np.arange(10.0))), "has 10 samples"),
+        (lambda: identify(make_small(np.random.default_rng(0).normal(size=60)), n_modes=5), "for 5 modes"),
+        (lambda: identify(make_small(np.arange(150.0)), n_modes=0), "n_modes is 0"),
+        (lambda: identify(make_small(np.arange(150.0)), n_modes=41), "n_modes is 41"),
+        (lambda: identify(make_small(np.arange(150.0)), "torque"), "structure is 'torque'"),
+        (lambda: identify([]), "no record"),
+        (lambda: identify(make_small(np.random.default_rng(0).normal(size=190))), "stands out of the noise"),
+        (lambda: Prior(0.0, -1.0), "expected a finite mean and sd >= 0"),
+    ],
+)
+def test_hopeless_requests_are_refused_with_what_is_wrong(call, says):
+    with pytest.raises(EstimationError, match=says):
+        call()
+
+
+def test_a_held_position_is_refused_as_it_makes_the_deflection_jump():
+    drive = InputSignal("hub", "m", (0.0, 0.001), np.sin(np.arange(2000) * 0.03), "zoh")
+    record = TimeRecord((drive,), (OutputSignal("tip", "m", (0.0, 0.01), np.arange(190.0)),))
+    with pytest.raises(EstimationError, match="hold='linear' or 'cubic'"):
+        identify(record)
+
+
+@pytest.mark.verify
+def test_intervals_cover_the_truth_over_many_records():
+    scores = np.array([z_scores(identify(beam_record(seed), n_modes=3).model) for seed in range(200)])
+    covered = np.mean(np.abs(scores) < 1.96, axis=0)
+    # 200 runs: the standard deviation of a coverage of 95 % is 1.5 %.
+    assert np.all(covered > 0.905)
+    assert 0.93 < np.mean(covered) < 0.97
+    assert np.max(np.abs(np.mean(scores, axis=0))) < 0.3

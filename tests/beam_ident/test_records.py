@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import InputSignal, OutputSignal, RecordError, TimeRecord
+
+
+def make_record(**changes):
+    drive = InputSignal("hub", "m", (0.0, 0.001), np.zeros(1000), "linear")
+    output = OutputSignal("tip", "m", (0.0, 0.01), np.zeros(100))
+    return TimeRecord((drive,), (output,), **changes)
+
+
+def test_a_pair_of_start_and_period_becomes_a_regular_grid():
+    drive = InputSignal("hub", "m", (2.0, 0.001), np.zeros(5))
+    np.testing.assert_allclose(drive.times_s, 2.0 + 0.001 * np.arange(5), atol=1e-15)
+    assert drive.period_s == pytest.approx(0.001)
+    assert drive.span_s == pytest.approx((2.0, 2.005))  # the last held value lasts one more period
+
+
+def test_irregular_stamps_are_kept_as_they_are():
+    stamps = np.array([0.0, 0.1, 0.25])
+    drive = InputSignal("hub", "m", stamps, np.zeros(3), "linear")
+    assert drive.period_s is None
+    assert drive.span_s == (0.0, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "values", "says"),
+    [
+        (np.array([0.0, 1.0, 1.0]), np.zeros(3), "does not come after"),
+        (np.array([0.0, 2.0, 1.0]), np.zeros(3), "does not come after"),
+        (np.array([0.0, np.nan, 1.0]), np.zeros(3), "stamp 1"),
+        (np.array([0.0, 1.0]), np.zeros(3), "one stamp for each value"),
+        ((0.0, 0.0), np.zeros(3), "period > 0"),
+        ((0.0, 1.0), np.array([0.0, np.nan, 1.0]), "value 1 is nan"),
+        ((0.0, 1.0), np.array([0.0, np.inf, 1.0]), "value 1 is inf"),
+        ((0.0, 1.0), np.zeros(1), "at least two"),
+    ],
+)
+def test_a_bad_input_is_refused_with_what_is_wrong(stamps, values, says):
+    with pytest.raises(RecordError, match=says):
+        InputSignal("hub", "m", stamps, values)
+
+
+def test_an_output_may_miss_samples_but_not_all_and_not_with_infinity():
+    output = OutputSignal("tip", "m", (0.0, 1.0), np.array([0.0, np.nan, 1.0]))
+    assert output.is_valid.tolist() == [True, False, True]
+    with pytest.raises(RecordError, match="all 3 values are NaN"):
+        OutputSignal("tip", "m", (0.0, 1.0), np.full(3, np.nan))
+    with pytest.raises(RecordError, match="mark a missing sample with NaN"):
+        OutputSignal("tip", "m", (0.0, 1.0), np.array([0.0, np.inf, 1.0]))
+
+
+def test_an_unknown_hold_and_a_negative_exposure_are_refused():
+    with pytest.raises(RecordError, match="hold is 'spline'"):
+        InputSignal("hub", "m", (0.0, 1.0), np.zeros(3), "spline")
+    with pytest.raises(RecordError, match="exposure_s is -1"):
+        OutputSignal("tip", "m", (0.0, 1.0), np.zeros(3), exposure_s=-1.0)
+
+
+def test_signals_that_do_not_overlap_or_share_a_name_are_refused():
+    drive = InputSignal("hub", "m", (0.0, 0.001), np.zeros(1000))
+    with pytest.raises(RecordError, match="do not overlap"):
+        TimeRecord((drive,), (OutputSignal("tip", "m", (5.0, 0.01), np.zeros(100)),))
+    with pytest.raises(RecordError, match="used twice"):
+        TimeRecord((drive,), (OutputSignal("hub", "m", (0.0, 0.01), np.zeros(100)),))
+
+
+def test_signals_are_found_by_name_and_cannot_be_changed():
+    record = make_record()
+    assert record.output("tip").unit == "m"
+    with pytest.raises(RecordError, match="available: tip"):
+        record.output("root")
+    with pytest.raises(ValueError, match="read-only"):
+        record.output("tip").values[0] = 1.0
+
+
+def test_a_segment_keeps_the_input_that_its_outputs_need():
+    part = make_record().between(0.205, 0.5)
+    assert part.outputs[0].times_s[0] >= 0.205
+    assert part.inputs[0].times_s[0] <= 0.205
+    assert part.inputs[0].times_s[-1] >= 0.5
