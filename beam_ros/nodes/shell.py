@@ -190,7 +190,7 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
         pass
     except Exception as err:
         if isinstance(err, faults_of_the_user()):
-            print(f"beam_ros node: {err}", file=sys.stderr)  # noqa: T201
+            print(f"{build.__module__.rpartition('.')[2]}: {err}", file=sys.stderr)  # noqa: T201
             status = FAULT_OF_THE_USER
         elif rclpy.ok():
             raise

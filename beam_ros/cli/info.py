@@ -1,0 +1,60 @@
+"""Say what a bag holds: topics, samples and gaps, clocks, sequences, excitation."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from datetime import datetime, timezone
+from pathlib import Path
+
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.summary import BagInfo, summarise
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="folder of the bag, or a single .mcap or .db3 file"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    with Bag(arguments.bag) as bag:
+        info = summarise(bag)
+    print(json.dumps(info.to_dict(), indent=2) if arguments.json else _text(info))
+    return 0
+
+
+def _text(info: BagInfo) -> str:
+    start = datetime.fromtimestamp(info.start_ns * 1e-9, timezone.utc)
+    lines = [
+        f"{info.path}: {info.message_count} messages in {info.duration_ns * 1e-9:.1f} s from "
+        f"{start:%Y-%m-%d %H:%M:%S} UTC ({info.storage})",
+        "",
+    ]
+    width = max((len(topic.name) for topic in info.topics), default=0)
+    lines += [f"  {t.name:<{width}}  {t.message_count:>8}  {t.type_name}" for t in info.topics]
+    lines.append("")
+    for signal in info.signals:
+        seen = ""
+        if signal.names:
+            unseen = zip(signal.names, signal.unseen, strict=True)
+            seen = "; not seen: " + ", ".join(f"{name} {count}" for name, count in unseen)
+        lines.append(
+            f"  {signal.topic}: {signal.samples} samples over {signal.duration_s:.3f} s at {signal.rate_hz:.3f} Hz, "
+            f"{signal.gaps} gaps, {signal.lost} lost{seen}"
+        )
+    for clock in info.clocks:
+        if not math.isnan(clock.rate_ppm):
+            lines.append(
+                f"  clock epoch {clock.epoch}: {clock.rate_ppm:+.3f} ppm against the host, residual "
+                f"{clock.residual_ns * 1e-3:.1f} us, median round trip {clock.median_rtt_ns * 1e-3:.0f} us"
+            )
+    lines += [f"  sequence {sequence}" for sequence in info.sequences]
+    if info.excitation:
+        recipe = info.excitation.get("recipe", {})
+        lines.append("  excitation " + ", ".join(f"{key} {value}" for key, value in recipe.items()))
+    return "\n".join(lines)
