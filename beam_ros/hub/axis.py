@@ -83,6 +83,17 @@ class TickBatch:
         """Return the number of ticks."""
         return len(self.applied)
 
+    @classmethod
+    def join(cls, parts: Sequence[TickBatch]) -> TickBatch:
+        """Return batches that follow each other as one."""
+        return cls(
+            parts[0].first_tick,
+            np.concatenate([part.applied for part in parts]),
+            np.concatenate([part.position_counts for part in parts]),
+            np.concatenate([part.velocity_counts for part in parts]),
+            np.concatenate([part.efforts for part in parts]),
+        )
+
     def __getitem__(self, part: slice) -> TickBatch:
         """Return some of the ticks, which must follow each other."""
         return TickBatch(
@@ -248,6 +259,11 @@ class VirtualAxis:
     def velocity(self) -> float:
         """Measured velocity [m/s]."""
         return self._velocity_count() * (self.parameters.encoder_resolution / self._period)
+
+    @property
+    def true_position(self) -> float:
+        """Where the hub really is, seen from home [m]; no device knows that before it has homed."""
+        return self._position
 
     @property
     def has_sequence(self) -> bool:

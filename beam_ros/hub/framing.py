@@ -1,8 +1,9 @@
 """Frames on a serial line: bytes to payloads and back, whatever the line does to them.
 
-A frame is COBS(payload + CRC-32) and a zero byte. COBS (Cheshire & Baker 1999) leaves no zero inside, so
-that a reader who starts anywhere, or lost anything, is in step again after the next zero. The CRC is the
-one of Ethernet and zlib; at these lengths it detects every error of up to three bits.
+A frame is a zero byte, COBS(payload + CRC-32) and a zero byte. COBS (Cheshire & Baker 1999) leaves no zero
+inside, so that a reader who starts anywhere, or lost anything, is in step again after the next zero; the
+leading one parts the frame from whatever noise came before it. The CRC is the one of Ethernet and zlib; at
+these lengths it detects every error of up to three bits.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def cobs_decode(data: bytes) -> bytes:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """Return one frame around a payload, with its closing zero byte.
+    """Return one frame around a payload, with its zero bytes.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def encode_frame(payload: bytes) -> bytes:
     """
     if not 1 <= len(payload) <= MAX_PAYLOAD:
         raise HubProtocolError(f"payload of {len(payload)} bytes: expected 1 to {MAX_PAYLOAD}")
-    return cobs_encode(payload + _CRC.pack(zlib.crc32(payload))) + b"\0"
+    return b"\0" + cobs_encode(payload + _CRC.pack(zlib.crc32(payload))) + b"\0"
 
 
 class FrameDecoder:

@@ -257,14 +257,7 @@ class SimulatedHub:
         size = self._parameters.batch_ticks
         if self._n_pending < size:
             return []
-        pending = self._pending
-        whole = TickBatch(
-            pending[0].first_tick,
-            np.concatenate([p.applied for p in pending]),
-            np.concatenate([p.position_counts for p in pending]),
-            np.concatenate([p.velocity_counts for p in pending]),
-            np.concatenate([p.efforts for p in pending]),
-        )
+        whole = TickBatch.join(self._pending)
         batches = []
         n_full = len(whole) // size
         for k in range(n_full):

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 
 from beam_ros.hub import (
     HostTime,
+    Hub,
     HubParameters,
     HubReport,
+    Outcome,
     RigidPlant,
     SequenceChunk,
     SimulatedHub,
     VirtualAxis,
 )
+from beam_ros.hub.client import HubClient
+from beam_ros.hub.contract import RequestKind
+from beam_ros.hub.driver import DriverHub
+from beam_ros.hub.emulator import EmulatedController, FirmwareEmulator
 
 UNIX_START = 1_700_000_000_000_000_000
 STEADY_START = 5_000_000_000
@@ -54,14 +66,50 @@ def enabled_axis(parameters: HubParameters, plant: object = None, **options: int
     return axis
 
 
-class SimulatedRig:
+class Rig:
+    """A hub and the host that polls it."""
+
+    hub: Hub
+    reports: list[HubReport]
+
+    @property
+    def now(self) -> HostTime:
+        raise NotImplementedError
+
+    def run(self, seconds: float) -> list[HubReport]:
+        raise NotImplementedError
+
+    def ask(self, kind: RequestKind, timeout_s: float = 5.0) -> Outcome:
+        """Make a request and return how it ended."""
+        request_id = self.hub.request(kind)
+        for _ in range(round(timeout_s * 100)):
+            completed = dict(self.run(0.01)[-1].completed)
+            if request_id in completed:
+                return completed[request_id]
+        raise AssertionError(f"{kind} did not end")
+
+    def enable(self) -> None:
+        for kind in ("home", "enable"):
+            assert self.ask(kind).success
+
+    def until(self, condition: Callable[[HubReport], bool], timeout_s: float = 5.0) -> list[HubReport]:
+        """Poll until a report fulfils a condition; return all reports until then."""
+        new: list[HubReport] = []
+        for _ in range(round(timeout_s * 100)):
+            new += self.run(0.01)
+            if condition(new[-1]):
+                return new
+        raise AssertionError(f"not within {timeout_s} s; last: {new[-1]}")
+
+
+class SimulatedRig(Rig):
     """A simulated hub with a host clock that the test moves."""
 
     def __init__(self, parameters: HubParameters, plant: object = None, **options: object) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
         self.hub = SimulatedHub(VirtualAxis(parameters, load), **options)
         self.steady_ns = STEADY_START
-        self.reports: list[HubReport] = []
+        self.reports = []
         self.hub.poll(self.now)
 
     @property
@@ -77,13 +125,97 @@ class SimulatedRig:
         self.reports += new
         return new
 
-    def enable(self) -> None:
-        for kind in ("home", "enable"):
-            request_id = self.hub.request(kind)
-            for _ in range(500):
-                completed = dict(self.run(0.01)[-1].completed)
-                if request_id in completed:
-                    assert completed[request_id].success, completed
-                    break
-            else:
-                raise AssertionError(f"{kind} did not end")
+
+class LoopbackRig(Rig):
+    """The driver's client and the emulated firmware on a line without a port, in virtual time.
+
+    `to_device` and `to_host` may change what the line carries: bytes in, bytes out.
+    """
+
+    STEP_NS = 1_000_000
+
+    def __init__(
+        self,
+        parameters: HubParameters,
+        device_parameters: HubParameters | None = None,
+        plant: object = None,
+        guard: object = None,
+    ) -> None:
+        self.parameters = parameters
+        self.device_parameters = device_parameters or parameters
+        self.plant = plant or RigidPlant(0.8, parameters.period)
+        self.hub = self.client = HubClient(parameters, guard)
+        self.steady_ns = STEADY_START
+        self.reports = []
+        self.to_device: Callable[[bytes], bytes] = lambda data: data
+        self.to_host: Callable[[bytes], bytes] = lambda data: data
+        self.is_polled = True
+        self.rng = random.Random(1)
+        self.start_device(1)
+        self.client.line_opened(self.steady_ns)
+
+    def start_device(self, boot_id: int) -> None:
+        self.firmware = FirmwareEmulator(self.device_parameters, self.plant, boot_id=boot_id)
+        self.boot_ns = self.steady_ns
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(self.steady_ns, self.steady_ns - STEADY_START + UNIX_START)
+
+    def device_ns(self, steady_ns: int) -> int:
+        rate = 1 + self.device_parameters.clock_drift_ppm * 1e-6
+        return self.device_parameters.clock_start_ns + round((steady_ns - self.boot_ns) * rate)
+
+    def run(self, seconds: float) -> list[HubReport]:
+        new = []
+        steps = round(seconds * 1e9) // self.STEP_NS
+        for k in range(steps):
+            out = self.client.transmit(self.steady_ns) + self.client.clock_query(self.steady_ns)
+            there = self.steady_ns + 50_000 + self.rng.randint(0, 100_000)
+            back = there + 50_000 + self.rng.randint(0, 100_000)
+            answer = self.firmware.exchange(self.to_device(out), self.device_ns(there))
+            self.client.receive(self.to_host(answer), back)
+            self.steady_ns += self.STEP_NS
+            if self.client.is_silent(self.steady_ns):
+                self.client.line_lost("silence")
+                self.client.line_opened(self.steady_ns)
+            if self.is_polled and (k + 1) % 10 == 0:
+                new.append(self.client.poll(self.now))
+        self.reports += new
+        return new
+
+    def connect(self) -> None:
+        self.until(lambda r: r.status.state != "disconnected")
+        self.until(lambda r: r.status.counters.get("clock_sd_ns", 10**9) < 20_000)
+
+
+class DriverRig(Rig):
+    """The driver with the emulated controller on a pseudo-terminal, in real time."""
+
+    def __init__(self, parameters: HubParameters, folder: Path, plant: object = None) -> None:
+        load = plant or RigidPlant(0.8, parameters.period)
+        self.emulator = EmulatedController(parameters, load, link=folder / "hub")
+        self.hub = DriverHub(dataclasses.replace(parameters, serial_port=self.emulator.port))
+        self.reports = []
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(time.monotonic_ns(), time.time_ns())
+
+    def run(self, seconds: float) -> list[HubReport]:
+        end = time.monotonic() + seconds
+        new = []
+        while time.monotonic() < end:
+            time.sleep(0.01)
+            new.append(self.hub.poll(self.now))
+        self.reports += new
+        return new
+
+    def connect(self) -> None:
+        self.until(lambda r: r.status.state != "disconnected")
+        limit_ns = 0.8 * 50_000
+        self.until(lambda r: r.status.counters.get("clock_sd_ns", 10**9) < limit_ns)
+
+    def close(self) -> None:
+        self.hub.close()
+        self.emulator.close()
