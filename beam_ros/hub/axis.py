@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ros.hub.contract import AxisEventKind, AxisState, FloatArray, Outcome, RequestKind
+from beam_ros.hub.contract import AxisEventKind, AxisState, FloatArray, Outcome, RequestKind, SampleBatch
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.parameters import HubParameters
 from beam_ros.hub.plant import Plant
@@ -103,6 +103,44 @@ class TickBatch:
             self.velocity_counts[part],
             self.efforts[part],
         )
+
+
+def sample_batches(
+    ticks: TickBatch, stamp_ns: int, epoch: int, parameters: HubParameters
+) -> tuple[SampleBatch, SampleBatch]:
+    """Return a device's ticks as the batches for ``hub/applied`` and ``hub/measured``.
+
+    Parameters
+    ----------
+    ticks : TickBatch
+        Consecutive ticks.
+    stamp_ns : int
+        Host time of the first [ns, UNIX].
+    epoch : int
+        The device's clock epoch.
+    parameters : HubParameters
+        Command mode, resolution and period.
+    """
+    mode = parameters.command_mode
+    resolution = parameters.encoder_resolution
+    applied = SampleBatch(
+        stamp_ns,
+        parameters.period_ns,
+        epoch,
+        positions=ticks.applied if mode == "position" else None,
+        velocities=ticks.applied if mode == "velocity" else None,
+        accelerations=ticks.applied if mode == "acceleration" else None,
+        efforts=ticks.applied if mode == "effort" else None,
+    )
+    measured = SampleBatch(
+        stamp_ns,
+        parameters.period_ns,
+        epoch,
+        positions=np.multiply(ticks.position_counts, resolution, dtype=np.float64),
+        velocities=np.multiply(ticks.velocity_counts, resolution / parameters.period, dtype=np.float64),
+        efforts=ticks.efforts.astype(np.float64),
+    )
+    return applied, measured
 
 
 @dataclass(frozen=True)

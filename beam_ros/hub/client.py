@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beam_ros.hub import protocol
+from beam_ros.hub.axis import sample_batches
 from beam_ros.hub.clock_mapping import ClockMapping
 from beam_ros.hub.contract import (
     ClockSync,
@@ -33,7 +34,6 @@ from beam_ros.hub.framing import FrameDecoder
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import HubParameters
 from beam_ros.hub.sequences import CommandGate, Guard, Sequence
-from beam_ros.hub.simulated_hub import sample_batches
 
 Link = Literal["down", "greeting", "up"]
 

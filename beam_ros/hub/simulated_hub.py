@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ros.hub.axis import Snapshots, TickBatch, VirtualAxis
+from beam_ros.hub.axis import Snapshots, TickBatch, VirtualAxis, sample_batches
 from beam_ros.hub.contract import (
     ClockSync,
     HostTime,
@@ -26,51 +26,12 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.host_clock import HostClock
-from beam_ros.hub.parameters import HubParameters
 from beam_ros.hub.sequences import CommandGate, Guard
 
 CLOCK_SYNC_NS = 200_000_000
 """Interval of the clock comparisons that are reported [ns]."""
 MAX_CATCH_UP_NS = 10_000_000_000
 """After a longer pause (a suspended computer) the simulated device starts a new clock epoch instead."""
-
-
-def sample_batches(
-    ticks: TickBatch, stamp_ns: int, epoch: int, parameters: HubParameters
-) -> tuple[SampleBatch, SampleBatch]:
-    """Return a device's ticks as the batches for ``hub/applied`` and ``hub/measured``.
-
-    Parameters
-    ----------
-    ticks : TickBatch
-        Consecutive ticks.
-    stamp_ns : int
-        Host time of the first [ns, UNIX].
-    epoch : int
-        The device's clock epoch.
-    parameters : HubParameters
-        Command mode, resolution and period.
-    """
-    mode = parameters.command_mode
-    resolution = parameters.encoder_resolution
-    applied = SampleBatch(
-        stamp_ns,
-        parameters.period_ns,
-        epoch,
-        positions=ticks.applied if mode == "position" else None,
-        velocities=ticks.applied if mode == "velocity" else None,
-        accelerations=ticks.applied if mode == "acceleration" else None,
-        efforts=ticks.applied if mode == "effort" else None,
-    )
-    measured = SampleBatch(
-        stamp_ns,
-        parameters.period_ns,
-        epoch,
-        positions=np.multiply(ticks.position_counts, resolution, dtype=np.float64),
-        velocities=np.multiply(ticks.velocity_counts, resolution / parameters.period, dtype=np.float64),
-        efforts=ticks.efforts.astype(np.float64),
-    )
-    return applied, measured
 
 
 class SimulatedHub:
