@@ -27,6 +27,7 @@ MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
 
 _RANK_TOLERANCE = 1e-10
+_CHOLESKY_TOLERANCE = 1e-5
 _STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible changes
 _COST_TOLERANCE = 1e-7  # in log-likelihood
 _NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
@@ -110,7 +111,11 @@ class _LinearSolution:
     def of(matrix: FloatArray) -> _LinearSolution:
         scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
         scales[scales == 0.0] = 1.0
-        basis, triangle, order = qr(matrix / scales, mode="economic", pivoting=True, check_finite=False)
+        scaled = matrix / scales
+        quick = _cholesky_qr(scaled)
+        if quick is not None:
+            return _LinearSolution(quick[0], quick[1], np.arange(len(scales)), scales)
+        basis, triangle, order = qr(scaled, mode="economic", pivoting=True, check_finite=False)
         diagonal = np.abs(np.diag(triangle))
         rank = int(np.count_nonzero(diagonal > _RANK_TOLERANCE * max(diagonal[0], 1e-300)))
         return _LinearSolution(basis[:, :rank], triangle[:rank, :rank], order[:rank], scales)
@@ -130,6 +135,27 @@ class _LinearSolution:
         result = np.zeros((len(self.scales), len(self.scales)))
         result[np.ix_(self.kept, self.kept)] = inverse @ inverse.T
         return result
+
+
+def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return Q and R by two rounds of Cholesky, or None where columns are nearly dependent.
+
+    Notes
+    -----
+    Orthogonal to rounding while the condition stays below 1e7 (Yamamoto et al. 2015),
+    and several times quicker than Householder reflections on tall matrices.
+    """
+    basis, triangle = matrix, np.eye(matrix.shape[1])
+    for _ in range(2):
+        try:
+            lower = np.linalg.cholesky(basis.T @ basis)
+        except np.linalg.LinAlgError:
+            return None
+        if np.min(np.diag(lower)) < _CHOLESKY_TOLERANCE:
+            return None
+        basis = solve_triangular(lower, basis.T, lower=True, check_finite=False).T
+        triangle = lower.T @ triangle
+    return basis, triangle
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,11 +24,11 @@ from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
 SCAN_DAMPING = 0.015
 
-_MAX_STAMPS = 3000
+_MAX_STAMPS = 1500
 _MAX_POINTS = 900
 _CHUNK = 48
 _FINE_DAMPINGS = (0.003, 0.015, 0.08)
-_SAMPLES_PER_CYCLE = 12
+_SAMPLES_PER_CYCLE = 7  # joined by a cubic spline
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class ModalScan:
     def gains(self, model: ModalFit) -> FloatArray:
         """Return the gain in log-likelihood over the grid, shape (n_points,)."""
         clock = model.clock
-        moved = abs(clock.latency - self._columns_clock.latency) * self.omegas[-1] > 0.3
+        moved = abs(clock.latency - self._columns_clock.latency) * self.omegas[-1] > 1.0
         if self._columns is None or moved:
             self._columns = self._candidate_columns(
                 self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock
@@ -163,13 +163,13 @@ def _thinned(
     drive = record.inputs[0] if input_name is None else record.input(input_name)
     period = drive.period_s
     needed = 1.0 / (_SAMPLES_PER_CYCLE * high_hz)
-    if period is None or period < 0.5 * needed:
+    if period is None or period < 0.75 * needed:
         signal = drive.signal()
         first, last = drive.span_s
         step = min(needed, (last - first) / 64.0)
         n = int(np.floor((last - first) / step)) + 1
         grid = first + step * np.arange(n)
-        drive = InputSignal(drive.name, drive.unit, (first, step), signal(grid), "linear", drive.sigma)  # type: ignore[arg-type]
+        drive = InputSignal(drive.name, drive.unit, (first, step), signal(grid), "cubic", drive.sigma)  # type: ignore[arg-type]
     rng = np.random.default_rng(seed)
     outputs = []
     chosen: dict[bytes, NDArray[np.intp]] = {}
