@@ -19,8 +19,11 @@ from beam_ros.bags.replay import ReplayTopic, due_messages, replay_topics
 from beam_ros.errors import RigUnavailableError, RosMissingError, UsageError
 from beam_ros.nodes.shell import RigNode, qos_profile, run_node
 
-_DISCOVERY_S = 1.0
-"""Time for the graph and the player to find each other before the first message [s]."""
+_DISCOVERY_S = 3.5
+"""Time for the graph and the player to find each other before the first message [s].
+
+It takes 0.2 s, but a participant whose first announcements were lost repeats them only after 3 s.
+"""
 
 _HUB_NODE = "hub"
 _HUB_TOPIC = "hub/measured"
@@ -58,8 +61,8 @@ class BagPlayer(RigNode):
             raise self._fault
         now = time.monotonic()
         if self._outputs is None:
-            # Whoever was there before the player is known by now; those who listen still need to find it.
-            if now >= self._discovered_at - _DISCOVERY_S / 2:
+            # A second for whoever was there to be found, the rest for those who listen to find the player.
+            if now >= self._discovered_at - _DISCOVERY_S + 1.0:
                 self._outputs = self._offer_topics()
         elif self._thread.ident is None:
             if now >= self._discovered_at:

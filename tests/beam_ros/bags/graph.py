@@ -1,0 +1,73 @@
+"""The test's own node on the graph: publishes, listens, calls services, with time limits throughout."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from beam_ros import interfaces
+from beam_ros.interfaces import QualityOfService
+from beam_ros.messages import RosTypes
+from beam_ros.nodes.shell import qos_profile
+
+
+class Graph:
+    """A node of the test's, spun only inside its methods."""
+
+    def __init__(self, name: str = "test") -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(name)
+        self.types = RosTypes()
+
+    def publisher(self, topic: str, qos: QualityOfService | None = None) -> Any:
+        """Make the publisher of a topic of the table."""
+        row = interfaces.TOPICS[topic]
+        message_class = self.types.message_class(row.type_name)
+        return self.node.create_publisher(message_class, topic, qos_profile(qos or row.qos))
+
+    def listen(self, topic: str, callback: Callable[..., None], **options: Any) -> None:
+        """Subscribe to a topic of the table."""
+        row = interfaces.TOPICS[topic]
+        message_class = self.types.message_class(row.type_name)
+        self.node.create_subscription(message_class, topic, callback, qos_profile(row.qos), **options)
+
+    def spin(self, seconds: float) -> None:
+        """Let callbacks run for a while."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def wait(self, condition: Callable[[], bool], what: str, timeout_s: float = 10.0) -> None:
+        """Spin until a condition holds; fail after the time limit."""
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, f"{what} did not happen within {timeout_s:g} s"
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def call(self, service: str) -> Any:
+        """Call a Trigger of the table."""
+        service_class = self.types.service_class(interfaces.SERVICES[service].type_name)
+        client = self.node.create_client(service_class, service)
+        self.wait(client.service_is_ready, f"service {service}")
+        future = client.call_async(service_class.Request())
+        self.wait(future.done, f"an answer of {service}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,112 @@
+"""The player as a real process over DDS: the old bytes in the old rhythm, and never onto a live axis."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from beam_ros import messages
+from beam_ros.bags.batches import encode_batch, encode_chunk
+from beam_ros.bags.writing import BagWriter
+from tests.beam_ros.bags.small_bags import BATCH, START, TYPES, batch, write_experiment
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+
+@pytest.fixture
+def graph():
+    from tests.beam_ros.bags.graph import Graph
+
+    with Graph() as graph:
+        yield graph
+
+
+def _with_commands(path, *, batches=50):
+    with BagWriter(path) as bag:
+        for chunk in messages.split_sequence("chirp", START, 1_000_000, np.zeros(600)):
+            bag.write("hub/sequence", START, encode_chunk(chunk, "acceleration"))
+        for k in range(batches):
+            bag.write_batch("hub/measured", START + k * BATCH * 1_000_000, batch(k))
+        bag.write_message("excitation/info", START, messages.json_text(TYPES, {"kind": "chirp"}))
+    return path
+
+
+def _play(executables, path, **parameters):
+    values = {"player.bag": path, **parameters}
+    arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    return executables.start("bag_player", "--ros-args", *arguments)
+
+
+def test_bytes_come_back_in_their_rhythm_without_commands(executables, graph, tmp_path):
+    path = _with_commands(tmp_path / "run")
+    measured, commands, infos = [], [], []
+    graph.listen("hub/measured", lambda data: measured.append((time.monotonic(), data)), raw=True)
+    graph.listen("hub/sequence", commands.append)
+    graph.listen("excitation/info", lambda message: infos.append(messages.read_json(message)))
+    player = _play(executables, path, **{"player.rate": 2.0})
+    graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 15.0)
+    assert player.wait() == 0, player.output()
+    assert [data for _, data in measured] == [encode_batch(batch(k)) for k in range(50)]
+    assert commands == []
+    assert infos == [{"kind": "chirp"}]
+    times = np.array([moment for moment, _ in measured])
+    ideal = np.arange(50) * 0.01  # a batch every 20 ms, at twice the speed
+    # The middle half of the deviations: a busy machine delays some, never most, by milliseconds.
+    late = times - times[0] - ideal
+    assert np.quantile(np.abs(late - np.median(late)), 0.5) < 5e-3
+
+
+def test_commands_are_played_when_told(executables, graph, tmp_path):
+    path = _with_commands(tmp_path / "run", batches=5)
+    chunks = []
+    graph.listen(
+        "hub/sequence", lambda message: chunks.append(messages.read_sequence_chunk(message, 1_000_000))
+    )
+    player = _play(executables, path, **{"player.commands": "true"})
+    graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 15.0)
+    assert player.wait() == 0, player.output()
+    assert [(mode, chunk.index, chunk.start_ns) for mode, chunk in chunks] == [
+        ("acceleration", 1, START),
+        ("acceleration", 2, START),
+    ]
+
+
+def test_a_live_hub_by_its_topic_is_refused(executables, graph, tmp_path):
+    publisher = graph.publisher("hub/measured")
+    player = _play(executables, write_experiment(tmp_path / "run"))
+    assert player.wait() == 2
+    assert "publisher of hub/measured" in player.output()
+    assert "ROS_DOMAIN_ID" in player.output()
+    assert "Traceback" not in player.output()
+    graph.node.destroy_publisher(publisher)
+
+
+def test_a_live_hub_by_its_name_is_refused_even_when_it_comes_late(executables, tmp_path):
+    from tests.beam_ros.bags.graph import Graph
+
+    player = _play(executables, write_experiment(tmp_path / "run", batches=500))
+    player.wait_for("playing")
+    with Graph("hub") as hub:
+        hub.wait(lambda: player.process.poll() is not None, "the player's end")
+    assert player.wait() == 2
+    assert "node `hub`" in player.output()
+
+
+def test_a_signal_ends_the_replay(executables, tmp_path):
+    player = _play(executables, write_experiment(tmp_path / "run", batches=500))
+    player.wait_for("playing")
+    player.send_signal(signal.SIGINT)
+    player.send_signal(signal.SIGINT)
+    assert player.wait() == 0
+    assert "Traceback" not in player.output()
+
+
+def test_a_bag_that_is_not_there_is_one_line_and_status_2(executables, tmp_path):
+    player = _play(executables, tmp_path / "nothing")
+    assert player.wait() == 2
+    assert "does not exist" in player.output()
+    assert len(player.output().strip().splitlines()) == 1
