@@ -115,10 +115,10 @@ def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
     -------
     int -- exit status; 2 with one line on stderr when a package it needs is missing
     """
-    environment.enter()
     is_node = name != "beam"
     try:
         with _interruption_ends_with(0 if is_node else 130):
+            environment.enter()
             if is_node:
                 importlib.import_module("rclpy")
             module = importlib.import_module(MODULES[name])
@@ -134,7 +134,10 @@ def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _interruption_ends_with(status: int) -> Iterator[None]:
-    """End the process at once on a signal: while modules are imported there is nothing to stop yet."""
+    """End the process at once on a signal: while modules are imported there is nothing to stop yet.
+
+    A parent may have blocked the signals so that none meets an interpreter that only starts; they are let in.
+    """
 
     def leave(_signal: int, _frame: FrameType | None) -> None:
         os._exit(status)
@@ -143,6 +146,8 @@ def _interruption_ends_with(status: int) -> Iterator[None]:
     for number, handler in previous.items():
         if handler is not signal.SIG_IGN:
             signal.signal(number, leave)
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, previous)
     try:
         yield
     finally:

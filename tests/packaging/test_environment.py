@@ -197,6 +197,23 @@ def test_an_interruption_while_modules_load_ends_at_once_without_a_traceback(
     assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "")
 
 
+@pytest.mark.ros
+def test_a_signal_blocked_by_the_parent_ends_a_node_as_soon_as_it_listens() -> None:
+    def block() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+    process = subprocess.Popen(
+        command("simulator"),
+        env=environment.child_environment(),
+        preexec_fn=block,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    process.send_signal(signal.SIGINT)  # long before Python itself has started
+    output, _ = process.communicate(timeout=30)
+    assert (process.returncode, output) == (0, b"")
+
+
 def test_an_unknown_executable_is_refused() -> None:
     ended = subprocess.run(
         [*command("simulater")],
