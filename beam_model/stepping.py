@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from .errors import BeamParameterError
 from .parameters import check_number
 
 Array = NDArray[np.float64]
@@ -23,8 +24,8 @@ _SERIES_REACH = 3.0
 _BLOCK = 32
 
 
-def zero_order_hold(A: Array, B: Array, period: float, scale: Array | None = None) -> tuple[Array, Array]:
-    """Return e^{AT} and int_0^T e^{As} ds B for an input held over the period.
+def discretise(A: Array, B: Array, period: float, scale: Array | None = None) -> tuple[Array, Array, Array]:
+    """Return e^{AT} and the effects of an input that is held and of one that rises by 1 over the period.
 
     Parameters
     ----------
@@ -35,14 +36,22 @@ def zero_order_hold(A: Array, B: Array, period: float, scale: Array | None = Non
     scale : ndarray, shape (n,), optional
         Magnitudes of the states against each other; the exponential is taken of the scaled system, which
         keeps small entries accurate.
+
+    Returns
+    -------
+    transition : ndarray, shape (n, n)
+    held, ramp : ndarray, shape (n,)
+        Zero-order hold: X+ = transition X + held u. First-order hold: + ramp (u+ - u) more.
     """
     size = A.shape[0]
-    weight = np.ones(size + 1) if scale is None else np.append(scale, 1.0)
-    augmented = np.zeros((size + 1, size + 1))
+    weight = np.append(np.ones(size) if scale is None else scale, [1.0, 1.0])
+    augmented = np.zeros((size + 2, size + 2))
     augmented[:size, :size] = A * period
     augmented[:size, size] = B * period
+    augmented[size, size + 1] = 1.0
     result = expm(augmented * weight[:, None] / weight[None, :]) * weight[None, :] / weight[:, None]
-    return np.ascontiguousarray(result[:size, :size]), np.ascontiguousarray(result[:size, size])
+    held, ramp = result[:size, size], result[:size, size + 1]
+    return np.ascontiguousarray(result[:size, :size]), np.ascontiguousarray(held), np.ascontiguousarray(ramp)
 
 
 class LinearStepper:
@@ -55,13 +64,13 @@ class LinearStepper:
     period : float
         From tick to tick [s].
     scale : ndarray, shape (n,)
-        See `zero_order_hold`.
+        See `discretise`.
     """
 
     def __init__(self, A: Array, B: Array, period: float, scale: Array) -> None:
         self.period = check_number("period", period, "s", above=0.0)
         self._A, self._B = A, B
-        self._transition, self._input = zero_order_hold(A, B, self.period, scale)
+        self._transition, self._held, self._ramp = discretise(A, B, self.period, scale)
         self._full_state = np.zeros(B.size)
         self._scratch = np.zeros(B.size)
         scaled = A * scale[:, None] / scale[None, :]
@@ -69,8 +78,12 @@ class LinearStepper:
 
     def _advance(self, value: float) -> None:
         np.dot(self._transition, self._full_state, out=self._scratch)
-        np.multiply(self._input, value, out=self._full_state)
+        np.multiply(self._held, value, out=self._full_state)
         np.add(self._full_state, self._scratch, out=self._full_state)
+
+    def _advance_linear(self, start: float, end: float) -> None:
+        self._advance(start)
+        self._full_state += self._ramp * (end - start)
 
     def _state_after(self, tau: float | Array, value: float) -> Array:
         """Return the whole state `tau` seconds into the tick, shape (n,) or (n_tau, n)."""
@@ -92,21 +105,42 @@ class LinearStepper:
         result = powers @ terms
         return result
 
-    def _state_at(self, tau: float, value: float) -> Array:
+    def _state_at(self, tau: float, value: float, slope: float = 0.0) -> Array:
+        """Return the state after `tau` under the input value + slope t."""
         n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
         h = tau / n_pieces
         state = self._full_state.copy()
-        for _ in range(n_pieces):
-            term = h * (self._A @ state + self._B * value)
+        for piece in range(n_pieces):
+            term = h * (self._A @ state + self._B * (value + slope * h * piece))
             state += term
-            for k in range(2, _SERIES_TERMS):
+            term = 0.5 * h * (self._A @ term + self._B * (slope * h))
+            state += term
+            for k in range(3, _SERIES_TERMS):
                 term = self._A @ term * (h / k)
                 state += term
         return np.asarray(state)
 
-    def _run(self, values: Array) -> Array:
-        """Return the state at every tick, shape (n_samples + 1, n), and leave the stepper at the last one."""
+    def _run(self, values: Array, hold: str) -> Array:
+        """Return the state at every tick and leave the stepper at the last one.
+
+        A first-order hold is a zero-order hold of the state less ramp u: one path serves both.
+        """
         values = np.asarray(values, dtype=np.float64).ravel()
+        if hold == "zoh":
+            return self._run_held(values, self._held)
+        if hold != "foh":
+            raise BeamParameterError("hold", hold, "", '"zoh" or "foh"')
+        if values.size == 0:
+            raise BeamParameterError(
+                "values", (), "", "at least the value at the present tick for a first-order hold"
+            )
+        self._full_state -= self._ramp * values[0]
+        shifted = self._run_held(values[:-1], self._held - self._ramp + self._transition @ self._ramp)
+        result = shifted + values[:, None] * self._ramp
+        self._full_state[:] = result[-1]
+        return result
+
+    def _run_held(self, values: Array, effect: Array) -> Array:
         size, n_samples = self._full_state.size, values.size
         n_blocks = -(-n_samples // _BLOCK)
         inputs = np.zeros((n_blocks, _BLOCK))
@@ -116,7 +150,7 @@ class LinearStepper:
         powers[0] = np.eye(size)
         for k in range(_BLOCK):
             powers[k + 1] = self._transition @ powers[k]
-        impulse = powers[:_BLOCK] @ self._input
+        impulse = powers[:_BLOCK] @ effect
         forced = np.zeros((_BLOCK, _BLOCK, size))
         for k in range(_BLOCK):
             forced[: k + 1, k] = impulse[k::-1]
@@ -132,6 +166,26 @@ class LinearStepper:
         result[0] = self._full_state
         result[1:] = states.reshape(-1, size)[:n_samples]
         self._full_state[:] = result[-1]
+        return result
+
+    def _run_at(self, times: Array, values: Array, hold: str) -> Array:
+        """Return the state at every one of increasing times, the stepper standing at the first of them."""
+        times, values = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
+        if hold not in ("zoh", "foh"):
+            raise BeamParameterError("hold", hold, "", '"zoh" or "foh"')
+        if times.shape != values.shape or times.ndim != 1:
+            raise BeamParameterError(
+                "times", times.shape, "", f"one time for each of the values {values.shape}"
+            )
+        steps = np.diff(times)
+        if not np.all(steps > 0.0):
+            raise BeamParameterError("times", float(steps.min()), "s", "strictly increasing")
+        result = np.empty((times.size, self._full_state.size))
+        for index, step in enumerate(np.append(steps, 0.0)):
+            result[index] = self._full_state
+            if step > 0.0:
+                slope = (values[index + 1] - values[index]) / step if hold == "foh" else 0.0
+                self._full_state[:] = self._state_at(float(step), float(values[index]), float(slope))
         return result
 
 
@@ -220,15 +274,35 @@ class MotionStepper(LinearStepper):
         if self._has_velocity:
             self._full_state[2 * self._n] += delta_velocity
 
-    def run(self, accelerations: Array) -> Array:
-        """Return q and q' at every tick of a record, shape (n_samples + 1, 2 n), the present state first.
+    def step_linear(self, start: float, end: float) -> None:
+        """Advance one tick under a hub acceleration that runs straight from `start` to `end` [m/s^2]."""
+        self._advance_linear(start, end)
+
+    def run(self, accelerations: Array, hold: str = "zoh") -> Array:
+        """Return q and q' at every tick of a record, shape (n_ticks, 2 n), the present state first.
 
         Parameters
         ----------
-        accelerations : ndarray, shape (n_samples,)
-            Held from tick to tick [m/s^2]. The stepper is left at the end of the record.
+        accelerations : ndarray
+            Of the hub [m/s^2]: for "zoh" (n_ticks - 1,), held from tick to tick; for "foh" (n_ticks,), joined by
+            straight lines.
+        hold : {"zoh", "foh"}
+            How the input runs between ticks. The stepper is left at the end of the record.
         """
-        return self._run(accelerations)[:, : 2 * self._n]
+        return self._run(accelerations, hold)[:, : 2 * self._n]
+
+    def run_at(self, times: Array, accelerations: Array, hold: str = "zoh") -> Array:
+        """Return q and q' at irregular times, shape (n_times, 2 n), the present state at the first of them.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n_times,)
+            Strictly increasing [s].
+        accelerations : ndarray, shape (n_times,)
+            Of the hub at those times [m/s^2], held ("zoh": the last one is not used) or joined ("foh").
+        hold : {"zoh", "foh"}
+        """
+        return self._run_at(times, accelerations, hold)[:, : 2 * self._n]
 
 
 @dataclass(frozen=True)
@@ -292,6 +366,14 @@ class ForceStepper(LinearStepper):
         acceleration = state @ self._A[self._n] + self._B[self._n] * force
         return HubAndBeam(state[..., 0], state[..., self._n], acceleration, state[..., 1 : self._n])
 
-    def run(self, forces: Array) -> Array:
-        """Return [alpha, q, alpha', q'] at every tick, shape (n_samples + 1, 2 + 2 n), the present first."""
-        return self._run(forces)
+    def step_linear(self, start: float, end: float) -> None:
+        """Advance one tick under a force that runs straight from `start` to `end` [N]."""
+        self._advance_linear(start, end)
+
+    def run(self, forces: Array, hold: str = "zoh") -> Array:
+        """Return [alpha, q, alpha', q'] at every tick, shape (n_ticks, 2 + 2 n); see `MotionStepper.run`."""
+        return self._run(forces, hold)
+
+    def run_at(self, times: Array, forces: Array, hold: str = "zoh") -> Array:
+        """Return [alpha, q, alpha', q'] at irregular times; see `MotionStepper.run_at`."""
+        return self._run_at(times, forces, hold)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -173,6 +174,92 @@ def test_a_step_takes_at_most_ten_microseconds() -> None:
             stepper.step(0.5)
         best = min(best, (time.perf_counter() - start) / 2000)
     assert best < 10e-6
+
+
+@pytest.mark.parametrize("drive", ["motion", "force"])
+def test_a_first_order_hold_is_a_fine_staircase(drive: str) -> None:
+    model = BeamModel(strip(gravity="upright", damping=DAMPED), 5)
+    values = np.random.default_rng(5).standard_normal(70)
+    make = model.motion_stepper if drive == "motion" else model.force_stepper
+    n_fine = 1000
+    fine = make(PERIOD / n_fine)
+    middles = (np.arange(n_fine) + 0.5) / n_fine
+    stairs = values[:-1, None] + middles * np.diff(values)[:, None]
+    expected = fine.run(stairs.ravel())[::n_fine]
+    scale = np.abs(expected).max(axis=0)
+    found = make(PERIOD)
+    # The staircase errs by 1 / (24 n_fine^2) of a second difference.
+    assert np.abs((found.run(values, "foh") - expected) / scale).max() < 1e-6
+    single = make(PERIOD)
+    for start, end in pairwise(values):
+        single.step_linear(start, end)
+    assert np.abs((single.state - found.state) / scale).max() < 1e-11
+
+
+@pytest.mark.parametrize("drive", ["motion", "force"])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_irregular_times_meet_the_regular_ones(drive: str, hold: str) -> None:
+    model = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,), air=0.1)), 5)
+    rng = np.random.default_rng(6)
+    values = rng.standard_normal(40)
+    make = model.motion_stepper if drive == "motion" else model.force_stepper
+    times = np.arange(40) * PERIOD
+    regular = make(PERIOD).run(values if hold == "foh" else values[:-1], hold)
+    scale = np.abs(regular).max(axis=0)
+    assert np.abs((make(PERIOD).run_at(times, values, hold) - regular) / scale).max() < 1e-11
+    # Extra samples on the same input, at irregular times, change nothing.
+    extra = np.sort(rng.uniform(0.0, times[-1], 25))
+    both = np.concatenate([times, extra])
+    order = np.argsort(both)
+    index = np.searchsorted(times, extra, side="right") - 1
+    between = np.interp(extra, times, values) if hold == "foh" else values[index]
+    found = make(PERIOD).run_at(both[order], np.concatenate([values, between])[order], hold)
+    assert np.abs((found[np.argsort(order)[:40]] - regular) / scale).max() < 1e-11
+
+
+@pytest.mark.verify
+def test_undamped_energy_is_kept_over_a_million_steps() -> None:
+    model = BeamModel(strip(gravity="upright"), 5)
+    stepper = model.motion_stepper(PERIOD)
+    stepper.kick(0.1)
+    omega = model.basis.frequencies
+
+    def energy(state: np.ndarray) -> np.ndarray:
+        return np.sum(state[..., 5:] ** 2 + (omega * state[..., :5]) ** 2, axis=-1)
+
+    start = energy(stepper.state)
+    for _ in range(1_000_000):
+        stepper.step(0.0)
+    assert abs(energy(stepper.state) / start - 1.0) < 1e-9
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("hub_mass", [0.8, 0.03])
+def test_energy_of_hub_and_beam_is_kept_over_a_million_steps(hub_mass: float) -> None:
+    model = BeamModel(strip(gravity="upright", hub_mass=hub_mass), 5)
+    stepper = model.force_stepper(PERIOD)
+    stepper.state[:6] = [0.0, 1e-3, 1e-4, 1e-5, 1e-5, 1e-6]
+    M, K = model.matrices.M, model.matrices.K
+
+    def energy(state: np.ndarray) -> float:
+        return float(state[6:] @ M @ state[6:] + state[:6] @ K @ state[:6])
+
+    start = energy(stepper.state)
+    for _ in range(1_000_000):
+        stepper.step(0.0)
+    assert abs(energy(stepper.state) / start - 1.0) < 1e-9
+
+
+def test_bad_records_are_refused() -> None:
+    stepper = BeamModel(strip(), 2).motion_stepper(PERIOD)
+    with pytest.raises(BeamParameterError, match="hold"):
+        stepper.run(np.ones(3), "cubic")
+    with pytest.raises(BeamParameterError, match="increasing"):
+        stepper.run_at(np.array([0.0, 1.0, 1.0]), np.ones(3))
+    with pytest.raises(BeamParameterError, match="one time for each"):
+        stepper.run_at(np.array([0.0, 1.0]), np.ones(3))
+    with pytest.raises(BeamParameterError, match="at least"):
+        stepper.run(np.empty(0), "foh")
 
 
 @pytest.mark.parametrize("period", [0.0, -1e-3, np.nan])

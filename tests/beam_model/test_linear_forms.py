@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from beam_model import BeamModel, BeamModelError, BeamParameterError, Damping
-from beam_model.state_space import state_space
+from beam_model.linear_forms import state_space
 
 from .rigs import HEIGHTS, strip
 
