@@ -16,18 +16,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import qr, solve_triangular
 
 from beam_ident.errors import EstimationError
+from beam_ident.linear_solution import LinearSolution, scaled_solve
 from beam_ident.modal_regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.piecewise import FloatArray
 
 MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
 
-_RANK_TOLERANCE = 1e-10
-_CHOLESKY_TOLERANCE = 1e-5
 _STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible changes
 _COST_TOLERANCE = 1e-7  # in log-likelihood
 _NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
@@ -99,66 +96,6 @@ class ModalFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _LinearSolution:
-    """QR of one block's columns, scaled to unit length and with dependent ones left out."""
-
-    basis: FloatArray
-    triangle: FloatArray
-    kept: NDArray[np.intp]
-    scales: FloatArray
-
-    @staticmethod
-    def of(matrix: FloatArray) -> _LinearSolution:
-        scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-        scales[scales == 0.0] = 1.0
-        scaled = matrix / scales
-        quick = _cholesky_qr(scaled)
-        if quick is not None:
-            return _LinearSolution(quick[0], quick[1], np.arange(len(scales)), scales)
-        basis, triangle, order = qr(scaled, mode="economic", pivoting=True, check_finite=False)
-        diagonal = np.abs(np.diag(triangle))
-        rank = int(np.count_nonzero(diagonal > _RANK_TOLERANCE * max(diagonal[0], 1e-300)))
-        return _LinearSolution(basis[:, :rank], triangle[:rank, :rank], order[:rank], scales)
-
-    def coefficients(self, values: FloatArray) -> FloatArray:
-        """Return ``A^+ values``, for one or several right-hand sides."""
-        result = np.zeros((len(self.scales), *values.shape[1:]))
-        solved = solve_triangular(self.triangle, self.basis.T @ values, check_finite=False)
-        scales = self.scales[self.kept]
-        result[self.kept] = solved / (scales[:, None] if values.ndim > 1 else scales)
-        return result
-
-    def inverse_gram(self) -> FloatArray:
-        """Return ``(A^T A)^-1``, zero for columns left out."""
-        inverse = solve_triangular(self.triangle, np.eye(len(self.kept)), check_finite=False)
-        inverse = inverse / self.scales[self.kept][:, None]
-        result = np.zeros((len(self.scales), len(self.scales)))
-        result[np.ix_(self.kept, self.kept)] = inverse @ inverse.T
-        return result
-
-
-def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return Q and R by two rounds of Cholesky, or None where columns are nearly dependent.
-
-    Notes
-    -----
-    Orthogonal to rounding while the condition stays below 1e7 (Yamamoto et al. 2015),
-    and several times quicker than Householder reflections on tall matrices.
-    """
-    basis, triangle = matrix, np.eye(matrix.shape[1])
-    for _ in range(2):
-        try:
-            lower = np.linalg.cholesky(basis.T @ basis)
-        except np.linalg.LinAlgError:
-            return None
-        if np.min(np.diag(lower)) < _CHOLESKY_TOLERANCE:
-            return None
-        basis = solve_triangular(lower, basis.T, lower=True, check_finite=False).T
-        triangle = lower.T @ triangle
-    return basis, triangle
-
-
-@dataclass(frozen=True, eq=False)
 class _State:
     """Everything known at one point of the nonlinear parameters."""
 
@@ -168,7 +105,7 @@ class _State:
     residuals: list[FloatArray]
     rss: FloatArray
     blocks: list[ColumnBlock]
-    solutions: list[_LinearSolution]
+    solutions: list[LinearSolution]
 
 
 class _Problem:
@@ -208,7 +145,7 @@ class _Problem:
         n = self.n_modes
         regression = self.regression
         blocks = regression.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
-        solutions = [_LinearSolution.of(block.matrix) for block in blocks]
+        solutions = [LinearSolution.of(block.matrix) for block in blocks]
         coefficients, residuals = [], []
         for values, block in zip(regression.values, regression.block_of, strict=True):
             found = solutions[block].coefficients(values)
@@ -268,15 +205,6 @@ class _Problem:
         return np.asarray(result)
 
 
-def _scaled_solve(information: FloatArray, direction: FloatArray, damping: float) -> FloatArray:
-    """Solve the damped normal equations on unit diagonal."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information * np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += damping
-    step = np.linalg.lstsq(scaled, direction * scale, rcond=1e-14)[0]
-    return np.asarray(step * scale)
-
-
 def fit_modes(
     regression: ModalRegression,
     omegas: FloatArray,
@@ -315,7 +243,7 @@ def fit_modes(
         information, direction = problem.normal_equations(state, variances)
         accepted = False
         for _ in range(12):
-            step = _scaled_solve(information, direction, damping)
+            step = scaled_solve(information, direction, damping)
             largest = float(np.max(np.abs(step[:n]), initial=0.0))
             if largest > 0.1:
                 step = step * (0.1 / largest)

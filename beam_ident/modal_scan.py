@@ -9,6 +9,7 @@ The scan works on thinned data, the fit that follows on all of it.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -62,8 +63,14 @@ class ModalScan:
         seed: int = 0,
     ) -> None:
         self.band = band
-        thinned = [_thinned(record, input_name, structure, band.high_hz, seed) for record in records]
-        self.regression = ModalRegression(thinned, structure, input_name)
+        drives = [r.inputs[0] if input_name is None else r.input(input_name) for r in records]
+        longest = 1.0 / (_SAMPLES_PER_CYCLE * band.high_hz)
+        if any(d.period_s is None or d.period_s < 0.75 * longest for d in drives):
+            drives = [_thinned_input(d, structure, longest) for d in drives]
+            if structure.has_direct:
+                structure = dataclasses.replace(structure, kind="base_motion")
+        thinned = [_thinned_record(r, d, seed) for r, d in zip(records, drives, strict=True)]
+        self.regression = ModalRegression(thinned, structure)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
@@ -156,20 +163,24 @@ class ModalScan:
         return total
 
 
-def _thinned(
-    record: TimeRecord, input_name: str | None, structure: ModalStructure, high_hz: float, seed: int
-) -> TimeRecord:
-    """Return a record with a regular, not too dense input and not too many stamps."""
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
-    period = drive.period_s
-    needed = 1.0 / (_SAMPLES_PER_CYCLE * high_hz)
-    if period is None or period < 0.75 * needed:
-        signal = drive.signal()
-        first, last = drive.span_s
-        step = min(needed, (last - first) / 64.0)
-        n = int(np.floor((last - first) / step)) + 1
-        grid = first + step * np.arange(n)
-        drive = InputSignal(drive.name, drive.unit, (first, step), signal(grid), "cubic", drive.sigma)  # type: ignore[arg-type]
+def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float) -> InputSignal:
+    """Return an input on a regular, not too dense grid, joined by a cubic spline.
+
+    Whatever is integrated twice on its way to the outputs is thinned after the
+    integration, as a position: thinned before, its double integral would drift.
+    """
+    signal = drive.signal()
+    for _ in range(2 - structure.differentiations if structure.has_direct else 0):
+        signal = signal.antiderivative()
+    first, last = drive.span_s
+    n = int(max(np.floor((last - first) / longest), 64)) + 1
+    step = (last - first) / (n - 1)
+    values = signal(np.asarray(first + step * np.arange(n), dtype=np.float64))
+    return InputSignal(drive.name, drive.unit, (first, step), values, "cubic")  # type: ignore[arg-type]
+
+
+def _thinned_record(record: TimeRecord, drive: InputSignal, seed: int) -> TimeRecord:
+    """Return a record with another input and not too many stamps."""
     rng = np.random.default_rng(seed)
     outputs = []
     chosen: dict[bytes, NDArray[np.intp]] = {}
