@@ -17,7 +17,14 @@ WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python
 ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
 # setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls.
-TEST = ["pytest>=8", "hypothesis>=6.100", "colcon-common-extensions", "colcon-ros", "setuptools<80"]
+TEST = [
+    "pytest>=8",
+    "hypothesis>=6.100",
+    "control>=0.10",
+    "colcon-common-extensions",
+    "colcon-ros",
+    "setuptools<80",
+]
 
 DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3"]
 

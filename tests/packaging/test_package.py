@@ -28,6 +28,7 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "ruamel": "python3-ruamel.yaml",
     "rosbags": None,
     "mcap": None,
+    "control": None,
 }
 
 
