@@ -36,6 +36,8 @@ PUSH_PATIENCE_NS = 1_000_000_000
 IDENTIFY_INTERVAL_NS = 100_000_000
 """How often at most a host that speaks without a session is told who is there [ns of device time]."""
 REMEMBERED_REQUESTS = 16
+MAX_BACKLOG = 65_536
+"""Bytes that wait where the line takes no more [2.7 s of telemetry]."""
 
 _SEQUENCE_STATES: dict[str, protocol.DeviceSequenceState] = {
     "sequence_running": "running",
@@ -317,6 +319,7 @@ class EmulatedController:
         self._master: int | None = None
         self._slave: int | None = None
         self._wake_read, self._wake_write = os.pipe()
+        self._backlog = bytearray()
         self._is_closing = False
         self._slave_path = ""
         self.plug()
@@ -366,6 +369,7 @@ class EmulatedController:
                 if descriptor is not None:
                     os.close(descriptor)
             self._master = self._slave = None
+            self._backlog.clear()
         self._wake()
 
     def plug(self) -> None:
@@ -435,10 +439,14 @@ class EmulatedController:
                 self._write(self._firmware.exchange(data, self._device_ns(time.monotonic_ns())))
 
     def _write(self, data: bytes) -> None:
-        """Write what the line takes; what it does not take is lost, as on a real line."""
-        if self._master is not None and data:
+        """Write what the line takes, and keep the rest for later; beyond the backlog it is lost."""
+        if self._master is None:
+            return
+        if len(self._backlog) + len(data) <= MAX_BACKLOG:
+            self._backlog += data
+        if self._backlog:
             with contextlib.suppress(OSError):
-                os.write(self._master, data)
+                del self._backlog[: os.write(self._master, self._backlog)]
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):

@@ -99,7 +99,9 @@ class Rig:
             new += self.run(0.01)
             if condition(new[-1]):
                 return new
-        raise AssertionError(f"not within {timeout_s} s; last: {new[-1]}")
+        sequences = [s for r in new for s in r.sequences]
+        events = [e.text for r in new for e in r.events]
+        raise AssertionError(f"not within {timeout_s} s: {new[-1].status} {sequences} {events}")
 
 
 class SimulatedRig(Rig):

@@ -24,6 +24,8 @@ from beam_ros.hub.emulator import EmulatedController
 ROOT = Path(__file__).parents[3]
 ACCELERATION = HubParameters(clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=0.001)
 VELOCITY = dataclasses.replace(ACCELERATION, command_mode="velocity")
+# For what is not about watchdogs: a busy computer that stands still for half a second changes nothing.
+PATIENT = dataclasses.replace(ACCELERATION, watchdog_s=1.0, buffer_samples=4096)
 
 
 @pytest.fixture
@@ -92,7 +94,8 @@ def script(rig: Rig) -> list[object]:
     note(rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state)
     note(rig.ask("enable"))
     note(rig.hub.setpoint(rig.now.unix_ns, -0.2, rig.now))
-    rig.run(0.6)
+    rig.until(lambda r: r.status.state != "enabled")
+    rig.run(0.1)
     note(rig.reports[-1].status.state, rig.reports[-1].status.fault, rig.reports[-1].status.velocity)
     note(
         [e.text for r in rig.reports for e in r.events if e.text.startswith("axis") and "limit" not in e.text]
@@ -101,8 +104,8 @@ def script(rig: Rig) -> list[object]:
 
 
 def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
-    simulated = script(SimulatedRig(ACCELERATION))
-    real = script(start(ACCELERATION))
+    simulated = script(SimulatedRig(PATIENT))
+    real = script(start(PATIENT))
     # The simulated device was identified before anyone listened.
     real[-1].remove("axis identified")
     assert real == simulated
@@ -126,7 +129,7 @@ def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
             "f": np.concatenate([b.efforts for r in reports for b in r.measured])[part],
         }
 
-    parameters = dataclasses.replace(ACCELERATION, initial_position=0.0)
+    parameters = dataclasses.replace(PATIENT, initial_position=0.0)
     simulated = record(SimulatedRig(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
     real = record(start(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
     assert np.array_equal(simulated["applied"][:1800], values)
@@ -136,10 +139,10 @@ def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
 
 def test_stamps_are_the_true_times_to_a_tenth_of_a_millisecond(start):
     rig = start(ACCELERATION)
-    reports = rig.run(2.0)
+    reports = rig.run(1.5)
     batches = [b for r in reports for b in r.measured]
     stamps = np.array([b.stamp_ns for b in batches])
-    assert len(stamps) >= 97
+    assert len(stamps) >= 72
     assert np.all(np.diff(stamps) > 0)
     assert np.all(np.abs(np.diff(stamps) - 20_000_000) < 20_000_000 * 6e-4)
     true_ns = []
@@ -176,11 +179,11 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
 
 
 def test_garbage_on_the_line_does_not_disturb_a_sequence(start):
-    rig = start(ACCELERATION)
+    rig = start(PATIENT)
     rig.enable()
-    load(rig, rest_to_rest(1500))
+    load(rig, rest_to_rest(800))
     rng = random.Random(5)
-    for _ in range(40):
+    for _ in range(26):
         rig.emulator.inject(rng.randbytes(rng.randint(1, 300)))
         rig.run(0.05)
     assert states(rig.reports)[-1] == "done"
