@@ -390,7 +390,8 @@ def _open_reader(path: Path) -> Reader:
             raise NotABagError(f"{storage} is no MCAP file ({err}); choose a bag of ROS 2") from err
         if isinstance(err, ReaderError) and "etadata" in str(err):
             raise NotABagError(
-                f"{path} has a {METADATA_NAME} that cannot be read ({err}); `ros2 bag reindex` makes it anew"
+                f"{path} has a {METADATA_NAME} that cannot be read ({err}); `beam recover {path}` "
+                "writes a new one"
             ) from err
         raise _damaged(path, err) from err
     return reader

@@ -114,6 +114,7 @@ class Recording:
         except BagError as err:
             with self._lock:
                 self.failure = str(err)
+            self._writer.abandon()
 
     def _take(self, item: _Announcement | _Arrival) -> None:
         if isinstance(item, _Announcement):

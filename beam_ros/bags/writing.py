@@ -8,6 +8,7 @@ mark `RECORDING` and has no `metadata.yaml`, so that nobody takes it for a finis
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Mapping
@@ -239,14 +240,19 @@ class BagWriter:
             draft.replace(metadata)
             self._mark.lift()
         except OSError as err:
-            self._mark.leave()
+            self.abandon()
             raise self._failure("finish", err) from err
+
+    def abandon(self) -> None:
+        """Let go of a bag that the disk takes no more of; it keeps its mark and can be recovered."""
+        self._is_open = False
+        with contextlib.suppress(OSError):
+            self._file.close()
+        self._mark.leave()
 
     def discard(self) -> None:
         """Give the bag up and remove its folder."""
-        self._is_open = False
-        self._file.close()
-        self._mark.leave()
+        self.abandon()
         shutil.rmtree(self.path, ignore_errors=True)
 
     def _failure(self, what: str, err: OSError) -> BagError:
