@@ -20,13 +20,18 @@ from beam_ros.rig import Rig
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     add_rig_file(parser)
-    parser.add_argument("--parameters", action="store_true", help="list the rig file's parameters and exit")
+    parser.add_argument(
+        "--parameters",
+        dest="lists_parameters",
+        action="store_true",
+        help="list the rig file's parameters and exit",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    if arguments.parameters:
+    if arguments.lists_parameters:
         print(_parameter_list())
         return 0
     theory = describe_theory(read_rig(arguments))

@@ -13,12 +13,14 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from beam_ros import interfaces
+from beam_ros import interfaces, messages
 from beam_ros.errors import RigUnavailableError
 from beam_ros.messages import RosTypes
 from beam_ros.nodes.shell import qos_profile
 
 _SPIN_S = 0.05
+MAX_CLOCK_SD_NS = 50_000
+"""Standard deviation of the clock map below which an experiment may start [ns]."""
 
 
 class RigClient:
@@ -32,6 +34,7 @@ class RigClient:
     hub_position : float -- newest hub position [m]
     sequence : dict -- newest `hub/sequence_state`
     identification : dict or None -- newest `identification/result`
+    hub_counters : dict or None -- the hub's newest values on `/diagnostics`
     """
 
     def __init__(self, check: Callable[[], None] = lambda: None) -> None:
@@ -44,10 +47,12 @@ class RigClient:
         self.hub_position = math.nan
         self.sequence: dict[str, Any] = {}
         self.identification: dict[str, Any] | None = None
+        self.hub_counters: dict[str, object] | None = None
         self._listen("beam/displacement", self._on_displacement)
         self._listen("hub/state", self._on_hub_state)
         self._listen("hub/sequence_state", self._on_sequence_state)
         self._listen("identification/result", self._on_identification)
+        self._listen("/diagnostics", self._on_diagnostics)
 
     def _listen(self, topic: str, callback: Callable[[Any], None]) -> None:
         row = interfaces.TOPICS[topic]
@@ -66,6 +71,17 @@ class RigClient:
 
     def _on_identification(self, message: Any) -> None:
         self.identification = json.loads(message.data)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in messages.read_diagnostics(message):
+            if status.hardware_id == "hub":
+                self.hub_counters = dict(status.values)
+
+    def is_clock_settled(self) -> bool:
+        """Whether the device's clock is mapped well enough to start a sequence."""
+        if self.hub_counters is None:
+            return False
+        return int(str(self.hub_counters.get("clock_sd_ns", 0))) < MAX_CLOCK_SD_NS
 
     def wait(
         self,

@@ -24,6 +24,7 @@ from beam_ros.rig import Rig
 
 _START_TIMEOUT_S = 30.0
 _IDENTIFY_TIMEOUT_S = 90.0
+_CLOCK_TIMEOUT_S = 30.0
 
 
 def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> dict[str, Any]:
@@ -115,6 +116,13 @@ def _measure_and_identify(rig: Rig, client: Any) -> dict[str, Any]:
         if rig["simulation.images"]:
             client.call("tracker/tare")
         client.call("hub/enable", value=True)
+        client.wait(
+            client.is_clock_settled,
+            _CLOCK_TIMEOUT_S,
+            "the device's clock was not mapped to 50 us",
+            "end other programs that take the processor",
+            stage.update,
+        )
         stage.finish(
             f"hub at {client.hub_position * 1e3:+.3f} mm, markers {', '.join(client.displacement)} in sight"
         )

@@ -28,6 +28,8 @@ from beam_ros.interfaces import NODES
 
 _PR_SET_PDEATHSIG = 1
 _GRACE_S = 5.0
+_ONE_THREAD_EACH = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""A node's matrices are small: more threads only take the processor from its neighbours."""
 
 
 def private_domain_environment(domain: int, log_folder: Path) -> dict[str, str]:
@@ -167,7 +169,7 @@ class NodeGroup:
         with log.open("wb") as stream:
             process = subprocess.Popen(
                 [*command(executable), *arguments],
-                env=child_environment(self.environment),
+                env=child_environment({**_ONE_THREAD_EACH, **self.environment}),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,

@@ -180,6 +180,7 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
     arguments = sys.argv if argv is None else ["node", *argv]
     status = 0
     node: RigNode | None = None
+    executor: SingleThreadedExecutor | None = None
     try:
         _initialise(arguments)
         node = build()
@@ -200,6 +201,9 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
             signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.close()
+        if executor is not None:
+            executor.shutdown(timeout_sec=0.0)
+        if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return status

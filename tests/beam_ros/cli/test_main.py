@@ -1,0 +1,104 @@
+"""The `beam` command as a person meets it: real processes, exit status, one clear line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from beam_ros.environment import child_environment
+from beam_ros.executables import command
+
+
+def beam(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*command("beam"), *arguments],
+        cwd=folder,
+        env=child_environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_help_lists_the_verbs_and_needs_nothing(tmp_path: Path) -> None:
+    ended = beam(tmp_path, "--help")
+    assert ended.returncode == 0
+    assert "beam demo" in ended.stdout
+
+
+def _write(folder: Path, text: str) -> None:
+    (folder / "rig.yaml").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("frobnicate",), ("unknown verb 'frobnicate'", "beam --help")),
+        (("run", "frobnicator"), ("invalid choice", "simulator")),
+        (("run",), ("NODE", "--help")),
+        (("model", "--rig-file", "nowhere.yaml"), ("nowhere.yaml", "no such file")),
+        (("model", "--rig-file", "rig.yaml"), ("rig.yaml", "beam.length is 300", "0.01 to 5 m")),
+        (("model", "-p", "beam.lenght:=0.3"), ("did you mean beam.length",)),
+        (("design", "-p", "excitation.acceleration:=3.0"), ("predicted tip deflection", "lower")),
+        (("identify", "nowhere"), ("nowhere", "does not exist")),
+        (("identify", "."), ("holds neither", "expected")),
+        (("info", "rig.yaml"), ("rig.yaml", "no bag")),
+        (("simulate", "--bag", "."), (".", "exist")),
+        (("simulate",), ("--bag",)),
+        (("replay", "nowhere"), ("nowhere", "does not exist")),
+        (("record", "rig.yaml"), ("exists already",)),
+        (("up", "--rig", "real"), ("serial.port",)),
+        (("up", "--rig", "imaginary"), ("imaginary", "simulated")),
+        (("demo", "--rig", "real"), ("real", "emulated")),
+        (("demo", "--out", "."), ("not an empty folder",)),
+    ],
+)
+def test_a_fault_of_the_users_is_one_line_and_status_2(
+    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    _write(tmp_path, "/**: {ros__parameters: {beam: {length: 300}}}")
+    ended = beam(tmp_path, *arguments)
+    assert ended.returncode == 2, ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1, ended.stderr
+    assert "Traceback" not in ended.stderr
+    for word in words:
+        assert word in ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"], "something was left behind"
+
+
+def test_simulate_identify_and_info_work_together(tmp_path: Path) -> None:
+    quick = (
+        "-p",
+        "excitation.duration:=3.0",
+        "-p",
+        "excitation.still:=1.0",
+        "-p",
+        "excitation.end_frequency:=40.0",
+    )
+    made = beam(tmp_path, "simulate", "--bag", "first", *quick)
+    assert (made.returncode, made.stdout.strip()) == (0, "first")
+    found = beam(tmp_path, "identify", "first", "--json")
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout)["modes"][0]["frequency_hz"] == pytest.approx(4.3839, rel=1e-3)
+    told = beam(tmp_path, "info", "first")
+    assert told.returncode == 0
+    assert "hub/measured" in told.stdout
+    assert "log_chirp" in told.stdout
+
+
+def test_model_prints_frequencies_and_their_aliases_in_the_frames(tmp_path: Path) -> None:
+    theory = json.loads(beam(tmp_path, "model", "--json").stdout)
+    third = theory["clamped"][2]
+    assert third["frequency_hz"] == pytest.approx(79.358, abs=1e-3)
+    assert third["seen_in_frames_at_hz"] == pytest.approx(20.642, abs=1e-3)
+    assert "alias" in beam(tmp_path, "model").stdout
+
+
+def test_model_lists_every_parameter(tmp_path: Path) -> None:
+    told = beam(tmp_path, "model", "--parameters").stdout
+    assert "beam.length = 0.3" in told
+    assert "0.01 to 5 m" in told

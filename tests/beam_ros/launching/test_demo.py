@@ -1,0 +1,91 @@
+"""The whole experiment over real processes and DDS, shortened; and that nothing of it is left behind."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from beam_ros.interfaces import TOPICS
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+pytest.importorskip("cv2")
+
+SHORT = (
+    *("-p", "excitation.duration:=4.0"),
+    *("-p", "excitation.still:=1.0"),
+    *("-p", "excitation.end_frequency:=45.0"),
+    *("-p", "excitation.start_delay:=1.0"),
+)
+
+
+@pytest.mark.parametrize("rig", ["simulated", "emulated"])
+def test_the_demo_identifies_the_simulated_beam(executables, tmp_path: Path, rig: str) -> None:
+    demo = executables.run("beam", "demo", "--rig", rig, "--out", "run", "--json", *SHORT, timeout_s=100.0)
+    assert demo.process.returncode == 0, demo.output()
+    output = demo.output()
+    result = json.loads(output[output.index("{\n") :])
+    first, second = result["modes"][:2]
+    assert first["frequency_hz"] == pytest.approx(first["theory_frequency_hz"], rel=3e-3)
+    assert second["frequency_hz"] == pytest.approx(second["theory_frequency_hz"], rel=3e-3)
+    run = tmp_path / "run"
+    assert {"bag", "logs", "model.json", "report.html", "rig.yaml"} == {path.name for path in run.iterdir()}
+    _read_back(run / "bag")
+
+
+def _read_back(bag: Path) -> None:
+    """Both libraries read the same messages; every topic but the images is there."""
+    with Reader(bag) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+        channels = {
+            c.topic: summary.statistics.channel_message_counts.get(n, 0) for n, c in summary.channels.items()
+        }
+    assert channels == counts
+    needed = {
+        "hub/applied",
+        "hub/measured",
+        "hub/state",
+        "hub/clock_sync",
+        "hub/sequence_state",
+        "beam/displacement",
+        "beam/markers",
+        "excitation/info",
+    }
+    assert all(counts[f"/{name}"] > 0 for name in needed)
+    assert not any(f"/{name}" in counts for name, row in TOPICS.items() if row.is_image)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_ends_every_process(executables, number: signal.Signals) -> None:
+    demo = executables.start("beam", "demo", "--out", "run", *SHORT)
+    demo.wait_for("home and enable", 40.0)
+    demo.send_signal(number)
+    assert demo.wait(15.0) == 130
+    assert "Traceback" not in demo.output()
+    assert "ended with status 0" in demo.output()
+
+
+def test_a_fallen_node_ends_the_demo_with_its_last_words(executables, tmp_path: Path) -> None:
+    demo = executables.run(
+        "beam",
+        "demo",
+        "--rig",
+        "emulated",
+        "--out",
+        "run",
+        "-p",
+        "excitation.acceleration:=3.0",
+        timeout_s=60.0,
+    )
+    assert demo.process.returncode == 2
+    assert "excitation_generator" in demo.output()
+    assert "predicted tip deflection" in demo.output()
+    assert "Traceback" not in demo.output()

@@ -1,0 +1,161 @@
+"""Simulator and driver are the same node to everybody else: compared on the graph, side by side.
+
+The driver talks to the firmware emulator over a real pseudo-terminal; the two rigs live in namespaces.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros import interfaces, messages
+from beam_ros.bags.batches import decode_batch
+from beam_ros.nodes.shell import qos_profile
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+
+@pytest.fixture
+def rigs(executables, graph, tmp_path: Path):
+    """Both rigs running: namespaces `a` (simulator) and `b` (emulator and driver)."""
+    quiet = ("-p", "simulation.images:=false")
+    port = tmp_path / "controller"
+    linked = ("-p", f"emulator.port_link:={port}", "-p", f"serial.port:={port}")
+    executables.start("simulator", "--ros-args", "-r", "__ns:=/a", *quiet)
+    executables.start("firmware_emulator", "--ros-args", "-r", "__ns:=/b", *linked).wait_for(
+        "motion controller on"
+    )
+    executables.start("hub_driver", "--ros-args", "-r", "__ns:=/b", *linked)
+    for rig in "ab":
+        graph.wait(
+            lambda rig=rig: ("hub", f"/{rig}") in graph.node.get_node_names_and_namespaces(),
+            f"hub of {rig}",
+            15.0,
+        )
+    graph.wait(
+        lambda: len(_publishers(graph, "a")) >= 5 and len(_publishers(graph, "b")) >= 5, "topics", 15.0
+    )
+    return graph
+
+
+def _publishers(graph, rig):
+    """Topics of the hub with type and qualities of service, namespace taken off."""
+    found = {}
+    for topic, types in graph.node.get_publisher_names_and_types_by_node("hub", f"/{rig}"):
+        if topic.startswith(f"/{rig}/hub/") or topic == "/diagnostics":
+            for info in graph.node.get_publishers_info_by_topic(topic):
+                if info.node_namespace == f"/{rig}" and info.node_name == "hub":
+                    qos = info.qos_profile
+                    row = (tuple(types), qos.reliability, qos.durability)
+                    found[topic.removeprefix(f"/{rig}/")] = row
+    return found
+
+
+def test_topics_types_qos_services_and_parameters_are_the_same(rigs) -> None:
+    assert _publishers(rigs, "a") == _publishers(rigs, "b")
+    expected = {name for name in interfaces.NODES["hub_driver"].publishes if name != "/diagnostics"}
+    assert expected <= set(_publishers(rigs, "b"))
+    for topic, (types, reliability, durability) in _publishers(rigs, "a").items():
+        profile = qos_profile(interfaces.TOPICS[topic].qos)
+        assert types == (interfaces.TOPICS[topic].type_name,)
+        assert (reliability, durability) == (profile.reliability, profile.durability)
+
+    def services(rig):
+        rows = rigs.node.get_service_names_and_types_by_node("hub", f"/{rig}")
+        return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
+
+    assert services("a") == services("b")
+    assert {
+        (n, (interfaces.SERVICES[n].type_name,)) for n in interfaces.NODES["hub_driver"].serves
+    } <= services("a")
+
+    def subscriptions(rig):
+        rows = rigs.node.get_subscriber_names_and_types_by_node("hub", f"/{rig}")
+        return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
+
+    assert subscriptions("a") == subscriptions("b")
+
+
+def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> None:
+    """Home, enable, one short sequence: same answers, same states, same applied values, sample by sample."""
+    applied = {"a": [], "b": []}
+    states = {"a": [], "b": []}
+    types = rigs.types
+    trajectory = types.message_class(interfaces.JOINT_TRAJECTORY)
+    text = types.message_class(interfaces.STRING)
+    outputs = {}
+    for rig in "ab":
+        rigs.node.create_subscription(
+            trajectory,
+            f"/{rig}/hub/applied",
+            applied[rig].append,
+            qos_profile(interfaces.TOPICS["hub/applied"].qos),
+            raw=True,
+        )
+        rigs.node.create_subscription(
+            text,
+            f"/{rig}/hub/sequence_state",
+            lambda m, rig=rig: states[rig].append(json.loads(m.data)),
+            qos_profile(interfaces.TOPICS["hub/sequence_state"].qos),
+        )
+        outputs[rig] = rigs.node.create_publisher(
+            trajectory, f"/{rig}/hub/sequence", qos_profile(interfaces.TOPICS["hub/sequence"].qos)
+        )
+        for service in ("home", "enable"):
+            _call(rigs, f"/{rig}/hub/{service}", "SetBool" if service == "enable" else "Trigger", True)
+    values = 0.5 * np.sin(2 * np.pi * 5 * np.arange(600) * 1e-3) * np.hanning(600)
+    values[-1] = 0.0
+    values -= np.hanning(600) * values.sum() / np.hanning(600).sum()
+    _wait_for_clock(rigs)
+    for rig in "ab":
+        start_ns = rigs.node.get_clock().now().nanoseconds + 1_000_000_000
+        for chunk in messages.split_sequence(f"run-{rig}", start_ns, 1_000_000, values):
+            outputs[rig].publish(messages.sequence_chunk(types, chunk, "acceleration"))
+    rigs.wait(
+        lambda: all(states[rig] and states[rig][-1]["state"] == "done" for rig in "ab"),
+        f"both sequences ({states})",
+        10.0,
+    )
+    rigs.spin(0.3)
+    seen = {}
+    for rig in "ab":
+        order = [state["state"] for state in states[rig]]
+        seen[rig] = [s for k, s in enumerate(order) if k == 0 or order[k - 1] != s]
+        samples = np.concatenate([decode_batch(data).accelerations for data in applied[rig]])
+        moving = np.flatnonzero(samples)
+        # The line carries single precision: 6e-8 of a value.
+        np.testing.assert_allclose(
+            samples[moving[0] - 1 : moving[0] - 1 + 600], values, rtol=1e-7, atol=1e-12
+        )
+    # The topic keeps its last message only, so that a listener may miss a state, but never the order.
+    assert seen["a"][-2:] == seen["b"][-2:] == ["running", "done"]
+
+
+def _call(graph, service, kind, value):
+    service_class = graph.types.service_class(f"std_srvs/srv/{kind}")
+    client = graph.node.create_client(service_class, service)
+    graph.wait(client.service_is_ready, service)
+    request = service_class.Request()
+    if kind == "SetBool":
+        request.data = value
+    future = client.call_async(request)
+    graph.wait(future.done, f"answer of {service}", 15.0)
+    graph.node.destroy_client(client)
+    assert future.result().success, future.result().message
+
+
+def _wait_for_clock(graph) -> None:
+    """Wait until the driver has mapped the device's clock well enough to start a sequence."""
+    sd = []
+
+    def note(message) -> None:
+        for status in messages.read_diagnostics(message):
+            if status.name.endswith("hub_driver") and "clock_sd_ns" in status.values:
+                sd.append(int(status.values["clock_sd_ns"]))
+
+    graph.listen("/diagnostics", note)
+    graph.wait(lambda: bool(sd) and sd[-1] < 50_000, "a mapped clock", 20.0)
