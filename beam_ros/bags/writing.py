@@ -141,9 +141,14 @@ class BagWriter:
         if type_name not in self._schemas:
             definition, _ = store.generate_msgdef(type_name, ros_version=2)
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": to_yaml(qos_profiles(qos)).strip()}
+        record = TopicRecord(name, type_name, store.hash_rihs01(type_name), qos)
+        # `ros2 bag reindex` has nothing but these to make the metadata from.
+        metadata = {
+            "offered_qos_profiles": to_yaml(qos_profiles(qos)).strip(),
+            "topic_type_hash": record.type_hash,
+        }
         channel = self._writer.register_channel(name, "cdr", self._schemas[type_name], metadata)
-        self._topics[name] = TopicRecord(name, type_name, store.hash_rihs01(type_name), qos)
+        self._topics[name] = record
         self._channels[topic] = self._channels[name] = channel
         self._counts[name] = 0
 

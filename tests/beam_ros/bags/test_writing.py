@@ -117,6 +117,7 @@ def test_the_file_carries_the_same_metadata_and_definitions(tmp_path):
             "ros2msg",
             "cdr",
         )
+        assert channel.metadata["topic_type_hash"] == TYPES.store.hash_rihs01(topic.type_name)
         assert "builtin_interfaces/Time" in schema.data.decode() or "string data" in schema.data.decode()
 
 
