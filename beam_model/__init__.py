@@ -5,7 +5,7 @@ response of the continuous beam as a yardstick; advice for experiments. NumPy an
 which imports Matplotlib when it draws.
 """
 
-from .errors import BeamModelError, BeamParameterError
+from .errors import BeamModelError, BeamParameterError, PhysicalFitError
 from .exact import exact_frequency_response
 from .experiment_advice import ExperimentAdvice, advise, aliases, node_heights, suggest_marker_heights
 from .frequency_response import FrequencyResponse
@@ -13,7 +13,9 @@ from .galerkin import GalerkinMatrices, ModalBasis
 from .linear_forms import PoleResidueForm, StateSpace, ZerosPolesGain, state_space
 from .model import BeamModel
 from .parameters import BeamParameters, Damping, PointMass
+from .physical_fit import Identifiability, ModalMeasurement, PhysicalFit, Prior, fit_beam, identifiability
 from .stepping import ForceStepper, HubAndBeam, MotionStepper
+from .theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
 
 __all__ = [
     "BeamModel",
@@ -26,15 +28,25 @@ __all__ = [
     "FrequencyResponse",
     "GalerkinMatrices",
     "HubAndBeam",
+    "Identifiability",
     "ModalBasis",
+    "ModalMeasurement",
     "MotionStepper",
+    "PhysicalFit",
+    "PhysicalFitError",
     "PointMass",
     "PoleResidueForm",
+    "Prior",
     "StateSpace",
+    "TheoryComparison",
+    "UncertaintyBudget",
     "ZerosPolesGain",
     "advise",
     "aliases",
+    "compare_with_theory",
     "exact_frequency_response",
+    "fit_beam",
+    "identifiability",
     "node_heights",
     "state_space",
     "suggest_marker_heights",

@@ -12,6 +12,8 @@ Lengths are in units of L, masses in rho L, stiffnesses in EI/L^3.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
@@ -61,26 +63,38 @@ class SpectralElements:
         lengths = np.diff(self._nodes)
         self._n_bubbles = [int(np.ceil(0.5 * highest_root * h)) + _DEGREES_BEYOND_WAVES for h in lengths]
         # Unknowns: (deflection, slope) of every node but the deflection of the first, then the bubbles.
-        self._is_rigid = parameters.clamp_compliance == 0.0
         n_nodal = 2 * self._nodes.size
-        dropped = [0, 1] if self._is_rigid else [0]
-        self._kept = np.setdiff1d(np.arange(n_nodal + sum(self._n_bubbles)), dropped)
-        size = self._kept.size
+        n_all = n_nodal + sum(self._n_bubbles)
+        self._kept = np.arange(2 if parameters.clamp_compliance == 0.0 else 1, n_all)
 
-        self.strip_mass = np.zeros((size, size))
-        self.bending = np.zeros((size, size))
-        self.strip_load = np.zeros(size)
-        geometric = np.zeros((size, size))
-        for left, right, n_bubbles in zip(self._nodes[:-1], self._nodes[1:], self._n_bubbles, strict=True):
-            points, weights = legendre.leggauss(n_bubbles + 6)
-            x = left + 0.5 * (right - left) * (points + 1.0)
-            weights = 0.5 * (right - left) * weights
-            value, slope, curvature = (self.basis(x, k) for k in range(3))
-            self.strip_mass += value.T @ (weights[:, None] * value)
-            self.bending += curvature.T @ (weights[:, None] * curvature)
-            self.strip_load += weights @ value
-            axial_load = (1.0 - x) + mu
-            geometric += slope.T @ ((weights * axial_load)[:, None] * slope)
+        strip_mass, bending, geometric = (np.zeros((n_all, n_all)) for _ in range(3))
+        strip_load = np.zeros(n_all)
+        offset = n_nodal
+        for index, n_bubbles in enumerate(self._n_bubbles):
+            right, length = self._nodes[index + 1], lengths[index]
+            points, weights, *tables = _gauss_tables(n_bubbles)
+            weights = 0.5 * length * weights
+            value, slope, curvature = (
+                np.hstack([_hermite_cubics(points, length, k), (length / 2.0) ** 1.5 * tables[k]])
+                * (2.0 / length) ** k
+                for k in range(3)
+            )
+            # A point mass loads the beam below it.
+            above = mu + sum(mass for x, mass in inner if x >= right)
+            axial_load = 1.0 - right + 0.5 * length * (1.0 - points) + above
+            rows = np.concatenate(
+                [np.arange(2 * index, 2 * index + 4), np.arange(offset, offset + n_bubbles)]
+            )
+            offset += n_bubbles
+            square = np.ix_(rows, rows)
+            strip_mass[square] += value.T @ (weights[:, None] * value)
+            bending[square] += curvature.T @ (weights[:, None] * curvature)
+            geometric[square] += slope.T @ ((weights * axial_load)[:, None] * slope)
+            strip_load[rows] += weights @ value
+        first = self._kept[0]
+        self.strip_mass: Array = strip_mass[first:, first:]
+        self.bending: Array = bending[first:, first:]
+        self.strip_load: Array = strip_load[first:]
 
         self.mass = self.strip_mass.copy()
         self.load = self.strip_load.copy()
@@ -88,14 +102,12 @@ class SpectralElements:
             value = self.basis(np.array([x]))[0]
             self.mass += mass * np.outer(value, value)
             self.load += mass * value
-        for x, mass in inner:
-            # A point mass loads the beam below it: N = m g up to its height.
-            geometric += mass * self._slope_overlap_up_to(x)
         tip_slope = self.basis(np.array([1.0]), 1)[0]
         self.mass += parameters.tip_inertia_ratio * np.outer(tip_slope, tip_slope)
 
-        self.stiffness = self.bending - parameters.gravity_sign * parameters.weight_ratio * geometric
-        if not self._is_rigid:
+        weight = parameters.gravity_sign * parameters.weight_ratio
+        self.stiffness = self.bending - weight * geometric[first:, first:]
+        if parameters.clamp_compliance > 0.0:
             root_slope = self.basis(np.array([0.0]), 1)[0]
             self.stiffness += np.outer(root_slope, root_slope) / parameters.clamp_compliance
         try:
@@ -109,17 +121,6 @@ class SpectralElements:
                 f"(rho g L^3/EI = {parameters.weight_ratio:.4g}; a bare clamped strip buckles at 7.84)",
                 "Shorten or stiffen the beam, lighten its tip, or let it hang.",
             ) from err
-
-    def _slope_overlap_up_to(self, x: float) -> Array:
-        """Return int_0^x phi_i' phi_j' dx; x is a node."""
-        size = self._kept.size
-        result = np.zeros((size, size))
-        for left, right, n_bubbles in zip(self._nodes[:-1], self._nodes[1:], self._n_bubbles, strict=True):
-            if right <= x:
-                points, weights = legendre.leggauss(n_bubbles + 6)
-                slope = self.basis(left + 0.5 * (right - left) * (points + 1.0), 1)
-                result += slope.T @ ((0.5 * (right - left) * weights)[:, None] * slope)
-        return result
 
     def basis(self, x: Array, derivative: int = 0) -> Array:
         """Return d^k/dx^k of all basis functions, shape (n_points, n), for k = 0 to 3."""
@@ -172,20 +173,29 @@ class SpectralElements:
         return squared, V
 
 
+# Cubics on [-1, 1] by their coefficients of 1, xi, xi^2, xi^3: value and slope at the left, then at the right.
+_CUBICS = (
+    np.array([[2.0, -3.0, 0.0, 1.0], [1.0, -1.0, -1.0, 1.0], [2.0, 3.0, 0.0, -1.0], [-1.0, -1.0, 1.0, 1.0]])
+    / 4.0
+)
+
+
 def _hermite_cubics(xi: Array, length: float, derivative: int) -> Array:
     """Return the four Hermite cubics on [-1, 1], d^k/dxi^k, with slopes per unit of x, shape (n, 4)."""
-    half = 0.5 * length
-    polynomials = (
-        np.array([2.0, -3.0, 0.0, 1.0]) / 4.0,
-        half * np.array([1.0, -1.0, -1.0, 1.0]) / 4.0,
-        np.array([2.0, 3.0, 0.0, -1.0]) / 4.0,
-        half * np.array([-1.0, -1.0, 1.0, 1.0]) / 4.0,
+    coefficients = _CUBICS * np.array([1.0, 0.5 * length, 1.0, 0.5 * length])[:, None]
+    for _ in range(derivative):
+        coefficients = coefficients[:, 1:] * np.arange(1.0, coefficients.shape[1])
+    return np.asarray(
+        np.vander(xi, coefficients.shape[1], increasing=True) @ coefficients.T, dtype=np.float64
     )
-    columns = []
-    for coefficients in polynomials:
-        polynomial = np.polynomial.Polynomial(coefficients)
-        columns.append((polynomial.deriv(derivative) if derivative else polynomial)(xi))
-    return np.stack(columns, axis=1)
+
+
+@lru_cache(maxsize=64)
+def _gauss_tables(n_bubbles: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Return Gauss points and weights that integrate products of bubbles exactly, and the bubbles there."""
+    points, weights = legendre.leggauss(n_bubbles + 6)
+    value, slope, curvature = (_bubbles(points, n_bubbles, k) for k in range(3))
+    return points, weights, value, slope, curvature
 
 
 def _bubbles(xi: Array, n_bubbles: int, derivative: int) -> Array:

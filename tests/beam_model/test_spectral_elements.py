@@ -42,9 +42,9 @@ def test_polynomials_find_the_closed_form_shapes(derivative: int) -> None:
 @pytest.mark.parametrize("gravity", ["off", "upright", "hanging"])
 def test_more_polynomials_change_nothing(gravity: str, monkeypatch: pytest.MonkeyPatch) -> None:
     parameters = strip(gravity=gravity, point_masses=MARKERS, tip_mass=1e-3)
-    squared, _ = SpectralElements(parameters, 20).modes(20)
+    squared, _ = SpectralElements(parameters, 10).modes(10)
     monkeypatch.setattr(spectral_elements, "_DEGREES_BEYOND_WAVES", 40)
-    more, _ = SpectralElements(parameters, 20).modes(20)
+    more, _ = SpectralElements(parameters, 10).modes(10)
     assert np.sqrt(squared) == pytest.approx(np.sqrt(more), rel=1e-10)
 
 
