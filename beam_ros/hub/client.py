@@ -48,11 +48,18 @@ RETRY_NS = 100_000_000
 ASK_AGAIN_NS = 500_000_000
 ANSWER_NS = 1_000_000_000
 """A request that the device has not acknowledged by then has failed."""
+LAST_ARM_NS = 80_000_000
+"""A complete sequence waits for the clock map to be good enough until this long before its start."""
 RESEND_NS = 60_000_000
 FAST_CLOCK_NS = 10_000_000
 FAST_CLOCK_PHASE_NS = 1_000_000_000
 SLOW_CLOCK_NS = 200_000_000
+URGENT_CLOCK_NS = 40_000_000
+"""Intervals of clock queries: just after connecting, later, and later while the map is not good enough."""
+SETTLING_NS = 500_000_000
+"""Samples are stamped from this long after connecting on, if the map is then known to half of the gate ..."""
 STAMPING_PATIENCE_NS = 2_000_000_000
+"""... or from this long after connecting on, if it is not: what is stamped once is only slewed from then on."""
 SAMPLES_PER_FRAME = 50
 FRAMES_PER_TURN = 4
 
@@ -72,8 +79,9 @@ class _Stream:
 
     sequence: Sequence
     number: int
-    start_device_ns: int
-    last_arm_ns: int | None = None
+    start_steady_ns: int
+    start_device_ns: int | None = None
+    last_arm_ns: int = 0
     is_accepted: bool = False
     is_running: bool = False
     sent: int = 0
@@ -160,6 +168,10 @@ class HubClient:
         self._next_request += 1
         if kind in ("stop", "disable"):
             self._gate.abort_loading(f"{kind} was asked for")
+            if self._stream is not None and self._stream.start_device_ns is None:
+                # The device does not know of it yet.
+                self._stream = None
+                self._gate.finish("aborted", f"{kind} was asked for")
         if self._link == "up":
             self._requests[request_id & 0xFFFF] = _PendingRequest(request_id, kind)
         else:
@@ -187,12 +199,10 @@ class HubClient:
             status.state,
             status.position,
             status.velocity,
-            refusal=self._clock_refusal(now.steady_ns) if self._link == "up" else None,
         )
         if sequence is not None:
             self._stream_number = self._stream_number % 0xFFFF + 1
-            start_device_ns = self._mapping.device_ns(clock.steady_ns(sequence.start_ns))
-            self._stream = _Stream(sequence, self._stream_number, start_device_ns)
+            self._stream = _Stream(sequence, self._stream_number, clock.steady_ns(sequence.start_ns))
 
     def poll(self, now: HostTime) -> HubReport:
         """Say that the host is alive, and collect what happened."""
@@ -304,10 +314,14 @@ class HubClient:
         """Return a question for the device's clock, if one is due, to be sent at once."""
         if self._link != "up" or self._talking_since_ns is None:
             return b""
-        is_young = now_ns - self._link_since_ns < FAST_CLOCK_PHASE_NS
-        if now_ns - self._last_query_ns < (FAST_CLOCK_NS if is_young else SLOW_CLOCK_NS):
+        interval_ns = SLOW_CLOCK_NS
+        if now_ns - self._link_since_ns < FAST_CLOCK_PHASE_NS:
+            interval_ns = FAST_CLOCK_NS
+        elif self._map_sd_ns(now_ns) > self._parameters.max_clock_sd_ns:
+            interval_ns = URGENT_CLOCK_NS
+        if now_ns - self._last_query_ns < interval_ns:
             return b""
-        self._last_query_ns = self._last_sent_ns = now_ns
+        self._last_query_ns = now_ns
         self._query_number = (self._query_number + 1) & 0xFFFF
         if len(self._queries) > 100:
             self._queries.clear()
@@ -349,11 +363,20 @@ class HubClient:
         stream = self._stream
         if stream is None or stream.is_accepted:
             return
-        if stream.last_arm_ns is None or now_ns - stream.last_arm_ns >= RETRY_NS:
+        if stream.start_device_ns is None:
+            sd_ns, limit_ns = self._map_sd_ns(now_ns), self._parameters.max_clock_sd_ns
+            if sd_ns < limit_ns:
+                stream.start_device_ns = max(0, self._mapping.device_ns(stream.start_steady_ns))
+            elif now_ns > stream.start_steady_ns - LAST_ARM_NS:
+                self._stream = None
+                self._gate.finish(
+                    "refused",
+                    f"the clock map's standard deviation is {sd_ns / 1000:.0f} us: expected below "
+                    f"{limit_ns / 1000:g} us; look for a slow USB hub or a busy computer",
+                )
+        if stream.start_device_ns is not None and now_ns - stream.last_arm_ns >= RETRY_NS:
             stream.last_arm_ns = now_ns
-            messages.append(
-                protocol.Arm(stream.number, max(0, stream.start_device_ns), len(stream.sequence.values))
-            )
+            messages.append(protocol.Arm(stream.number, stream.start_device_ns, len(stream.sequence.values)))
 
     def _stream_samples(self, messages: list[protocol.Message], now_ns: int) -> None:
         stream = self._stream
@@ -473,9 +496,9 @@ class HubClient:
         device_ns = ticks.first_tick * self._parameters.period_ns
         if not self._is_stamping:
             sd_ns = self._mapping.standard_deviation_ns(device_ns)
-            patience_is_over = received_ns - self._link_since_ns > STAMPING_PATIENCE_NS
-            self._is_stamping = sd_ns < self._parameters.max_clock_sd_ns or (
-                patience_is_over and self._mapping.is_usable
+            age_ns = received_ns - self._link_since_ns
+            self._is_stamping = (age_ns > SETTLING_NS and sd_ns < self._parameters.max_clock_sd_ns / 2) or (
+                age_ns > STAMPING_PATIENCE_NS and self._mapping.is_usable
             )
         if not self._is_stamping or self._clock is None:
             self._counters["unstamped_batches"] += 1
@@ -542,16 +565,6 @@ class HubClient:
         self._stream = None
         self._gate.finish("aborted", reason)
         self._device = None
-
-    def _clock_refusal(self, now_ns: int) -> str | None:
-        limit_us = self._parameters.max_clock_sd_ns / 1000
-        sd_ns = self._map_sd_ns(now_ns)
-        if sd_ns < self._parameters.max_clock_sd_ns:
-            return None
-        return (
-            f"the clock map's standard deviation is {sd_ns / 1000:.0f} us: expected below {limit_us:g} us; "
-            "wait a second, and look for a slow USB hub or a busy computer if it stays"
-        )
 
     def _map_sd_ns(self, now_ns: int) -> float:
         return self._mapping.standard_deviation_ns(self._mapping.device_ns(now_ns))

@@ -27,11 +27,11 @@ RATE_SD = 1e-4
 """What is known of the rate beforehand: crystals are within 100 ppm of their frequency."""
 FLOOR_NS = 5_000.0
 """Error of the best exchanges: resolution of the clocks, time to wake up [ns, standard deviation]."""
-SLEW_NS = 1_000_000_000
+SLEW_NS = 300_000_000
 """Device time within which the map joins a new estimate [ns]."""
 MAX_SLEW = 5e-4
 """Greatest change of the map's rate while it does so."""
-MIN_EXCHANGES = 5
+MIN_EXCHANGES = 10
 
 
 @dataclass(frozen=True)

@@ -360,8 +360,6 @@ class CommandGate:
         state: AxisState,
         position: float,
         speed: float,
-        *,
-        refusal: str | None = None,
     ) -> Sequence | None:
         """Take a chunk; return the sequence when this chunk completed it and it passed every check.
 
@@ -373,8 +371,6 @@ class CommandGate:
             The time now [ns, UNIX].
         state, position, speed
             The axis's state, measured position [m] and speed [m/s].
-        refusal : str, optional
-            A reason of the caller's for which no sequence may start at present.
         """
         if self._assembler is None:
             if (chunk.sequence_id, chunk.start_ns) == self._refused:
@@ -401,7 +397,7 @@ class CommandGate:
         if isinstance(sequence, str):
             self._refuse(sequence)
             return None
-        objection = refusal or self._check(sequence, now_ns, state, position, speed)
+        objection = self._check(sequence, now_ns, state, position, speed)
         if objection:
             self._refuse(objection)
             return None

@@ -188,7 +188,7 @@ class LoopbackRig(Rig):
 
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")
-        self.until(lambda r: r.status.counters.get("clock_sd_ns", 10**9) < 20_000)
+        self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 20_000)
 
 
 class DriverRig(Rig):
@@ -215,8 +215,7 @@ class DriverRig(Rig):
 
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")
-        limit_ns = 0.8 * 50_000
-        self.until(lambda r: r.status.counters.get("clock_sd_ns", 10**9) < limit_ns)
+        self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 25_000)
 
     def close(self) -> None:
         self.hub.close()

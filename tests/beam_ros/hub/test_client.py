@@ -262,10 +262,28 @@ def test_no_sequence_starts_on_a_map_that_is_not_known_well_enough():
     rig.until(lambda r: r.status.state != "disconnected")
     rig.enable()
     load(rig, rest_to_rest(400))
-    (report,) = [s for r in rig.run(0.1) for s in r.sequences][-1:]
+    assert states(rig.run(0.1)) == ["loading", "ready"]
+    (report,) = [s for r in rig.run(0.3) for s in r.sequences]
     assert report.state == "refused"
     assert "standard deviation" in report.reason
     assert sum(len(r.measured) for r in rig.reports) == 0
+
+
+def test_a_sequence_waits_for_the_map_and_can_be_stopped_while_it_waits():
+    rig = LoopbackRig(PARAMETERS)
+    is_clock = frames_of(protocol.CLOCK_QUERY)
+    rig.to_device = filtered(lambda f: not is_clock(f))
+    rig.until(lambda r: r.status.state != "disconnected")
+    rig.enable()
+    load(rig, rest_to_rest(400), 2_000_000_000)
+    rig.run(0.5)
+    assert rig.ask("stop").success
+    assert states(rig.reports)[-1] == "aborted"
+    rig.enable()
+    load(rig, rest_to_rest(400), 3_000_000_000, "second")
+    rig.run(0.5)
+    rig.to_device = lambda data: data
+    assert states(rig.run(4.0)) == ["running", "done"]
 
 
 @pytest.mark.parametrize(
