@@ -33,6 +33,12 @@ class TopicTap:
     node : RigNode -- owns the subscription
     topic : interfaces.Topic -- row of the table
     recording : Recording -- takes the messages
+
+    Attributes
+    ----------
+    name : str -- the topic's full name
+    received : int -- messages so far
+    losses : LossCounter
     """
 
     def __init__(self, node: RigNode, topic: interfaces.Topic, recording: Recording) -> None:
@@ -40,8 +46,8 @@ class TopicTap:
         self._node = node
         self._topic = topic
         self._recording = recording
-        self._name = node.resolve_topic_name(topic.name)
-        self._is_announced = False
+        self.received = 0
+        self.name: str = node.resolve_topic_name(topic.name)
         self._has_one_publisher = False
         self._qos = replace(topic.qos, depth=_DEPTH)
         self._subscription = self._subscribe()
@@ -50,7 +56,7 @@ class TopicTap:
     def _subscribe(self) -> Subscription:
         message_class = self._node.types.message_class(self._topic.type_name)
         return self._node.create_subscription(
-            message_class, self._name, self._take, qos_profile(self._qos), raw=True
+            message_class, self.name, self._take, qos_profile(self._qos), raw=True
         )
 
     def _offered(self) -> tuple[QualityOfService, ...]:
@@ -60,7 +66,7 @@ class TopicTap:
                 is_reliable=info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
                 is_latched=info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
             )
-            for info in self._node.get_publishers_info_by_topic(self._name)
+            for info in self._node.get_publishers_info_by_topic(self.name)
         )
 
     def follow_publishers(self) -> None:
@@ -78,17 +84,17 @@ class TopicTap:
             self._subscription = self._subscribe()
 
     def _take(self, data: bytes, info: dict[str, int | None]) -> None:
-        if not self._is_announced:
-            self._is_announced = True
+        if not self.received:
             offered = self._offered() or (self._topic.qos,)
-            self._recording.announce(self._name, self._topic.type_name, offered)
+            self._recording.announce(self.name, self._topic.type_name, offered)
+        self.received += 1
         if self._has_one_publisher:
             self.losses.see(info["publication_sequence_number"])
         else:
             self.losses.forget()
         now_ns = time.time_ns()
         received_ns, sent_ns = info["received_timestamp"] or now_ns, info["source_timestamp"] or now_ns
-        self._recording.put(self._name, received_ns, sent_ns, data)
+        self._recording.put(self.name, received_ns, sent_ns, data)
 
     def close(self) -> None:
         """Give the subscription up."""
@@ -102,7 +108,14 @@ class BagRecorder(RigNode):
         super().__init__("bag_recorder")
         self._recording: Recording | None = None
         self._taps: list[TopicTap] = []
-        self._last: dict[str, Any] = {"recording": False, "path": "", "messages": 0, "lost": 0, "failure": ""}
+        self._last: dict[str, Any] = {
+            "recording": False,
+            "path": "",
+            "messages": 0,
+            "lost": 0,
+            "failure": "",
+            "topics": {},
+        }
         self._state = self.offer("recorder/state")
         self.serve("recorder/start", self._on_start)
         self.serve("recorder/stop", self._on_stop)
@@ -140,6 +153,7 @@ class BagRecorder(RigNode):
             "messages": recording.message_count,
             "lost": recording.dropped + sum(tap.losses.lost for tap in self._taps),
             "failure": recording.failure,
+            "topics": {tap.name: tap.received for tap in self._taps if tap.received},
         }
 
     def _publish_state(self) -> None:

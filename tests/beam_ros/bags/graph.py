@@ -25,17 +25,21 @@ class Graph:
         self.node = Node(name)
         self.types = RosTypes()
 
-    def publisher(self, topic: str, qos: QualityOfService | None = None) -> Any:
+    def publisher(self, topic: str, qos: QualityOfService | None = None, namespace: str = "") -> Any:
         """Make the publisher of a topic of the table."""
         row = interfaces.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
-        return self.node.create_publisher(message_class, topic, qos_profile(qos or row.qos))
+        name = f"{namespace}/{topic}"
+        return self.node.create_publisher(message_class, name, qos_profile(qos or row.qos))
 
-    def listen(self, topic: str, callback: Callable[..., None], **options: Any) -> None:
+    def listen(
+        self, topic: str, callback: Callable[..., None], *, namespace: str = "", raw: bool = False
+    ) -> None:
         """Subscribe to a topic of the table."""
         row = interfaces.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
-        self.node.create_subscription(message_class, topic, callback, qos_profile(row.qos), **options)
+        name = f"{namespace}/{topic}"
+        self.node.create_subscription(message_class, name, callback, qos_profile(row.qos), raw=raw)
 
     def spin(self, seconds: float) -> None:
         """Let callbacks run for a while."""

