@@ -20,7 +20,7 @@ from beam_ros.excitation_plan import plan_excitation, tip_guard
 from beam_ros.filming import Exposure, Film
 from beam_ros.hub.axis import VirtualAxis
 from beam_ros.hub.contract import HostTime, HubReport, RequestKind
-from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.plant import beam_on_axis
 from beam_ros.hub.simulated_hub import SimulatedHub
 from beam_ros.messages import BagTypes
 from beam_ros.rig import Rig
@@ -66,7 +66,7 @@ def simulate(
     plan = plan_excitation(rig)
     model = rig.beam_model()
     parameters = rig.hub_parameters()
-    axis = VirtualAxis(parameters, BeamPlant(model, parameters.period))
+    axis = VirtualAxis(parameters, beam_on_axis(model, parameters))
     hub = SimulatedHub(axis, guard=tip_guard(rig))
     types = BagTypes()
     with BagWriter(path) as bag:

@@ -9,13 +9,14 @@ instants of the recent past.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from beam_model import BeamModel
 from beam_ros.hub.contract import FloatArray
+from beam_ros.hub.parameters import HubParameters
 
 
 @dataclass(frozen=True)
@@ -234,3 +235,77 @@ class BeamPlant:
         if self._delay == 0.0:
             return acceleration
         return acceleration + (residual - acceleration) * math.exp(-tau / self._delay)
+
+
+class PlantOnDeviceClock:
+    """A plant that lives in true time under a device whose clock does not; implements `Plant`.
+
+    Physics does not follow a crystal: what the device holds for a second of its own acts for
+    `seconds_per_device_second`, and its velocities and accelerations are other ones in true time.
+
+    Parameters
+    ----------
+    plant : Plant
+        Stepped with the true length of the device's tick.
+    seconds_per_device_second : float
+        True seconds that pass in one second of the device.
+    """
+
+    def __init__(self, plant: Plant, seconds_per_device_second: float) -> None:
+        self.n_modes = plant.n_modes
+        self._plant = plant
+        self._second = seconds_per_device_second
+
+    def state(self) -> FloatArray:
+        """Return a copy of the elastic state at the present tick."""
+        return self._plant.state()
+
+    def kick(self, delta_velocity: float) -> None:
+        """Let the hub's velocity jump by `delta_velocity` [m per device second]."""
+        self._plant.kick(delta_velocity / self._second)
+
+    def step_led(self, acceleration: float, mean_acceleration: float) -> None:
+        """Advance one period under a constant hub acceleration [m per device second squared]."""
+        self._plant.step_led(self._true(acceleration), self._true(mean_acceleration))
+
+    def step_free(self, position: float, velocity: float, force: float) -> tuple[float, float]:
+        """Advance one period under a constant force [N]; return position and velocity as the device sees them."""
+        position, velocity = self._plant.step_free(position, velocity / self._second, force)
+        return position, velocity * self._second
+
+    def force_when_led(self, acceleration: float) -> float:
+        """Return the force [N] that gives the hub this acceleration in the present state."""
+        return self._plant.force_when_led(self._true(acceleration))
+
+    def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
+        """Return q, shape (n_modes,), `tau` device seconds into a tick that began in `state`, the hub led."""
+        return self._plant.coordinates(state, tau * self._second, self._true(acceleration))
+
+    def residual_acceleration(self, state: FloatArray, tau: float, mean_acceleration: float) -> float:
+        """Return the true acceleration that the modes left out of q follow then [m/s^2], the hub led."""
+        return self._plant.residual_acceleration(state, tau * self._second, self._true(mean_acceleration))
+
+    def free_motion(
+        self, state: FloatArray, position: float, velocity: float, tau: float, force: float
+    ) -> FreeMotion:
+        """Return hub and beam `tau` device seconds into a tick that began in `state`; accelerations are true."""
+        motion = self._plant.free_motion(state, position, velocity / self._second, tau * self._second, force)
+        return replace(motion, velocity=motion.velocity * self._second)
+
+    def _true(self, acceleration: float) -> float:
+        return acceleration / self._second**2
+
+
+def beam_on_axis(model: BeamModel, parameters: HubParameters) -> Plant:
+    """Put a beam on the axis of a device, whose clock may drift.
+
+    Parameters
+    ----------
+    model : BeamModel
+        Beam and hub.
+    parameters : HubParameters
+        The device's tick and the drift of its clock.
+    """
+    second = 1.0 / (1.0 + parameters.clock_drift_ppm * 1e-6)
+    plant = BeamPlant(model, parameters.period * second)
+    return plant if second == 1.0 else PlantOnDeviceClock(plant, second)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.emulator import EmulatedController
-from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.plant import beam_on_axis
 from beam_ros.nodes.camera import CameraOutput
 from beam_ros.nodes.shell import RigNode, run_node
 
@@ -27,7 +27,7 @@ class FirmwareEmulator(RigNode):
             clock_drift_ppm=self.rig.number("emulator.clock_drift_ppm"), clock_start_ns=_POWER_ON_NS
         )
         self._link: Path | None = None
-        self._controller = EmulatedController(parameters, BeamPlant(model, parameters.period))
+        self._controller = EmulatedController(parameters, beam_on_axis(model, parameters))
         self._camera = CameraOutput(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )

@@ -9,7 +9,7 @@ from beam_ros import messages
 from beam_ros.excitation_plan import tip_guard
 from beam_ros.hub.axis import VirtualAxis
 from beam_ros.hub.contract import Hub, HubReport
-from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.plant import beam_on_axis
 from beam_ros.hub.simulated_hub import SimulatedHub
 from beam_ros.nodes.camera import CameraOutput
 from beam_ros.nodes.hub import HubNode
@@ -29,7 +29,7 @@ class Simulator(HubNode):
     def _build(self, rig: Rig) -> Hub:
         self._model = rig.beam_model()
         parameters = rig.hub_parameters()
-        plant = BeamPlant(self._model, parameters.period)
+        plant = beam_on_axis(self._model, parameters)
         factor = rig.number("simulation.real_time_factor")
         self._simulated = SimulatedHub(
             VirtualAxis(parameters, plant), real_time_factor=factor, guard=tip_guard(rig)

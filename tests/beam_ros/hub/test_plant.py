@@ -7,7 +7,7 @@ from hub_scenes import enabled_axis, rest_to_rest
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.hub import HubParameters
 from beam_ros.hub.beam_points import BeamPoints
-from beam_ros.hub.plant import BeamPlant
+from beam_ros.hub.plant import BeamPlant, PlantOnDeviceClock, RigidLoad, beam_on_axis
 
 T = 1e-3
 TICK = 1_000_000
@@ -132,3 +132,53 @@ def test_the_deflection_under_a_lasting_acceleration_is_the_static_one():
     EI = 200e9 * 0.025 * 0.0005**3 / 12
     rigid = -7850 * 0.025 * 0.0005 * 0.3**4 / (8 * EI)
     assert w[0] == pytest.approx(rigid, rel=0.1)
+
+
+DRIFTING = HubParameters(clock_drift_ppm=1000.0)
+SECOND = 1.0 / 1.001  # true seconds per second of a device that runs 1000 ppm fast
+
+
+def test_a_struck_beam_vibrates_in_true_time_whatever_the_devices_clock_says():
+    """Closed form after a jump v of the hub: q = -Gamma v e^(-zeta w t) sin(w_d t) / w_d, in true time."""
+    model = beam()
+    plant = beam_on_axis(model, DRIFTING)
+    plant.kick(0.1 * SECOND)  # as the device sees 0.1 m/s
+    ticks = 3000
+    for _ in range(ticks):
+        plant.step_led(0.0, 0.0)
+    t = ticks * T * SECOND
+    omega, zeta = model.natural_frequencies, model.damping_ratios
+    damped = omega * np.sqrt(1 - zeta**2)
+    expected = -model.participation_factors * 0.1 * np.exp(-zeta * omega * t) * np.sin(damped * t) / damped
+    np.testing.assert_allclose(plant.state()[: model.n_modes], expected, atol=1e-12)
+    inside = plant.coordinates(plant.state(), 0.5 * T, 0.0)
+    t += 0.5 * T * SECOND
+    expected = -model.participation_factors * 0.1 * np.exp(-zeta * omega * t) * np.sin(damped * t) / damped
+    np.testing.assert_allclose(inside, expected, atol=1e-12)
+
+
+def test_a_held_acceleration_of_the_device_is_another_one_in_true_time():
+    """The static shape under a lasting acceleration a is -Gamma a / w^2."""
+    model = beam(viscous=5.0)
+    plant = beam_on_axis(model, DRIFTING)
+    for _ in range(4000):
+        plant.step_led(1.0, 1.0)
+    expected = -model.participation_factors / SECOND**2 / model.natural_frequencies**2
+    np.testing.assert_allclose(plant.state()[: model.n_modes], expected, rtol=1e-6)
+    assert plant.residual_acceleration(plant.state(), 0.0, 1.0) == pytest.approx(SECOND**-2)
+
+
+def test_a_free_hub_moves_in_true_time_and_is_told_in_the_devices():
+    plant = PlantOnDeviceClock(RigidLoad(2.0, T * SECOND), SECOND)
+    position = velocity = 0.0
+    for _ in range(1000):
+        position, velocity = plant.step_free(position, velocity, 3.0)
+    assert position == pytest.approx(1.5 * SECOND**2 / 2)
+    assert velocity == pytest.approx(1.5 * SECOND * SECOND)
+    motion = plant.free_motion(plant.state(), position, velocity, T, 3.0)
+    assert motion.acceleration == pytest.approx(1.5)
+    assert motion.velocity == pytest.approx(1.5 * 1.001 * SECOND * SECOND)
+
+
+def test_a_clock_without_drift_needs_no_translation():
+    assert isinstance(beam_on_axis(beam(), HubParameters()), BeamPlant)
