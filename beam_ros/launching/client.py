@@ -34,6 +34,7 @@ class RigClient:
     hub_position : float -- newest hub position [m]
     sequence : dict -- newest `hub/sequence_state`
     identification : dict or None -- newest `identification/result`
+    recorded : dict -- messages that the recorder has, by topic
     hub_counters : dict or None -- the hub's newest values on `/diagnostics`
     """
 
@@ -48,11 +49,13 @@ class RigClient:
         self.sequence: dict[str, Any] = {}
         self.identification: dict[str, Any] | None = None
         self.hub_counters: dict[str, object] | None = None
+        self.recorded: dict[str, int] = {}
         self._listen("beam/displacement", self._on_displacement)
         self._listen("hub/state", self._on_hub_state)
         self._listen("hub/sequence_state", self._on_sequence_state)
         self._listen("identification/result", self._on_identification)
         self._listen("/diagnostics", self._on_diagnostics)
+        self._listen("recorder/state", self._on_recorder_state)
 
     def _listen(self, topic: str, callback: Callable[[Any], None]) -> None:
         row = interfaces.TOPICS[topic]
@@ -71,6 +74,10 @@ class RigClient:
 
     def _on_identification(self, message: Any) -> None:
         self.identification = json.loads(message.data)
+
+    def _on_recorder_state(self, message: Any) -> None:
+        counts = json.loads(message.data).get("topics", {})
+        self.recorded = {str(name).lstrip("/"): int(count) for name, count in counts.items()}
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in messages.read_diagnostics(message):

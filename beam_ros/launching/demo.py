@@ -127,6 +127,12 @@ def _measure_and_identify(rig: Rig, client: Any) -> dict[str, Any]:
             f"hub at {client.hub_position * 1e3:+.3f} mm, markers {', '.join(client.displacement)} in sight"
         )
     client.call("recorder/start")
+    client.wait(
+        lambda: all(client.recorded.get(topic, 0) > 0 for topic in ("hub/measured", "beam/displacement")),
+        _START_TIMEOUT_S,
+        "the recorder received nothing from hub and tracker",
+        "look at bag_recorder.log",
+    )
     length = float(rig["excitation.duration"]) + float(rig["excitation.still"])  # type: ignore[arg-type]
     with Progress(f"{rig['excitation.kind']}", length, "s") as stage:
         client.sequence = {}

@@ -7,7 +7,7 @@ from hub_scenes import enabled_axis, rest_to_rest
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.hub import HubParameters
 from beam_ros.hub.beam_points import BeamPoints
-from beam_ros.hub.plant import BeamPlant, PlantOnDeviceClock, RigidLoad, beam_on_axis
+from beam_ros.hub.plant import BeamPlant, beam_on_axis
 
 T = 1e-3
 TICK = 1_000_000
@@ -169,15 +169,18 @@ def test_a_held_acceleration_of_the_device_is_another_one_in_true_time():
 
 
 def test_a_free_hub_moves_in_true_time_and_is_told_in_the_devices():
-    plant = PlantOnDeviceClock(RigidLoad(2.0, T * SECOND), SECOND)
+    model = beam()
+    plant, truth = beam_on_axis(model, DRIFTING), model.force_stepper(T * SECOND)
     position = velocity = 0.0
-    for _ in range(1000):
-        position, velocity = plant.step_free(position, velocity, 3.0)
-    assert position == pytest.approx(1.5 * SECOND**2 / 2)
-    assert velocity == pytest.approx(1.5 * SECOND * SECOND)
-    motion = plant.free_motion(plant.state(), position, velocity, T, 3.0)
-    assert motion.acceleration == pytest.approx(1.5)
-    assert motion.velocity == pytest.approx(1.5 * 1.001 * SECOND * SECOND)
+    for _ in range(500):
+        position, velocity = plant.step_free(position, velocity, 0.3)
+        truth.step(0.3)
+    assert position == pytest.approx(truth.state[0], rel=1e-9)
+    assert velocity == pytest.approx(truth.state[model.n_modes + 1] * SECOND, rel=1e-9)
+    seen = plant.free_motion(plant.state(), position, velocity, T / 2, 0.3)
+    expected = truth.motion(T * SECOND / 2, 0.3)
+    assert seen.position == pytest.approx(float(expected.position), rel=1e-9)
+    assert seen.acceleration == pytest.approx(float(expected.acceleration), rel=1e-6)
 
 
 def test_a_clock_without_drift_needs_no_translation():
