@@ -32,16 +32,18 @@ lint: ## style and types
 	@$(SETUP) --extras ros,test,dev -- mypy
 
 test-matrix: ## the tests on several Pythons, newest and oldest requirements (MATRIX="3.12-oldest ...")
-	@failed=; for cell in $(MATRIX); do \
+	@failed=; tried=; for cell in $(MATRIX); do \
 		python=$${cell%-*}; constraint=.ci/$${cell#*-}.txt; \
 		if ! $(PYTHON) bootstrap.py --python $$python --print-python >/dev/null; then \
 			echo "== $$cell: left out, no Python $$python on this machine"; continue; \
 		fi; \
-		echo "== $$cell"; \
+		echo "== $$cell"; tried="$$tried $$cell"; \
 		$(PYTHON) bootstrap.py --venv .venv-$$cell --python $$python --extras ros,test --constraint $$constraint \
 			-- python -m pytest $(ARGS) || failed="$$failed $$cell"; \
 	done; \
-	if [ -n "$$failed" ]; then echo "== failed:$$failed"; exit 1; fi; echo "== passed"
+	if [ -n "$$failed" ]; then echo "== failed:$$failed"; exit 1; fi; \
+	if [ -z "$$tried" ]; then echo "== none of $(MATRIX) could be tried; expected one Python of 3.10 to 3.13"; exit 2; fi; \
+	echo "== passed:$$tried"
 
 clean: ## remove what builds, tests and linters left; the environment and your runs stay
 	rm -rf build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
