@@ -33,7 +33,7 @@ from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.framing import FrameDecoder
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import HubParameters
-from beam_ros.hub.sequences import CommandGate, Guard, Sequence
+from beam_ros.hub.sequences import MAX_AGE_NS, CommandGate, Guard, Sequence
 
 Link = Literal["down", "greeting", "up"]
 
@@ -71,6 +71,14 @@ class _PendingRequest:
     first_sent_ns: int | None = None
     last_sent_ns: int = 0
     is_acknowledged: bool = False
+
+
+@dataclass
+class _Setpoint:
+    number: int
+    value: float
+    made_ns: int
+    sent_ns: int | None = None
 
 
 @dataclass
@@ -132,7 +140,8 @@ class HubClient:
         self._next_request = 1
         self._requests: dict[int, _PendingRequest] = {}
         self._closing_request: int | None = None
-        self._setpoints: list[float] = []
+        self._setpoint: _Setpoint | None = None
+        self._setpoint_number = 0
         self._stream: _Stream | None = None
         self._stream_number = 0
 
@@ -167,6 +176,7 @@ class HubClient:
         request_id = self._next_request
         self._next_request += 1
         if kind in ("stop", "disable"):
+            self._setpoint = None
             self._gate.abort_loading(f"{kind} was asked for")
             if self._stream is not None and self._stream.start_device_ns is None:
                 # The device does not know of it yet.
@@ -184,7 +194,8 @@ class HubClient:
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self._status().state)
         if outcome.success:
-            self._setpoints.append(value)
+            self._setpoint_number = self._setpoint_number % 0xFFFF + 1
+            self._setpoint = _Setpoint(self._setpoint_number, value, now.steady_ns)
         else:
             self._counters["setpoints_refused"] += 1
         return outcome
@@ -291,7 +302,7 @@ class HubClient:
         if not is_alive or self._link == "down":
             self._talking_since_ns = None
             # A set-point that waited for a frozen host is too old to be sent when it thaws.
-            self._setpoints.clear()
+            self._setpoint = None
             return b""
         if self._talking_since_ns is None:
             self._talking_since_ns = now_ns
@@ -299,8 +310,7 @@ class HubClient:
         if self._link == "greeting":
             self._greet(messages, now_ns)
         else:
-            messages += [protocol.Setpoint(value) for value in self._setpoints]
-            self._setpoints.clear()
+            self._command(messages, now_ns)
             self._arm(messages, now_ns)
             self._ask(messages, now_ns)
             self._stream_samples(messages, now_ns)
@@ -344,6 +354,18 @@ class HubClient:
                 f"expected a controller that speaks protocol version {protocol.VERSION}; check serial.port, "
                 "serial.baud, and that the controller has power and the firmware"
             )
+
+    def _command(self, messages: list[protocol.Message], now_ns: int) -> None:
+        """Send the newest set-point, and send it again until it has come or is too old."""
+        setpoint = self._setpoint
+        if setpoint is None:
+            return
+        has_come = self._device is not None and self._device.setpoint_number == setpoint.number
+        if has_come or now_ns - setpoint.made_ns > MAX_AGE_NS:
+            self._setpoint = None
+        elif setpoint.sent_ns is None or now_ns - setpoint.sent_ns >= RESEND_NS:
+            setpoint.sent_ns = now_ns
+            messages.append(protocol.Setpoint(setpoint.number, setpoint.value))
 
     def _ask(self, messages: list[protocol.Message], now_ns: int) -> None:
         for number, pending in list(self._requests.items()):
@@ -561,7 +583,7 @@ class HubClient:
                 message = f"{pending.kind}: the controller is disconnected: {reason}"
                 self._completed.append((pending.request_id, Outcome(False, message)))
         self._requests.clear()
-        self._setpoints.clear()
+        self._setpoint = None
         self._stream = None
         self._gate.finish("aborted", reason)
         self._device = None

@@ -78,6 +78,7 @@ class FirmwareEmulator:
         self._ticks: list[TickBatch] = []
         self._n_ticks = 0
         self._replies: OrderedDict[int, protocol.RequestReply] = OrderedDict()
+        self._setpoint_number = 0
         self._setpoints_refused = 0
         self._arm_reply: protocol.ArmReply | None = None
         self._sequence_number = 0
@@ -143,6 +144,7 @@ class FirmwareEmulator:
         self.axis.emergency_stop("a host opened a new session")
         self._replies.clear()
         self._arm_reply = None
+        self._setpoint_number = 0
         self._sequence_number = 0
         self._sequence_state = "none"
         self._sequence_reason = ""
@@ -194,6 +196,9 @@ class FirmwareEmulator:
             self._replies.popitem(last=False)
 
     def _on_setpoint(self, setpoint: protocol.Setpoint) -> None:
+        if setpoint.number == self._setpoint_number:
+            return
+        self._setpoint_number = setpoint.number
         if not self.axis.setpoint(setpoint.value).success:
             self._setpoints_refused = (self._setpoints_refused + 1) & 0xFFFF
             self._send_status()
@@ -272,6 +277,7 @@ class FirmwareEmulator:
                 axis.state,
                 min(max(position, limits.min), limits.max),
                 min(max(velocity, limits.min), limits.max),
+                self._setpoint_number,
                 self._setpoints_refused,
                 self._sequence_number,
                 self._sequence_state,

@@ -41,8 +41,6 @@ class HubParameters:
     watchdog_s : float
         Silence of the host after which an enabled axis stops by itself [s of device time]; also the
         age at which an acceleration, velocity or effort set-point must have been refreshed.
-    batch_ns : int
-        Length of one batch of samples [ns of device time], a multiple of `period_ns`.
     move_speed, move_acceleration : float
         Limits of the profiled move to a position set-point [m/s], [m/s^2].
     homing_speed, homing_acceleration : float
@@ -71,7 +69,6 @@ class HubParameters:
     command_mode: CommandMode = "acceleration"
     period_ns: int = 1_000_000
     watchdog_s: float = 0.25
-    batch_ns: int = 20_000_000
     move_speed: float = 0.05
     move_acceleration: float = 0.5
     homing_speed: float = 0.02
@@ -93,7 +90,6 @@ class HubParameters:
             "encoder_resolution",
             "period_ns",
             "watchdog_s",
-            "batch_ns",
             "move_speed",
             "move_acceleration",
             "homing_speed",
@@ -107,7 +103,6 @@ class HubParameters:
                 raise _refusal(name, value, "a finite number greater than 0")
         for name in (
             "period_ns",
-            "batch_ns",
             "buffer_samples",
             "serial_baud",
             "max_clock_sd_ns",
@@ -118,10 +113,6 @@ class HubParameters:
                 raise _refusal(name, value, "a whole number")
         if self.command_mode not in COMMAND_MODES:
             raise _refusal("command_mode", self.command_mode, "one of " + ", ".join(COMMAND_MODES))
-        if self.batch_ns % self.period_ns:
-            raise _refusal("batch_ns", self.batch_ns, f"a multiple of period_ns = {self.period_ns}")
-        if self.batch_ns // self.period_ns > MAX_BATCH_TICKS:
-            raise _refusal("batch_ns", self.batch_ns, f"at most {MAX_BATCH_TICKS} periods")
         if self.watchdog_s * 1e9 < 2 * self.batch_ns:
             raise _refusal("watchdog_s", self.watchdog_s, f"at least two batches ({2e-9 * self.batch_ns} s)")
         for name, limit in (
@@ -148,8 +139,13 @@ class HubParameters:
 
     @property
     def batch_ticks(self) -> int:
-        """Ticks in one batch of samples."""
-        return self.batch_ns // self.period_ns
+        """Ticks in one batch of samples: about 20 ms, at least one tick and at most what a frame holds."""
+        return min(max(round(BATCH_NS / self.period_ns), 1), MAX_BATCH_TICKS)
+
+    @property
+    def batch_ns(self) -> int:
+        """Length of one batch of samples [ns of device time]."""
+        return self.batch_ticks * self.period_ns
 
     @property
     def watchdog_ticks(self) -> int:
@@ -182,8 +178,9 @@ class HubParameters:
         return "linear" if self.command_mode == "position" else "zoh"
 
 
-# One telemetry frame of the line protocol carries one batch; its tick count is a byte.
+BATCH_NS = 20_000_000
 MAX_BATCH_TICKS = 100
+"""Most ticks in one batch, which one telemetry frame of the line protocol carries."""
 
 
 def _refusal(name: str, value: object, expected: str) -> HubParameterError:

@@ -72,8 +72,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One set-point in the command mode's unit."""
+    """One set-point in the command mode's unit; repeated with the same number it is the same one."""
 
+    number: int
     value: float
 
 
@@ -192,6 +193,8 @@ class Status:
         identified, homed, enabled or fault.
     position_count, velocity_count : int
         Encoder [encoder_resolution], [encoder_resolution / period].
+    setpoint_number : int
+        Newest set-point that came, 0 if none has.
     setpoints_refused : int
         Counter, modulo 2^16.
     sequence_number : int
@@ -213,6 +216,7 @@ class Status:
     state: AxisState
     position_count: int
     velocity_count: int
+    setpoint_number: int
     setpoints_refused: int
     sequence_number: int
     sequence_state: DeviceSequenceState
@@ -246,14 +250,14 @@ _IDENTITY_HEAD = struct.Struct("<4sBBBI")
 _IDENTITY = struct.Struct("<IBHB5dI")
 _NUMBER = struct.Struct("<H")
 _REQUEST = struct.Struct("<HB")
-_SETPOINT = struct.Struct("<d")
+_SETPOINT = struct.Struct("<Hd")
 _ARM = struct.Struct("<HQI")
 _SAMPLES = struct.Struct("<HI")
 _CLOCK_REPLY = struct.Struct("<HQQ")
 _REPLY = struct.Struct("<HB")
 _TELEMETRY = struct.Struct("<QB")
 _TICK_BYTES = 8 + 4 + 4 + 4
-_STATUS = struct.Struct("<IQBiiHHBIH")
+_STATUS = struct.Struct("<IQBiiHHHBIH")
 
 HELLO, HEARTBEAT, CLOCK_QUERY, REQUEST, SETPOINT, ARM, SAMPLES, GOODBYE = range(0x01, 0x09)
 IDENTITY, CLOCK_REPLY, REQUEST_REPLY, ARM_REPLY, TELEMETRY, STATUS = range(0x81, 0x87)
@@ -292,7 +296,7 @@ def _encode(message: Message) -> bytes:
         case Request():
             return _typed(REQUEST, _REQUEST.pack(message.number, REQUEST_KINDS.index(message.kind)))
         case Setpoint():
-            return _typed(SETPOINT, _SETPOINT.pack(message.value))
+            return _typed(SETPOINT, _SETPOINT.pack(message.number, message.value))
         case Arm():
             return _typed(ARM, _ARM.pack(message.number, message.start_ns, message.n_samples))
         case Samples():
@@ -378,6 +382,7 @@ def _status_body(message: Status) -> bytes:
             AXIS_STATES.index(message.state),
             message.position_count,
             message.velocity_count,
+            message.setpoint_number,
             message.setpoints_refused,
             message.sequence_number,
             DEVICE_SEQUENCE_STATES.index(message.sequence_state),
@@ -542,7 +547,7 @@ def _decode_telemetry(body: bytes) -> Telemetry:
 
 def _decode_status(body: bytes) -> Status:
     fields = _STATUS.unpack(body[: _STATUS.size])
-    boot_id, tick, state, position, velocity, refused, number, sequence, received, free = fields
+    boot_id, tick, state, position, velocity, setpoint, refused, number, sequence, received, free = fields
     reason, rest = _take_text(body[_STATUS.size :])
     return Status(
         boot_id,
@@ -550,6 +555,7 @@ def _decode_status(body: bytes) -> Status:
         AXIS_STATES[state],
         position,
         velocity,
+        setpoint,
         refused,
         number,
         DEVICE_SEQUENCE_STATES[sequence],

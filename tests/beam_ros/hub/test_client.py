@@ -7,7 +7,7 @@ import random
 
 import numpy as np
 import pytest
-from hub_scenes import LoopbackRig, chunks_of, rest_to_rest
+from hub_scenes import LoopbackRig, SimulatedRig, chunks_of, rest_to_rest
 
 from beam_ros.hub import HubParameters, protocol
 from beam_ros.hub.framing import FrameDecoder
@@ -82,8 +82,9 @@ def test_the_devices_drift_and_map_come_out():
     assert len(syncs) > 100
 
 
-def test_a_sequence_longer_than_the_buffer_is_streamed_and_applied_bit_for_bit():
-    rig = connected()
+@pytest.mark.parametrize("buffer_samples", [128, 512])
+def test_a_sequence_longer_than_the_buffer_is_streamed_and_applied_bit_for_bit(buffer_samples):
+    rig = connected(dataclasses.replace(PARAMETERS, buffer_samples=buffer_samples))
     rig.enable()
     values = rest_to_rest(3000)
     start_ns = load(rig, values)
@@ -329,3 +330,45 @@ def test_closing_stops_the_axis_without_polls():
     assert rig.client.is_closed
     assert rig.firmware.axis.velocity == 0.0
     assert rig.firmware.axis.state == "homed"
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
+def test_every_command_mode_moves_as_in_the_simulated_hub(mode):
+    parameters = dataclasses.replace(PARAMETERS, command_mode=mode)
+    k = np.arange(900)
+    smooth = np.sin(np.pi * k / 899) ** 4
+    values = {
+        "acceleration": rest_to_rest(900),
+        "velocity": 0.05 * smooth,
+        "position": 0.01 * smooth,
+        "effort": 0.8 * rest_to_rest(900),
+    }[mode]
+    if mode == "velocity":
+        values[-1] = 0.0
+
+    def path(rig):
+        rig.enable()
+        load(rig, values)
+        reports = rig.until(lambda r: "done" in states([r])) + rig.run(0.1)
+        assert reports[-1].status.state == "enabled"
+        x = np.concatenate([b.positions for r in reports for b in r.measured])
+        begin = np.flatnonzero(x)[0]
+        return x[begin : begin + 880]
+
+    real = path(connected(parameters))
+    assert np.max(np.abs(real)) > 1e-3
+    assert np.array_equal(real, path(SimulatedRig(parameters)))
+
+
+def test_a_position_setpoint_is_moved_to_and_held_over_the_line():
+    rig = connected(dataclasses.replace(PARAMETERS, command_mode="position"))
+    rig.enable()
+    is_setpoint = frames_of(protocol.SETPOINT)
+    came = []
+    # The first copy is lost; of the repeated ones, only one is a new set-point.
+    rig.to_device = filtered(lambda f: not is_setpoint(f) or came.append(f) or len(came) != 1)
+    assert rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now).success
+    rig.run(2.0)
+    assert len(came) == 2
+    assert rig.reports[-1].status.position == pytest.approx(0.02, abs=1e-7)
+    assert rig.reports[-1].status.state == "enabled"

@@ -87,7 +87,7 @@ def test_setpoints_out_of_range_are_counted_and_not_followed(value):
     firmware = in_session()
     talk(firmware, [protocol.Request(1, "home")], 0)
     talk(firmware, [protocol.Request(2, "enable")], 20_000_000)
-    answers = talk(firmware, [protocol.Setpoint(value)], 21_000_000)
+    answers = talk(firmware, [protocol.Setpoint(1, value)], 21_000_000)
     assert answers[-1].setpoints_refused == 1
     assert firmware.axis.state == "enabled"
     assert firmware.axis.activity == "hold"

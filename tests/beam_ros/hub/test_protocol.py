@@ -24,14 +24,14 @@ IDENTITY = protocol.Identity(
     1, 1, 3, 0xDEADBEEF, 1_000_000, 20, 512, "velocity", 1e-7, 0.1, 0.5, 10.0, 20.0, 250_000_000, "emulator"
 )
 STATUS = protocol.Status(
-    7, 10**15, "fault", -12, 34, 65535, 9, "underrun", 2**31, 512, "limit: ±50 mm", "it was slow"
+    7, 10**15, "fault", -12, 34, 4, 65535, 9, "underrun", 2**31, 512, "limit: ±50 mm", "it was slow"
 )
 MESSAGES = [
     protocol.Hello(1, 4),
     protocol.Heartbeat(),
     protocol.ClockQuery(65535),
     protocol.Request(12, "clear_fault"),
-    protocol.Setpoint(-0.125),
+    protocol.Setpoint(65535, -0.125),
     protocol.Arm(3, 2**63, 4_000_000_000),
     protocol.Samples(3, 500, np.array([1.0, -0.0, 1e-17])),
     protocol.Goodbye(),

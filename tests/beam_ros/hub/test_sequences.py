@@ -171,7 +171,7 @@ def test_acceleration_sequences_are_checked_by_exact_integration():
 
 def test_travel_is_checked_between_ticks_too():
     # A tick that turns round in its middle: 20 mm from the start at both ends, 30 mm in between.
-    slow = HubParameters(period_ns=100_000_000, batch_ns=100_000_000, watchdog_s=1.0)
+    slow = HubParameters(period_ns=100_000_000)
     values = np.array([4.0, -8.0, 4.0])
     assert check_sequence(values, slow, 0.02) is None
     assert "travel" in check_sequence(values, slow, 0.0201)
@@ -216,8 +216,6 @@ def test_coarser_samples_are_held_or_joined_as_the_mode_does_it():
         ("max_acceleration", -1.0),
         ("command_mode", "jerk"),
         ("period_ns", 1e6),
-        ("batch_ns", 1_500_000),
-        ("batch_ns", 200_000_000),
         ("watchdog_s", 0.03),
         ("homing_speed", 1.0),
         ("initial_position", 0.06),
@@ -228,3 +226,11 @@ def test_coarser_samples_are_held_or_joined_as_the_mode_does_it():
 def test_a_parameter_no_hub_can_have_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         HubParameters(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "ticks"), [(100_000, 100), (250_000, 80), (1_000_000, 20), (100_000_000, 1)]
+)
+def test_a_batch_is_about_twenty_milliseconds_and_fits_a_frame(period_ns, ticks):
+    parameters = HubParameters(period_ns=period_ns)
+    assert (parameters.batch_ticks, parameters.batch_ns) == (ticks, ticks * period_ns)
