@@ -19,6 +19,7 @@ VERBS: dict[str, str] = {
     "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
     "up": "the rig's nodes together, until Ctrl-C",
     "run": "one node, as `ros2 run beam_ros NODE`",
+    "call": "a service of the running rig: home, enable, start the excitation, stop",
     "model": "the rig's theory: natural frequencies, damping, participation; or the list of all parameters",
     "design": "the excitation against the hub's limits and the beam's modes",
     "simulate": "the simulator's core straight into a bag, without DDS",

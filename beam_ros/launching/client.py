@@ -38,10 +38,10 @@ class RigClient:
     hub_counters : dict or None -- the hub's newest values on `/diagnostics`
     """
 
-    def __init__(self, check: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, check: Callable[[], None] = lambda: None, *, namespace: str = "") -> None:
         """Join the graph; `check` is called while waiting and raises when a node has fallen."""
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("experimenter")
+        self._node = Node("experimenter", namespace=namespace)
         self._types = RosTypes()
         self._check = check
         self.displacement: dict[str, float] = {}
