@@ -1,6 +1,7 @@
 """Continuous-time identification of vibrating structures from sampled records."""
 
 from beam_ident.comparison import ModelComparison, compare_models
+from beam_ident.cross_validation import OutputValidation, ValidationResult, validate
 from beam_ident.errors import (
     EstimationError,
     ExcitationError,
@@ -15,7 +16,9 @@ from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
-from beam_ident.validation import Scores, Whiteness
+from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
+from beam_ident.validation import InputCorrelation, Scores, Whiteness
 
 __all__ = [
     "AxisLimits",
@@ -24,6 +27,7 @@ __all__ = [
     "ExcitationLimitError",
     "IdentificationError",
     "IdentificationResult",
+    "InputCorrelation",
     "InputSignal",
     "LogChirp",
     "ModalFrequencyResponse",
@@ -35,6 +39,7 @@ __all__ = [
     "OrderEntry",
     "OutputFit",
     "OutputSignal",
+    "OutputValidation",
     "Prior",
     "Recipe",
     "RecordError",
@@ -42,7 +47,12 @@ __all__ = [
     "Scores",
     "Step",
     "TimeRecord",
+    "TransferFunctionModel",
+    "TransferFunctionResult",
+    "ValidationResult",
     "Whiteness",
     "compare_models",
+    "estimate_transfer_function",
     "identify",
+    "validate",
 ]

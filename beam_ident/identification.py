@@ -142,8 +142,8 @@ def identify(
     record: TimeRecord | Sequence[TimeRecord],
     structure: StructureKind | ModalStructure = "base_motion",
     n_modes: int | None = None,
-    latency: Prior = LATENCY_PRIOR,
-    clock_rate: Prior = CLOCK_RATE_PRIOR,
+    latency: Prior | None = None,
+    clock_rate: Prior | None = None,
     input_name: str | None = None,
     max_modes: int = MAX_MODES,
     progress: Progress | None = None,
@@ -158,9 +158,11 @@ def identify(
         Which model goes with the input; "base_motion" for a hub position.
     n_modes : int or None
         Number of modes; None lets the Bayesian information criterion decide.
-    latency, clock_rate : Prior
+    latency, clock_rate : Prior or None
         Knowledge about the outputs' clock against the input's: latency [s] and relative
         rate.  ``Prior(mean, 0)`` fixes them, ``Prior(0, inf)`` leaves them to the data.
+        None is an unknown latency and a rate of 0 +- 50 ppm, as of a camera beside an axis;
+        for a receptance, whose signals commonly share a clock, it is no error at all.
     input_name : str or None
         Which input, where a record has several.
     max_modes : int
@@ -187,6 +189,9 @@ def identify(
     report = progress if progress is not None else _silent
     regression = ModalRegression(records, terms, input_name)
     _refuse_hopeless(regression, n_modes)
+    shares_clock = terms.kind == "receptance"
+    latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
+    clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
     search = _Search(records, regression, latency, clock_rate, input_name, report)
     search.run(n_modes, max_modes)
     return search.result()

@@ -71,6 +71,8 @@ def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     and several times quicker than Householder reflections on tall matrices.
     """
     basis, triangle = matrix, np.eye(matrix.shape[1])
+    if not matrix.shape[1]:
+        return basis, triangle
     for _ in range(2):
         try:
             lower = np.linalg.cholesky(basis.T @ basis)

@@ -18,15 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.errors import EstimationError
-from beam_ident.linear_solution import LinearSolution, scaled_solve
+from beam_ident.levenberg_marquardt import Minimum, minimise
+from beam_ident.linear_solution import LinearSolution
 from beam_ident.modal_regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.piecewise import FloatArray
 
 MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
 
-_STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible changes
-_COST_TOLERANCE = 1e-7  # in log-likelihood
 _NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
 
 
@@ -192,6 +191,15 @@ class _Problem:
             direction[place] -= deviation * weight
         return information, direction
 
+    def slope(self, state: _State) -> tuple[FloatArray, FloatArray]:
+        """Return information matrix and descent direction of the concentrated likelihood."""
+        return self.normal_equations(state, state.rss / self.sizes)
+
+    def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
+        """Return where a step leads, frequencies moving by at most 10 % and damping staying positive."""
+        largest = float(np.max(np.abs(step[: self.n_modes]), initial=0.0))
+        return self.clipped(theta + step * min(1.0, 0.1 / max(largest, 1e-300)))
+
     def clipped(self, theta: FloatArray) -> FloatArray:
         n = self.n_modes
         result = theta.copy()
@@ -236,47 +244,12 @@ def fit_modes(
         start.append(np.array([clock.latency]))
     if clock_rate.is_free:
         start.append(np.array([clock.rate]))
-    state = problem.state(problem.clipped(np.concatenate(start)))
-    converged, reason, iterations, damping = problem.n_theta == 0, "nothing nonlinear to estimate", 0, 1e-3
-    while problem.n_theta and not converged:
-        variances = state.rss / problem.sizes
-        information, direction = problem.normal_equations(state, variances)
-        accepted = False
-        for _ in range(12):
-            step = scaled_solve(information, direction, damping)
-            largest = float(np.max(np.abs(step[:n]), initial=0.0))
-            if largest > 0.1:
-                step = step * (0.1 / largest)
-            candidate = problem.clipped(state.theta + step)
-            taken = candidate - state.theta
-            size = math.sqrt(max(float(taken @ information @ taken), 0.0))
-            if size < _STEP_TOLERANCE and damping < 1.0:
-                converged, reason = True, f"step below {_STEP_TOLERANCE} standard deviations"
-                break
-            trial = problem.state(candidate)
-            if np.isfinite(trial.cost) and trial.cost <= state.cost:
-                fallen = state.cost - trial.cost
-                state, accepted = trial, True
-                if fallen < _COST_TOLERANCE and damping < 1.0:
-                    converged, reason = True, "the cost falls no further"
-                damping = max(damping * 0.1, 1e-12)
-                break
-            damping = max(damping * 10.0, 1e-6)
-        iterations += 1
-        if converged:
-            break
-        if not accepted:
-            gain = float(direction @ np.linalg.lstsq(information, direction, rcond=1e-14)[0])
-            converged = gain < 1e-4 * problem.n_theta
-            reason = "no step lowers the cost further" if converged else "stalled: no step lowers the cost"
-            break
-        if iterations >= max_iterations:
-            reason = f"stopped after {max_iterations} iterations"
-            break
-    return _finish(problem, state, converged, reason, iterations)
+    first = problem.state(problem.clipped(np.concatenate(start)))
+    return _finish(problem, minimise(problem, first, max_iterations))
 
 
-def _finish(problem: _Problem, state: _State, converged: bool, reason: str, iterations: int) -> ModalFit:
+def _finish(problem: _Problem, minimum: Minimum[_State]) -> ModalFit:
+    state, converged, reason = minimum.state, minimum.converged, minimum.reason
     regression, n, n_theta = problem.regression, problem.n_modes, problem.n_theta
     order = np.argsort(state.theta[:n])
     ranks = np.array([len(state.solutions[b].kept) for b in regression.block_of])
@@ -337,5 +310,5 @@ def _finish(problem: _Problem, state: _State, converged: bool, reason: str, iter
         rank_deficient=deficient,
         converged=converged,
         reason=reason,
-        iterations=iterations,
+        iterations=minimum.iterations,
     )

@@ -151,6 +151,8 @@ class PoleResponse:
 
     def at(self, index: NDArray[np.intp], offset: FloatArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Return the state and its derivative by the pole at places inside segments."""
+        if not np.any(offset):  # every instant is a knot
+            return self.states[index], None if self.state_slopes is None else self.state_slopes[index]
         weights, slopes = _weights(self.pole, offset, self.drive.degree, self._gradients)
         state = self.states[index]
         rows = self.drive.coefficients[index]

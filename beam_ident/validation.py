@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
 
 from beam_ident.piecewise import FloatArray
 
@@ -80,3 +81,48 @@ class Whiteness:
                 "narrow or wide"
             )
         return Whiteness(rho, 2.576 / np.sqrt(n), statistic, p_value, is_white, verdict)
+
+
+@dataclass(frozen=True, eq=False)
+class InputCorrelation:
+    """Whether residuals still contain the input.
+
+    Attributes
+    ----------
+    lags : ndarray, shape (n_lags,) -- in samples; positive when the residual follows the input
+    correlation : ndarray, shape (n_lags,)
+    band : float -- half-width of the band that holds all lags together at 99 %
+    is_independent : bool
+    verdict : str
+    """
+
+    lags: NDArray[np.intp]
+    correlation: FloatArray
+    band: float
+    is_independent: bool
+    verdict: str
+
+    @staticmethod
+    def of(residuals: FloatArray, drive: FloatArray, n_lags: int = 25) -> InputCorrelation:
+        """Correlate residuals with the input taken at the same stamps."""
+        n = len(residuals)
+        n_lags = max(1, min(n_lags, n // 4))
+        e, u = residuals - np.mean(residuals), drive - np.mean(drive)
+        power = max(float(np.linalg.norm(e) * np.linalg.norm(u)), 1e-300)
+        lags = list(range(-5 if n_lags > 5 else 0, n_lags + 1))
+        products = [float(e[max(k, 0) : n + min(k, 0)] @ u[max(-k, 0) : n - max(k, 0)]) for k in lags]
+        values = np.array(products) / power
+        band = float(norm.isf(0.005 / len(lags)) / np.sqrt(n))
+        worst = int(np.argmax(np.abs(values)))
+        is_independent = bool(np.abs(values[worst]) <= band)
+        if is_independent:
+            verdict = (
+                "the residuals do not follow the input: its path is modelled as far as these data can tell"
+            )
+        else:
+            verdict = (
+                f"the residuals follow the input (correlation {values[worst]:+.3f} at lag {lags[worst]}, "
+                "band "
+                f"{band:.3f}): dynamics, delay or hold of the model are wrong, or the order is too low"
+            )
+        return InputCorrelation(np.array(lags), values, band, is_independent, verdict)

@@ -11,11 +11,13 @@ from beam_ident import (
     ModalModel,
     ModalStructure,
     ModelFormatError,
+    Multisine,
     OutputSignal,
     Prior,
     TimeRecord,
     compare_models,
     identify,
+    validate,
 )
 from tests.beam_ident.truth import OMEGAS, RESIDUAL_TERMS, RESIDUES, ZETAS, beam_record
 
@@ -235,3 +237,21 @@ def test_intervals_cover_the_truth_over_many_records():
     assert np.all(covered > 0.905)
     assert 0.93 < np.mean(covered) < 0.97
     assert np.max(np.abs(np.mean(scores, axis=0))) < 0.3
+
+
+def test_a_model_predicts_a_record_that_it_has_not_seen(result):
+    prediction = validate(
+        result.model, beam_record(20, Multisine(n_periods=1, line_period_s=8.0, still_s=4.0))
+    )
+    for output in prediction.outputs:
+        assert 0.9 < output.noise_ratio < 1.1
+        assert output.input_correlation.is_independent
+    wrong = ModalModel.from_dict(
+        {
+            **result.model.to_dict(),
+            "natural_frequencies_rad_s": (1.01 * result.model.natural_frequencies).tolist(),
+        }
+    )
+    assert validate(wrong, beam_record(21)).output("z225").noise_ratio > 10.0
+    with pytest.raises(EstimationError, match="the model goes from 'hub'"):
+        validate(result.model, make_small(np.arange(150.0)))

@@ -1,0 +1,201 @@
+"""A model against a record that it was not estimated from.
+
+Poles, residues, gains and clock stay as they are.  What belongs to the record and
+not to the model (offset, ramp, the motion that was already there at its beginning)
+is fitted to it, because it would otherwise be charged to the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.errors import EstimationError
+from beam_ident.linear_solution import LinearSolution
+from beam_ident.modal_model import ModalModel
+from beam_ident.modal_regression import ModalRegression
+from beam_ident.modal_structure import ModalStructure
+from beam_ident.piecewise import FloatArray
+from beam_ident.records import TimeRecord
+from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.validation import InputCorrelation, Scores, Whiteness
+
+_FAIR_FIT = 80.0
+_GOOD_FIT = 95.0
+
+
+@dataclass(frozen=True, eq=False)
+class OutputValidation:
+    """How a model predicts one output of another record.
+
+    Attributes
+    ----------
+    name, unit : str
+    times_s, measured, simulated, residuals : ndarray, shape (n_used,)
+    scores : Scores -- on the output
+    deflection_scores : Scores
+        On the output less its direct part, offset and ramp: the sterner test where an
+        output is mostly its input.
+    noise_ratio : float
+        Residual standard deviation over that of the estimation: near 1 for a good model.
+    whiteness : Whiteness
+    input_correlation : InputCorrelation
+    verdict : str
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    residuals: FloatArray
+    scores: Scores
+    deflection_scores: Scores
+    noise_ratio: float
+    whiteness: Whiteness
+    input_correlation: InputCorrelation
+    verdict: str
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationResult:
+    """A model against another record, output by output."""
+
+    outputs: tuple[OutputValidation, ...]
+
+    def output(self, name: str) -> OutputValidation:
+        """Return the validation of one output by its name."""
+        for output in self.outputs:
+            if output.name == name:
+                return output
+        raise EstimationError(
+            f"no output {name!r} here; available: {', '.join(o.name for o in self.outputs)}"
+        )
+
+
+def validate(model: ModalModel | TransferFunctionModel, record: TimeRecord) -> ValidationResult:
+    """Predict a record with a model that was estimated from another one.
+
+    Parameters
+    ----------
+    model : ModalModel or TransferFunctionModel
+    record : TimeRecord
+        With the model's input and at least one of its outputs under their names.
+
+    Raises
+    ------
+    EstimationError
+        The record lacks the input or every output of the model.
+    """
+    names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
+    present = [name for name in names if name in record.output_names]
+    if not present or model.input_name not in [drive.name for drive in record.inputs]:
+        raise EstimationError(
+            f"record {record.name!r} has the input(s) {', '.join(d.name for d in record.inputs)} and the "
+            "outputs "
+            f"{', '.join(record.output_names)}; the model goes from {model.input_name!r} to "
+            f"{', '.join(names)}"
+        )
+    part = record.select(present)
+    if isinstance(model, ModalModel):
+        return ValidationResult(tuple(_validate_modal(model, part)))
+    return ValidationResult((_validate_rational(model, part),))
+
+
+def _validate_modal(model: ModalModel, record: TimeRecord) -> list[OutputValidation]:
+    structure = ModalStructure(model.structure)
+    regression = ModalRegression([record], structure, model.input_name)
+    blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
+    n_shared = regression.n_shared_fixed + model.n_modes
+    drive = record.input(model.input_name)
+    signal = drive.signal()
+    results = []
+    for j, name in enumerate(regression.output_names):
+        matrix = blocks[regression.block_of[j]].matrix
+        row = model.output_names.index(name)
+        shared = np.concatenate([[model.residual_terms[row]], model.residues[row]])
+        if structure.has_direct:
+            shared = np.concatenate([[model.gains[row]], shared])
+        values = regression.values[j]
+        remainder = values - matrix[:, :n_shared] @ shared
+        own = matrix[:, n_shared:]
+        found = LinearSolution.of(own).coefficients(remainder)
+        residuals = remainder - own @ found
+        rigid = own[:, :2] @ found[:2]
+        if structure.has_direct:
+            rigid = rigid + model.gains[row] * matrix[:, 0]
+        output = record.output(name)
+        results.append(
+            _output_validation(
+                name,
+                output.unit,
+                regression.times[j],
+                values,
+                residuals,
+                values - rigid,
+                float(model.noise_sd[row]),
+                signal(regression.times[j]),
+            )
+        )
+    return results
+
+
+def _validate_rational(model: TransferFunctionModel, record: TimeRecord) -> OutputValidation:
+    drive, output = record.input(model.input_name), record.output(model.output_name)
+    half = 0.5 * output.exposure_s
+    first, last = drive.span_s
+    keep = output.is_valid & (output.times_s - half >= first) & (output.times_s + half <= last)
+    times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
+    simulated = model.simulate(drive, times, output.exposure_s)
+    poles = model.poles[model.poles.imag >= 0.0]
+    decays = np.exp(poles[None, :] * (times[:, None] - first))
+    own = np.concatenate([np.ones((len(times), 1)), decays.real, decays.imag[:, poles.imag > 0.0]], axis=1)
+    found = LinearSolution.of(own).coefficients(values - simulated)
+    residuals = values - simulated - own @ found
+    return _output_validation(
+        output.name,
+        output.unit,
+        times,
+        values,
+        residuals,
+        values - found[0],
+        model.noise_sd,
+        drive.signal()(times),
+    )
+
+
+def _output_validation(
+    name: str,
+    unit: str,
+    times: FloatArray,
+    values: FloatArray,
+    residuals: FloatArray,
+    deflection: FloatArray,
+    noise_sd: float,
+    drive: FloatArray,
+) -> OutputValidation:
+    scores, of_deflection = Scores.of(values, residuals), Scores.of(deflection, residuals)
+    correlation = InputCorrelation.of(residuals, drive)
+    ratio = float(np.std(residuals)) / max(noise_sd, 1e-300)
+    fit = of_deflection.fit_percent
+    word = "good" if fit >= _GOOD_FIT else "fair" if fit >= _FAIR_FIT else "poor"
+    verdict = (
+        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection), residuals "
+        f"{ratio:.2f} times "
+        f"those of the estimation; {correlation.verdict}"
+    )
+    return OutputValidation(
+        name,
+        unit,
+        times,
+        values,
+        values - residuals,
+        residuals,
+        scores,
+        of_deflection,
+        ratio,
+        Whiteness.of(residuals),
+        correlation,
+        verdict,
+    )
