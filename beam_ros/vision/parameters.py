@@ -211,16 +211,18 @@ class TrackerParameters:
     max_gate_px : float -- where the growth ends [px]
     row_gate_px : float -- largest distance across the rows from where the marker was last seen [px]: the
         beam moves along u
-    max_smear_px : float -- longest motion within an exposure that still counts as a marker's image [px]
+    max_smear_px : float -- longest motion within an exposure that still counts as a marker's image [px]; a
+        marker that moves by more than its diameter has no plateau left and is not recognised
     diameter_tolerance : float -- relative tolerance of the diameter against `marker_diameter_px` when
         markers are acquired
-    area_tolerance : float -- relative tolerance of the area against the marker's own at acquisition
-    shape_tolerance : float -- relative tolerance of the second moments, and bound on the asymmetry (third
-        moments over the cube of the radius of gyration), against the marker's own at acquisition
+    area_tolerance : float -- relative tolerance of the area against the marker's own at acquisition, beside
+        five standard deviations of the image noise
+    shape_tolerance : float -- tolerance of the second moments (relative) and of the asymmetry (third moments
+        over the cube of the radius of gyration) against the marker's own, beside five standard deviations
     brightness_tolerance : float -- relative tolerance of the brightness against its slow average
     noise_grey : float or None -- noise of a pixel [grey levels of the image]; None measures it
-    sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: what print,
-        lighting and pixel response leave on real dots
+    sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: what sampling
+        leaves on perfect discs; print, lighting and pixel response leave some 0.02 on real dots
     expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
         first [px]; lets the tracker tell markers from other spots. None: exactly as many spots as markers
         must be in view when they are acquired
@@ -230,18 +232,18 @@ class TrackerParameters:
     marker_diameter_px: float = 12.0
     polarity: Polarity = "bright"
     min_contrast_grey: float = 25.0
-    level_fraction: float = 0.1
+    level_fraction: float = 0.05
     max_jump_px: float = 24.0
     gate_growth_px: float = 6.0
     max_gate_px: float = 80.0
     row_gate_px: float = 5.0
     max_smear_px: float = 9.0
     diameter_tolerance: float = 0.35
-    area_tolerance: float = 0.10
-    shape_tolerance: float = 0.12
+    area_tolerance: float = 0.04
+    shape_tolerance: float = 0.03
     brightness_tolerance: float = 0.30
     noise_grey: float | None = None
-    sigma_floor_px: float = 0.0
+    sigma_floor_px: float = 0.0015
     expected_rows_px: tuple[float, ...] | None = None
     expected_row_tolerance_px: float = 15.0
 
@@ -254,7 +256,12 @@ class TrackerParameters:
         _require_number(self, "max_gate_px", 1.0)
         _require_number(self, "row_gate_px", 0.5)
         _require_number(self, "max_smear_px", 0.0)
-        for name in ("diameter_tolerance", "area_tolerance", "shape_tolerance", "brightness_tolerance"):
+        for name in (
+            "diameter_tolerance",
+            "area_tolerance",
+            "shape_tolerance",
+            "brightness_tolerance",
+        ):
             _require_number(self, name, 0.01, 0.9)
         _require_number(self, "sigma_floor_px", 0.0)
         _require_number(self, "expected_row_tolerance_px", 0.0, open_below=True)

@@ -20,7 +20,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from beam_ros.vision.disturbances import Disturbances, Glare, Occluder
 from beam_ros.vision.errors import VisionParameterError
+from beam_ros.vision.lens import Lens
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.timing import FrameTiming, exposure_weights
 
@@ -144,6 +146,7 @@ class SceneRenderer:
     strip_heights : array_like or None, shape (n_strip,) -- heights at which `render` is told where the
         strip is, rising [m]; None: the markers' own
     sub_instants : int -- positions per exposure; six are exact, more smooth the look of a long smear
+    lens : Lens or None -- distortion of the positions in the image; None is a perfect lens
     seed : int -- seed of the prepared noise tile
     """
 
@@ -154,6 +157,7 @@ class SceneRenderer:
         *,
         strip_heights: npt.ArrayLike | None = None,
         sub_instants: int = 6,
+        lens: Lens | None = None,
         seed: int = 0,
     ) -> None:
         self.camera = camera
@@ -165,6 +169,7 @@ class SceneRenderer:
             else np.atleast_1d(np.asarray(strip_heights, dtype=np.float64))
         )
         self.sub_instants = sub_instants
+        self.lens = lens
         for name, heights in (("marker_heights", self.marker_heights), ("strip_heights", self.strip_heights)):
             if not np.all(np.isfinite(heights)) or np.any(np.diff(heights) <= 0):
                 raise VisionParameterError(
@@ -213,6 +218,7 @@ class SceneRenderer:
         strip: npt.ArrayLike | None = None,
         *,
         marker_z: npt.ArrayLike | None = None,
+        disturbances: Disturbances | None = None,
     ) -> npt.NDArray[np.uint8]:
         """Render one frame.
 
@@ -225,6 +231,7 @@ class SceneRenderer:
             the exposure [m]; None draws no strip
         marker_z : array_like or None, shape like marker_x -- heights of the markers at the same instants
             where they differ from those at rest [m]
+        disturbances : Disturbances or None -- second spots, glare and occluders in this frame
 
         Returns
         -------
@@ -241,27 +248,11 @@ class SceneRenderer:
             canvas[rows, columns] += grey
             noisy = frame[rows, columns] + np.rint(grey)
             frame[rows, columns] = np.clip(noisy, 0, 255).astype(np.uint8)
-        marker_grey = np.float32(camera.background + camera.contrast)
         for k in range(u.shape[1]):
-            if not np.all(np.isfinite(u[:, k])):
-                continue
-            coverage, top, left = self._disc.average(u[:, k], v[:, k], weights)
-            region = self._clip(top, left, *coverage.shape)
-            if region is None:
-                continue
-            rows_in, columns_in = region
-            cut = coverage[
-                rows_in.start - top : rows_in.stop - top, columns_in.start - left : columns_in.stop - left
-            ]
-            canvas[region] += cut * (marker_grey - canvas[region])
-            fresh = self._clip(
-                top - _FRESH_MARGIN_PX,
-                left - _FRESH_MARGIN_PX,
-                coverage.shape[0] + 2 * _FRESH_MARGIN_PX,
-                coverage.shape[1] + 2 * _FRESH_MARGIN_PX,
-            )
-            if fresh is not None:
-                touched.append(fresh)
+            if np.all(np.isfinite(u[:, k])):
+                self._draw_disc(u[:, k], v[:, k], weights, touched)
+        if disturbances is not None:
+            self._disturb(disturbances, touched)
         for region in touched:
             frame[region] = self._exposed(canvas[region], rng)
         for region in touched:
@@ -269,6 +260,59 @@ class SceneRenderer:
         if strip_pixels is not None:
             canvas[strip_pixels[0], strip_pixels[1]] = camera.background
         return frame
+
+    def _draw_disc(self, u: Floats, v: Floats, weights: Floats, touched: list[tuple[slice, slice]]) -> None:
+        """Blend a smeared disc into the canvas and note the region that needs fresh noise."""
+        coverage, top, left = self._disc.average(u, v, weights)
+        region = self._clip(top, left, *coverage.shape)
+        if region is None:
+            return
+        rows, columns = region
+        cut = coverage[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+        grey = np.float32(self.camera.background + self.camera.contrast)
+        self._canvas[region] += cut * (grey - self._canvas[region])
+        margin = _FRESH_MARGIN_PX
+        fresh = self._clip(
+            top - margin, left - margin, coverage.shape[0] + 2 * margin, coverage.shape[1] + 2 * margin
+        )
+        if fresh is not None:
+            touched.append(fresh)
+
+    def _disturb(self, disturbances: Disturbances, touched: list[tuple[slice, slice]]) -> None:
+        """Draw what does not belong to the beam: spots, then light, then what stands before the camera."""
+        for spot in disturbances.spots:
+            self._draw_disc(np.array([spot.u_px]), np.array([spot.v_px]), np.ones(1), touched)
+        for glare in disturbances.glares:
+            self._draw_glare(glare, touched)
+        for occluder in disturbances.occluders:
+            self._draw_occluder(occluder, touched)
+
+    def _draw_glare(self, glare: Glare, touched: list[tuple[slice, slice]]) -> None:
+        reach = math.ceil(4 * glare.radius_px)
+        top, left = round(glare.v_px) - reach, round(glare.u_px) - reach
+        region = self._clip(top, left, 2 * reach + 1, 2 * reach + 1)
+        if region is None:
+            return
+        rows, columns = np.arange(region[0].start, region[0].stop), np.arange(region[1].start, region[1].stop)
+        down = np.exp(-0.5 * ((rows - glare.v_px) / glare.radius_px) ** 2)
+        across = np.exp(-0.5 * ((columns - glare.u_px) / glare.radius_px) ** 2)
+        self._canvas[region] += (glare.grey * np.outer(down, across)).astype(np.float32)
+        touched.append(region)
+
+    def _draw_occluder(self, occluder: Occluder, touched: list[tuple[slice, slice]]) -> None:
+        top, left = math.floor(occluder.top_px), math.floor(occluder.left_px)
+        bottom, right = math.ceil(occluder.bottom_px), math.ceil(occluder.right_px)
+        region = self._clip(top, left, bottom - top + 1, right - left + 1)
+        if region is None:
+            return
+        rows, columns = np.arange(region[0].start, region[0].stop), np.arange(region[1].start, region[1].stop)
+        down = np.clip(np.minimum(rows + 0.5 - occluder.top_px, occluder.bottom_px - rows + 0.5), 0, 1)
+        across = np.clip(
+            np.minimum(columns + 0.5 - occluder.left_px, occluder.right_px - columns + 0.5), 0, 1
+        )
+        cover = np.outer(down, across).astype(np.float32)
+        self._canvas[region] += cover * (np.float32(occluder.grey) - self._canvas[region])
+        touched.append(region)
 
     def _exposure(
         self, marker_x: npt.ArrayLike, marker_z: npt.ArrayLike | None
@@ -287,6 +331,8 @@ class SceneRenderer:
             v = np.broadcast_to(self._marker_rows, u.shape)
         else:
             v = np.broadcast_to(np.atleast_2d(self.camera.rows(marker_z)), u.shape)
+        if self.lens is not None:
+            u, v = self.lens.distort(u, v)
         weights = self.exposure_weights if x.shape[0] == self.sub_instants else np.ones(1)
         return u, v, weights
 
@@ -316,7 +362,11 @@ class SceneRenderer:
                 f"strip has shape {x.shape}; expected {self.strip_heights.shape}, one position per strip "
                 "height"
             )
-        u = self.camera.columns(np.interp(self._strip_row_heights, self.strip_heights, x))
+        if self.lens is None:
+            u = self.camera.columns(np.interp(self._strip_row_heights, self.strip_heights, x))
+        else:
+            bent_u, bent_v = self.lens.distort(self.camera.columns(x), self.camera.rows(self.strip_heights))
+            u = np.interp(self._strip_rows, bent_v[::-1], bent_u[::-1])
         column = np.floor(u).astype(np.intp)
         phase = ((u - column) * 64).astype(np.intp)
         columns = column[:, None] + np.arange(-self._strip_half, self._strip_half + 2)[None, :]

@@ -1,68 +1,44 @@
-"""Sub-pixel positions of the beam's markers, frame after frame, and when not to believe them.
+"""The markers of one beam, frame after frame: who is who, and when not to believe it.
 
 Markers are *acquired* in the whole image (threshold, contours, gates on size and roundness) and named by
-their order along the beam: marker 0 is the lowest in the image. From then on each is *tracked* in a small
-region about its prediction. There the background plus a tenth of the marker's contrast is subtracted with
-saturation, which silences the background without the error of a hard threshold, and the centre of gravity
-of the rest is the measurement. It is the mean position over the exposure, however far the marker moved.
+their order along the beam: marker 0 is the lowest in the image. From then on each is *followed* in a small
+region about its prediction, where `beam_ros.vision.spots` measures it and compares it with itself.
 
-Every measurement passes gates on area, shape, asymmetry, brightness, surroundings and motion. One that
-fails is reported as not valid, with the reason, in the same frame; the gate about the prediction then grows
-until a spot with the marker's own area and shape is found in the marker's own row, alone. A marker that
-cannot be told from another spot stays lost: nothing is invented and identities are never exchanged.
+A measurement that fails a gate is reported as not valid, with the reason, in the same frame. The marker is
+then looked for in its own row, within a distance from where it was last seen that grows with every frame.
+Other spots of its kind in that row (rivals) are watched while the marker is still seen. Where the two met,
+or where the one spot in view may be the rival, the marker stays lost until the rival has left: nothing is
+invented and identities are never exchanged.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
+from beam_ros.vision.spots import Appearance, Gates, Light, Reason, Spot, SpotMeter
 from beam_ros.vision.timing import FrameTiming
 
-Reason = Literal[
-    "ok",
-    "not_acquired",
-    "no_contrast",
-    "hidden",
-    "ambiguous",
-    "area",
-    "shape",
-    "asymmetry",
-    "brightness",
-    "surroundings",
-    "jump",
-    "border",
-]
-"""Why a measurement is not valid; "ok" where it is.
-
-not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
-spot where the marker should be; ambiguous: more spots than markers; area, shape, asymmetry, brightness: the
-spot differs from the marker as acquired (covered, merged with another spot, out of focus); surroundings: the
-background beside the marker has changed (glare, an object); jump: too far from the prediction; border: cut
-by the edge of the image.
-"""
-
-_MAX_PASSES = 4
-"""The region is centred anew on what it shows at most this often."""
-_CENTRED_PX = 0.8
-"""A marker this close to its region's centre needs no further pass [px]; rounding alone leaves 0.5."""
-_SLOW = 0.02
-"""Weight of a new frame in the slow averages of brightness, background and noise."""
 _ACQUISITION_THRESHOLDS = (0.5, 0.3, 0.7)
-"""Fractions of the image's brightest contrast at which spots are looked for."""
-_NOISE_LEVEL = 2.5
-"""The subtracted level lies at least this many noise standard deviations above the background."""
-_QUANTISATION_VARIANCE = 1.0 / 12.0
+"""Fractions of the image's strongest contrast at which spots are looked for."""
+_SEARCH_THRESHOLD = 0.5
+"""Fraction of a marker's own contrast at which it is looked for."""
 _FORGET_AFTER_FRAMES = 100
-"""A marker lost for longer is acquired anew: its own area and shape may have changed."""
+"""A marker lost for longer is looked for in the whole image and in any light; a rival unseen for longer is
+forgotten."""
+_LONELY_FRAMES = 25
+"""A marker given up must be the only spot of its kind in its row for so many frames to be followed again."""
+_RIVAL_MEMORY_FRAMES = 10
+"""A rival that has gone from view while the marker is seen is remembered for so many frames."""
+_CHORES_EVERY_FRAMES = 8
+"""Noise, levels and support are measured anew, and rivals looked for, once in so many frames."""
 
 
 class MarkerMeasurement(NamedTuple):
@@ -107,53 +83,38 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
-@dataclass(frozen=True)
-class _Reference:
-    """A marker as it was acquired: what later frames are compared with."""
+@dataclass
+class _Track:
+    """A spot of a marker's kind in the marker's row that is not (known to be) the marker."""
 
-    area: float
-    variance: float
-    skew_u: float
-    skew_v: float
-    row: float
+    u: float
+    velocity: float
+    frame: int
+
+    def predicted(self, frame: int) -> float:
+        return self.u + self.velocity * (frame - self.frame)
 
 
 @dataclass
 class _Marker:
     """State of one marker between frames."""
 
-    reference: _Reference | None = None
-    known_row: float | None = None
+    known_row: float | None
+    light: Light | None = None
+    appearance: Appearance | None = None
+    gates: Gates | None = None
+    is_followed: bool = False
     u: float = math.nan
     v: float = math.nan
     velocity: float = 0.0
     hold_error: float = 1.0
     linear_error: float = 1.0
     lost_frames: int = 0
-    background: float = math.nan
-    contrast: float = math.nan
-    noise: float = math.nan
-    support: float = 1.5
-
-
-class _Spot(NamedTuple):
-    """What a region shows: centre, moments and surroundings."""
-
-    u: float
-    v: float
-    mass: float
-    area: float
-    variance_u: float
-    variance_v: float
-    covariance: float
-    skew_u: float
-    skew_v: float
-    centre_grey: float
-    side_grey: float
-    side_variance: float
-    side_difference: float
-    speck_variance: float
-    half: int
+    centre: float = math.nan
+    swing: float = 0.0
+    lonely_since: int = 0
+    is_mixed: bool = False
+    rivals: list[_Track] = field(default_factory=list)
 
 
 class MarkerTracker:
@@ -165,13 +126,6 @@ class MarkerTracker:
     n_markers : int -- number of markers on the beam
     timing : FrameTiming or None -- gives every measurement the middle of its own row's exposure; None
         gives it the stamp of the frame
-
-    Notes
-    -----
-    The standard deviation of the centroid sum(s x) / sum(s) of the subtracted grey levels s is, for noise
-    of variance sigma_n^2 in every pixel with s > 0 (the support) and its rectified rest elsewhere,
-
-        sigma_u^2 = [ sigma_n^2 sum_support (u - u_c)^2 + sigma_r^2 sum_rest (u - u_c)^2 ] / (sum s)^2
     """
 
     def __init__(
@@ -183,15 +137,12 @@ class MarkerTracker:
         if rows is not None and len(rows) != n_markers:
             raise VisionParameterError(
                 f"TrackerParameters.expected_rows_px has {len(rows)} rows; expected {n_markers}, one per "
-                "marker"
+                "marker: correct the rig file"
             )
         self.parameters = parameters
         self.n_markers = n_markers
         self.timing = timing
-        radius = parameters.marker_diameter_px / 2
-        self._half = math.ceil(radius + parameters.max_smear_px / 2 + 3)
-        self._smear_variance = parameters.max_smear_px**2 / 12
-        self._is_dark = parameters.polarity == "dark"
+        self._meter = SpotMeter(parameters)
         self._markers: list[_Marker] = []
         self._shape: tuple[int, int] | None = None
         self._frame = 0
@@ -202,19 +153,19 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forget every marker; the next frame starts with acquisition."""
         rows = self.parameters.expected_rows_px
-        self._markers = [_Marker(known_row=None if rows is None else rows[k]) for k in range(self.n_markers)]
+        self._markers = [_Marker(None if rows is None else rows[k]) for k in range(self.n_markers)]
         self._shape = None
         self._frame = 0
 
     @property
     def is_acquired(self) -> bool:
-        """True when every marker has been found since the last reset and none was given up."""
-        return all(marker.reference is not None for marker in self._markers)
+        """True when every marker is followed: found since the last reset, and not given up since."""
+        return all(marker.is_followed for marker in self._markers)
 
     @property
     def noise_grey(self) -> tuple[float, ...]:
         """Measured noise of a pixel about each marker [grey levels]; NaN before acquisition."""
-        return tuple(marker.noise for marker in self._markers)
+        return tuple(math.nan if marker.light is None else marker.light.noise for marker in self._markers)
 
     @property
     def lost_frames(self) -> tuple[int, ...]:
@@ -242,21 +193,20 @@ class MarkerTracker:
         if image.ndim != 2 or (image.dtype != np.uint8 and image.dtype != np.uint16):
             raise ImageFormatError(
                 f"image is {image.dtype} of shape {image.shape}; expected (height, width) of uint8 or "
-                "uint16: "
-                "convert it with grey_image()"
+                "uint16: convert it with grey_image()"
             )
         if self._shape != image.shape:
             if self._shape is not None:
                 self.reset()
             self._shape = (int(image.shape[0]), int(image.shape[1]))
         self._frame += 1
-        unknown: dict[int, Reason] = {}
-        if any(marker.reference is None for marker in self._markers):
-            unknown = self._acquire(image)
+        missing: dict[int, Reason] = {}
+        if not self.is_acquired:
+            missing = self._acquire(image)
         measurements = []
         for k, marker in enumerate(self._markers):
-            if k in unknown:
-                measurements.append(self._invalid(marker, unknown[k], stamp_ns, math.nan))
+            if k in missing:
+                measurements.append(self._invalid(marker, missing[k], stamp_ns, math.nan))
             else:
                 measurements.append(self._follow(image, marker, stamp_ns, k))
         return FrameResult(stamp_ns, tuple(measurements))
@@ -267,55 +217,89 @@ class MarkerTracker:
         return self.timing.row_middle(stamp_ns, row)
 
     def _invalid(self, marker: _Marker, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
+        """Count a lost frame; after many, give the marker's place up."""
         marker.lost_frames += 1
-        row = marker.v if math.isfinite(marker.v) else math.nan
-        stamp = self._stamp(stamp_ns, row)
-        return MarkerMeasurement(math.nan, math.nan, math.nan, False, reason, stamp, marker.contrast, area)
+        if marker.is_followed and marker.lost_frames > _FORGET_AFTER_FRAMES:
+            marker.is_followed = False
+            marker.lonely_since = self._frame
+        row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
+        contrast = math.nan if marker.light is None else marker.light.contrast
+        return MarkerMeasurement(
+            math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
+        )
 
     def _follow(self, image: npt.NDArray[Any], marker: _Marker, stamp_ns: int, k: int) -> MarkerMeasurement:
-        """Measure a known marker, look around for it when it is not where it should be."""
-        reference = marker.reference
-        assert reference is not None
-        parameters = self.parameters
-        lost = marker.lost_frames
-        is_linear = lost == 0 and marker.linear_error < marker.hold_error
-        predicted_u = marker.u + marker.velocity if is_linear else marker.u
-        spot: _Spot | None = None
+        """Measure a marker where it should be, or look around for it."""
+        light, appearance, gates = marker.light, marker.appearance, marker.gates
+        meter, parameters = self._meter, self.parameters
+        assert light is not None
+        assert appearance is not None
+        assert gates is not None
+        is_fresh = marker.lost_frames > 0
+        spot: Spot | None = None
         reason: Reason = "hidden"
-        if lost == 0:
-            spot, reason = self._examine(image, predicted_u, marker.v, marker, reference)
-            if reason == "ok" and spot is not None and abs(spot.u - predicted_u) > parameters.max_jump_px:
-                reason = "jump"
-        area = math.nan if spot is None else spot.area
-        if reason == "hidden":
-            gate = min(parameters.max_jump_px + lost * parameters.gate_growth_px, parameters.max_gate_px)
-            spot, reason = self._search(image, predicted_u, marker, reference, gate)
-            area = math.nan if spot is None else spot.area
-        if reason == "ok" and spot is not None and self._is_taken(spot, k):
-            reason = "ambiguous"
-        if reason != "ok" or spot is None:
-            result = self._invalid(marker, reason, stamp_ns, area)
-            if marker.lost_frames > _FORGET_AFTER_FRAMES:
-                marker.reference = None
-            return result
-        self._remember(image, marker, reference, spot, is_fresh=lost > 0, k=k)
+        if not is_fresh:
+            moved = marker.velocity if marker.linear_error < marker.hold_error else 0.0
+            predicted = marker.u + moved
+            is_crowded = bool(marker.rivals) and self._is_crowded(marker, predicted)
+            spot, reason = meter.measure(image, predicted, marker.v, light, is_narrow=is_crowded)
+            if spot is not None:
+                reason = meter.judge(spot, gates)
+                if reason == "ok" and not self._is_own(spot.u, predicted, marker):
+                    reason = "ambiguous"
+                if reason != "ok" and self._may_have_met(spot, marker, appearance):
+                    marker.is_mixed = True
+                    marker.rivals.append(_Track(marker.u, 0.0, self._frame - 1))
+        if spot is None:
+            spot, reason = self._search(image, marker, light, appearance)
+            if reason == "ok" and spot is not None and self._is_taken(spot, k):
+                reason = "ambiguous"
+        if spot is None or reason != "ok":
+            return self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
+        self._remember(marker, light, appearance, spot, is_fresh=is_fresh)
+        is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
+        if is_due or is_fresh or marker.rivals:
+            others = self._spots(image, marker, light, appearance, own=spot.u)[0]
+            if others or marker.rivals:
+                marker.rivals = _continued(marker.rivals, others, self._frame, parameters.max_gate_px)
+        if is_due and not marker.rivals:
+            self._adapt(image, marker, light, appearance, spot)
         return MarkerMeasurement(
             spot.u,
             spot.v,
-            self._sigma(marker, spot),
+            meter.sigma(spot, light, appearance.support),
             True,
             "ok",
             self._stamp(stamp_ns, spot.v),
-            marker.contrast,
+            light.contrast,
             spot.area,
         )
 
-    def _is_taken(self, spot: _Spot, k: int) -> bool:
-        """True when another marker was last seen on this very spot."""
+    def _is_own(self, u: float, predicted: float, marker: _Marker) -> bool:
+        """True when a spot at u is near the prediction, and nearer to it than to any rival's."""
+        distance = abs(u - predicted)
+        if distance > self.parameters.max_jump_px:
+            return False
+        return all(2 * distance < abs(u - rival.predicted(self._frame)) for rival in marker.rivals)
+
+    def _may_have_met(self, spot: Spot, marker: _Marker, appearance: Appearance) -> bool:
+        """True when a spot that failed its gates may be the marker and a rival in one."""
+        near = 2 * self.parameters.marker_diameter_px
+        return spot.area > 1.1 * appearance.area or any(
+            abs(rival.predicted(self._frame) - marker.u) < near for rival in marker.rivals
+        )
+
+    def _is_crowded(self, marker: _Marker, u: float) -> bool:
+        """True when a rival may reach into the region about u."""
+        near = self._meter.half + self._meter.radius + 4
+        return any(abs(rival.predicted(self._frame) - u) < near for rival in marker.rivals)
+
+    def _is_taken(self, spot: Spot, k: int) -> bool:
+        """True when another marker is followed on this very spot."""
         near = self.parameters.marker_diameter_px / 2
         return any(
             j != k
-            and other.reference is not None
+            and other.is_followed
             and other.lost_frames == 0
             and abs(other.u - spot.u) < near
             and abs(other.v - spot.v) < near
@@ -323,368 +307,250 @@ class MarkerTracker:
         )
 
     def _remember(
-        self,
-        image: npt.NDArray[Any],
-        marker: _Marker,
-        reference: _Reference,
-        spot: _Spot,
-        *,
-        is_fresh: bool,
-        k: int,
+        self, marker: _Marker, light: Light, appearance: Appearance, spot: Spot, *, is_fresh: bool
     ) -> None:
         """Carry a valid measurement into the state."""
         if is_fresh:
             marker.velocity = 0.0
             marker.hold_error = marker.linear_error = 1.0
+            marker.lost_frames = 0
+            marker.is_mixed = False
         else:
             step = spot.u - marker.u
             marker.hold_error += 0.2 * (abs(step) - marker.hold_error)
             marker.linear_error += 0.2 * (abs(step - marker.velocity) - marker.linear_error)
             marker.velocity = step
         marker.u, marker.v = spot.u, spot.v
-        marker.lost_frames = 0
-        marker.background += _SLOW * (spot.side_grey - marker.background)
-        marker.contrast += _SLOW * (abs(spot.centre_grey - spot.side_grey) - marker.contrast)
-        if self.parameters.noise_grey is None:
-            variance = marker.noise**2 + _SLOW * (spot.side_variance - marker.noise**2)
-            marker.noise = math.sqrt(max(variance, _QUANTISATION_VARIANCE))
-        if (self._frame + k) % (8 * self.n_markers) == 0:
-            marker.support += 0.1 * (self._support(image, marker, spot) - marker.support)
+        marker.centre += 0.01 * (spot.u - marker.centre)
+        marker.swing = max(0.99 * marker.swing, abs(spot.u - marker.centre))
+        if not self._meter.is_settled(appearance):
+            self._meter.settle(spot, light, appearance)
+            marker.gates = self._meter.gates(light, appearance)
 
-    # -- one region ----------------------------------------------------------------------------------------
+    def _adapt(
+        self, image: npt.NDArray[Any], marker: _Marker, light: Light, appearance: Appearance, spot: Spot
+    ) -> None:
+        """Measure what changes slowly: light, noise, and what follows from them."""
+        meter = self._meter
+        light.absorb(spot, meter.sides(image, spot))
+        appearance.support += 0.1 * (meter.support(image, spot, light) - appearance.support)
+        marker.gates = meter.gates(light, appearance)
 
-    def _level(self, background: float, contrast: float, noise: float) -> float:
-        """Distance of the subtracted level from the background [grey levels]."""
-        noise = noise if math.isfinite(noise) else 0.0
-        return max(self.parameters.level_fraction * contrast, _NOISE_LEVEL * noise, 1.0)
+    # -- looking for a lost marker -------------------------------------------------------------------------
 
-    def _weights(self, region: npt.NDArray[Any], background: float, above: float) -> tuple[Any, float]:
-        """Grey levels beyond background and level, and the level really used (whole grey levels)."""
-        if self._is_dark:
-            level = math.floor(background - above)
-            return cv2.subtract(float(level), region), background - level
-        level = math.ceil(background + above)
-        return cv2.subtract(region, float(level)), level - background
-
-    def _measure(
+    def _spots(
         self,
         image: npt.NDArray[Any],
-        u: float,
-        v: float,
-        background: float,
-        contrast: float,
-        noise: float,
-    ) -> tuple[_Spot | None, Reason]:
-        """Centroid and moments of the spot near (u, v); no gate but that there is one inside the image."""
-        half = self._half
+        marker: _Marker,
+        light: Light,
+        appearance: Appearance,
+        own: float = math.nan,
+    ) -> tuple[list[Spot], Reason, float, float]:
+        """Spots with a marker's appearance in its row about where it was last seen, each in its own light.
+
+        Parameters
+        ----------
+        own : float -- column of the spot that is the marker itself and is left out [px]; NaN for none
+
+        Returns
+        -------
+        spots : list of Spot
+        reason : Reason -- why the spot nearest to the marker is none of them; "hidden" where there is none
+        left, right : float -- columns between which a whole spot would have been found [px]
+        """
+        parameters, meter = self.parameters, self._meter
+        radius = meter.radius
+        reach = parameters.max_gate_px + 6 * radius + meter.half
         height, width = image.shape
-        above = self._level(background, contrast, noise)
-        sigma = noise if math.isfinite(noise) else 0.0
-        least = 0.25 * contrast * self.parameters.marker_diameter_px**2 * 0.785
-        for _ in range(_MAX_PASSES):
-            column, row = round(u), round(v)
-            left, top = column - half, row - half
-            right, bottom = column + half + 1, row + half + 1
-            if left < 0 or top < 0 or right > width or bottom > height:
-                return None, "border"
-            region = image[top:bottom, left:right]
-            weights, above_used = self._weights(region, background, above)
-            moments = cv2.moments(weights)
-            mass = moments["m00"]
-            if mass < least:
-                return None, "hidden"
-            # Noise that rises above the level everywhere pulls towards the region's centre: its mean mass
-            # is known and taken away.
-            depth = above_used / sigma if sigma > 0 else 9.0
-            first_u, first_v = moments["m10"], moments["m01"]
-            n_pixels = region.size
-            speck_variance = 0.0
-            if depth < 4.0:
-                density = math.exp(-depth * depth / 2) / 2.5066282746
-                tail = 0.5 * math.erfc(depth * 0.70710678)
-                speck = sigma * (density - depth * tail)
-                speck_variance = (
-                    sigma * sigma * ((1 + depth * depth) * tail - depth * density) - speck * speck
+        left = max(0, math.floor(marker.u - reach))
+        right = min(width, math.ceil(marker.u + reach) + 1)
+        top = max(0, math.floor(appearance.row - parameters.row_gate_px) - meter.half)
+        bottom = min(height, math.ceil(appearance.row + parameters.row_gate_px) + meter.half + 1)
+        spots: list[Spot] = []
+        reason: Reason = "hidden"
+        nearest = math.inf
+        if right > left and bottom > top:
+            centres = meter.centres(
+                image[top:bottom, left:right], light.background, _SEARCH_THRESHOLD * light.contrast
+            )
+            for x, y, is_crowded in centres:
+                if abs(left + x - own) < radius:
+                    continue
+                candidate = meter.candidate(
+                    image,
+                    left + x,
+                    top + y,
+                    light.background,
+                    known_noise=1.2 * light.noise,
+                    is_narrow=is_crowded,
                 )
-                mass -= speck * n_pixels
-                first_u -= speck * n_pixels * half
-                first_v -= speck * n_pixels * half
-                if mass < least:
-                    return None, "hidden"
-            u, v = left + first_u / mass, top + first_v / mass
-            if abs(u - column) <= _CENTRED_PX and abs(v - row) <= _CENTRED_PX:
-                break
-        mean_left, deviation_left = cv2.meanStdDev(region[:, :2])
-        mean_right, deviation_right = cv2.meanStdDev(region[:, -2:])
-        side_left, side_right = mean_left.item(), mean_right.item()
-        variance_u, variance_v = moments["mu20"] / mass, moments["mu02"] / mass
-        spot = _Spot(
-            u,
-            v,
-            mass,
-            mass / max(contrast - above_used, 1.0),
-            variance_u,
-            variance_v,
-            moments["mu11"] / mass,
-            moments["mu30"] / (mass * max(variance_u, 1e-6) ** 1.5),
-            moments["mu03"] / (mass * max(variance_v, 1e-6) ** 1.5),
-            float(region.item(half, half)),
-            0.5 * (side_left + side_right),
-            0.5 * (deviation_left.item() ** 2 + deviation_right.item() ** 2),
-            side_right - side_left,
-            speck_variance,
-            half,
-        )
-        return spot, "ok"
-
-    def _examine(
-        self, image: npt.NDArray[Any], u: float, v: float, marker: _Marker, reference: _Reference
-    ) -> tuple[_Spot | None, Reason]:
-        """Measure the spot near (u, v) and compare it with the marker as acquired."""
-        spot, reason = self._measure(image, u, v, marker.background, marker.contrast, marker.noise)
-        if spot is None:
-            return None, reason
-        return spot, self._judge(spot, marker, reference)
-
-    def _judge(self, spot: _Spot, marker: _Marker, reference: _Reference) -> Reason:
-        """Name the first gate that a spot fails."""
-        parameters = self.parameters
-        contrast, noise = marker.contrast, marker.noise
-        relative_noise = noise / contrast
-        if abs(spot.v - reference.row) > parameters.row_gate_px:
-            return "jump"
-        if (
-            abs(spot.side_grey - marker.background) > 0.12 * contrast + noise
-            or abs(spot.side_difference) > 0.12 * contrast + noise
-        ):
-            return "surroundings"
-        # Motion within the exposure lengthens the spot along u and leaves more of it below the level.
-        excess = max(0.0, spot.variance_u - reference.variance)
-        smear = math.sqrt(12.0 * min(excess, self._smear_variance))
-        expected_area = reference.area - 0.1 * smear * parameters.marker_diameter_px
-        tolerance = parameters.area_tolerance + 2.0 * relative_noise
-        if abs(spot.area / expected_area - 1.0) > tolerance:
-            return "area"
-        shape = parameters.shape_tolerance + 2.0 * relative_noise
-        if (
-            abs(spot.variance_v / reference.variance - 1.0) > shape
-            or spot.variance_u < reference.variance * (1.0 - shape)
-            or excess > shape * reference.variance + self._smear_variance
-            or abs(spot.covariance) > shape * reference.variance
-        ):
-            return "shape"
-        if abs(spot.skew_u - reference.skew_u) > shape or abs(spot.skew_v - reference.skew_v) > shape:
-            return "asymmetry"
-        brightness = abs(spot.centre_grey - spot.side_grey)
-        if abs(brightness / contrast - 1.0) > parameters.brightness_tolerance + 5.0 * relative_noise:
-            return "brightness"
-        return "ok"
-
-    def _support(self, image: npt.NDArray[Any], marker: _Marker, spot: _Spot) -> float:
-        """Second moment of the pixels that carry weight, over that of the weights themselves."""
-        half = self._half
-        column, row = round(spot.u), round(spot.v)
-        region = image[row - half : row + half + 1, column - half : column + half + 1]
-        above = max(self._level(marker.background, marker.contrast, marker.noise), 4.0 * marker.noise)
-        weights, _ = self._weights(region, marker.background, above)
-        moments = cv2.moments(weights, True)
-        return float(moments["mu20"] / (spot.area * spot.variance_u))
-
-    def _sigma(self, marker: _Marker, spot: _Spot) -> float:
-        """Standard deviation of the centroid along u [px]."""
-        second_moment = marker.support * spot.area * spot.variance_u
-        noise = marker.noise if self.parameters.noise_grey is None else self.parameters.noise_grey
-        variance = noise * noise * second_moment
-        if spot.speck_variance > 0:
-            side = 2 * spot.half + 1
-            rest = side * side * (side * side - 1) / 12.0 - second_moment
-            variance += spot.speck_variance * max(rest, 0.0)
-        return math.sqrt(variance / (spot.mass * spot.mass) + self.parameters.sigma_floor_px**2)
-
-    # -- looking for spots ---------------------------------------------------------------------------------
+                why: Reason = "shape"
+                if candidate is not None:
+                    spot, own_light = candidate
+                    why = meter.judge(spot, meter.gates(own_light, appearance))
+                    if abs(own_light.contrast / light.contrast - 1) > parameters.brightness_tolerance:
+                        why = "brightness"
+                    if why == "ok":
+                        if all(abs(spot.u - other.u) > 1.0 for other in spots):
+                            spots.append(spot)
+                        continue
+                distance = abs(left + x - marker.u)
+                if why != "jump" and distance < nearest:
+                    nearest, reason = distance, why
+        return spots, reason, left + meter.half, right - meter.half
 
     def _search(
-        self,
-        image: npt.NDArray[Any],
-        u: float,
-        marker: _Marker,
-        reference: _Reference,
-        gate: float,
-    ) -> tuple[_Spot | None, Reason]:
-        """Look for the marker within `gate` of u in its own row; it must be the only one there."""
-        reach = gate + 2 * self.parameters.marker_diameter_px + self._half
-        tall = self.parameters.row_gate_px + self._half
-        height, width = image.shape
-        left, right = max(0, math.floor(u - reach)), min(width, math.ceil(u + reach) + 1)
-        top, bottom = (
-            max(0, math.floor(reference.row - tall)),
-            min(height, math.ceil(reference.row + tall) + 1),
-        )
-        if right - left < 3 or bottom - top < 3:
-            return None, "border"
-        spots: list[_Spot] = []
-        reason: Reason = "hidden"
-        for centre_u, centre_v in self._centres(
-            image[top:bottom, left:right], marker.background, 0.5 * marker.contrast
-        ):
-            spot, why = self._examine(image, left + centre_u, top + centre_v, marker, reference)
-            if why == "ok" and spot is not None:
-                spots.append(spot)
-            elif abs(left + centre_u - u) <= gate:
-                reason = why
-        near = [spot for spot in spots if abs(spot.u - u) <= gate]
-        if not near:
-            return None, reason
-        if len(spots) > 1:
-            return None, "ambiguous"
-        return near[0], "ok"
-
-    def _centres(
-        self, region: npt.NDArray[Any], background: float, above: float
-    ) -> list[tuple[float, float]]:
-        """Centres of the spots of about a marker's size in a region [px of the region]."""
-        weights, _ = self._weights(region, background, above)
-        _, mask = cv2.threshold(weights, 0, 255, cv2.THRESH_BINARY)
-        if mask.dtype != np.uint8:
-            mask = mask.astype(np.uint8)
-        contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+        self, image: npt.NDArray[Any], marker: _Marker, light: Light, appearance: Appearance
+    ) -> tuple[Spot | None, Reason]:
+        """Look for a marker that is not where it should be."""
         parameters = self.parameters
-        diameter = parameters.marker_diameter_px
-        smallest = (1 - parameters.diameter_tolerance) * diameter - 2
-        widest = (1 + parameters.diameter_tolerance) * diameter + parameters.max_smear_px + 2
-        tallest = (1 + parameters.diameter_tolerance) * diameter + 2
-        centres = []
-        for contour in contours:
-            x, y, w, h = cv2.boundingRect(contour)
-            if w >= smallest and smallest <= h <= tallest and w <= widest:
-                centres.append((x + (w - 1) / 2, y + (h - 1) / 2))
-        return centres
+        gate = min(
+            max(
+                parameters.max_jump_px + marker.lost_frames * parameters.gate_growth_px,
+                abs(marker.u - marker.centre) + marker.swing + parameters.marker_diameter_px,
+            ),
+            parameters.max_gate_px,
+        )
+        spots, reason, left, right = self._spots(image, marker, light, appearance)
+        tracks, free = _associated(
+            marker.rivals, spots, self._frame, gate if marker.is_mixed else parameters.max_jump_px
+        )
+        near = [spot for spot in free if abs(spot.u - marker.u) <= gate]
+        if not marker.is_mixed and len(near) == 1:
+            free.remove(near[0])
+        tracks += [_Track(spot.u, 0.0, self._frame) for spot in free]
+        marker.rivals = _present(tracks, self._frame, left, right, parameters.max_jump_px)
+        if not marker.is_mixed:
+            if len(near) == 1:
+                return near[0], "ok"
+            marker.is_mixed = len(near) > 1
+        elif (
+            len(spots) == 1
+            and len(marker.rivals) == 1
+            and abs(spots[0].u - marker.u) <= parameters.max_gate_px
+        ):
+            # Whatever else was here has left by the edge: what remains is the marker.
+            marker.rivals = []
+            return spots[0], "ok"
+        return None, "ambiguous" if spots else reason
 
     # -- acquisition ---------------------------------------------------------------------------------------
 
     def _acquire(self, image: npt.NDArray[Any]) -> dict[int, Reason]:
-        """Find the markers that are not known; returns the reasons for those that still are not."""
-        unknown = [k for k, marker in enumerate(self._markers) if marker.reference is None]
-        background, extreme = self._image_levels(image)
+        """Find the markers that are not followed; returns the reasons for those that still are not."""
+        missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
+        background, extreme = self._meter.levels(image)
         contrast = abs(extreme - background)
         if contrast < self.parameters.min_contrast_grey:
-            return dict.fromkeys(unknown, "no_contrast")
+            return dict.fromkeys(missing, "no_contrast")
         reasons: dict[int, Reason] = {}
+        found: list[tuple[Spot, Light]] = []
+        near = self._meter.radius / 2
         for fraction in _ACQUISITION_THRESHOLDS:
-            found = []
-            for u, v in self._centres(image, background, fraction * contrast):
-                candidate = self._candidate(image, u, v, background)
-                if candidate is not None:
+            for u, v, is_crowded in self._meter.centres(image, background, fraction * contrast):
+                candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
+                if candidate is not None and all(
+                    abs(candidate[0].u - spot.u) > near or abs(candidate[0].v - spot.v) > near
+                    for spot, _ in found
+                ):
                     found.append(candidate)
-            reasons = self._assign(image, unknown, found)
+            reasons = self._name(image, missing, found)
             if not reasons:
                 break
+            missing = list(reasons)
+        for k, reason in reasons.items():
+            if reason == "not_acquired":
+                self._markers[k].lonely_since = self._frame
         return reasons
 
-    def _image_levels(self, image: npt.NDArray[Any]) -> tuple[float, float]:
-        """Median grey level and the extreme of the markers' polarity, a lone pixel aside."""
-        background = float(np.median(image[::4, ::4]))
-        smooth = cv2.blur(image, (3, 3))
-        lowest, highest, _, _ = cv2.minMaxLoc(smooth)
-        return background, float(lowest if self._is_dark else highest)
-
-    def _candidate(
-        self, image: npt.NDArray[Any], u: float, v: float, background: float
-    ) -> tuple[_Spot, float, float, float] | None:
-        """Measure a spot with its own background, contrast and noise; None when it is no marker."""
-        parameters = self.parameters
-        height, width = image.shape
-        column, row = round(u), round(v)
-        if not (0 <= column < width and 0 <= row < height):
-            return None
-        patch = image[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
-        contrast = float(patch.mean()) - background
-        contrast = -contrast if self._is_dark else contrast
-        noise = math.nan
-        spot: _Spot | None = None
-        for _ in range(2):
-            if contrast < parameters.min_contrast_grey:
-                return None
-            spot, _ = self._measure(image, u, v, background, contrast, noise)
-            if spot is None:
-                return None
-            background = spot.side_grey
-            measured = math.sqrt(max(spot.side_variance, _QUANTISATION_VARIANCE))
-            noise = measured if parameters.noise_grey is None else parameters.noise_grey
-            column, row = round(spot.u), round(spot.v)
-            patch = image[row - 1 : row + 2, column - 1 : column + 2]
-            contrast = abs(float(patch.mean()) - background)
-        assert spot is not None
-        nominal = 0.785398 * parameters.marker_diameter_px**2
-        low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
-        roundness = 2 * parameters.shape_tolerance + 2.0 * noise / contrast
-        is_marker = (
-            low * nominal <= spot.area <= high * nominal
-            and spot.variance_u >= spot.variance_v * (1 - roundness)
-            and spot.variance_u <= spot.variance_v * (1 + roundness) + self._smear_variance
-            and abs(spot.covariance) <= roundness * spot.variance_v
-            # A uniform disc of this area has a second moment of area / (4 pi); blur adds to it.
-            and spot.variance_v <= (spot.area / 12.566 + 2.0) * (1 + roundness)
-            and abs(spot.skew_u) <= roundness
-            and abs(spot.skew_v) <= roundness
-            and abs(spot.side_difference) <= 0.12 * contrast + noise
-        )
-        return (spot, background, contrast, noise) if is_marker else None
-
-    def _assign(
-        self,
-        image: npt.NDArray[Any],
-        unknown: list[int],
-        found: list[tuple[_Spot, float, float, float]],
+    def _name(
+        self, image: npt.NDArray[Any], missing: list[int], found: list[tuple[Spot, Light]]
     ) -> dict[int, Reason]:
-        """Name the spots by their order along the beam, or by their rows where these are known."""
-        reasons: dict[int, Reason] = {}
-        if all(self._markers[k].known_row is None for k in unknown):
-            # The first acquisition, without expected rows: the order alone gives the names.
-            if len(found) != len(unknown):
-                why: Reason = "ambiguous" if len(found) > len(unknown) else "not_acquired"
-                return dict.fromkeys(unknown, why)
+        """Name spots by their order along the beam, or by their rows where these are known."""
+        if all(self._markers[k].known_row is None for k in missing):
+            if len(found) != len(missing):
+                return dict.fromkeys(missing, "ambiguous" if len(found) > len(missing) else "not_acquired")
             found = sorted(found, key=lambda candidate: -candidate[0].v)
-            rows = [candidate[0].v for candidate in found]
+            rows = [spot.v for spot, _ in found]
             if any(lower - upper < self.parameters.marker_diameter_px for lower, upper in pairwise(rows)):
-                return dict.fromkeys(unknown, "ambiguous")
-            for k, candidate in zip(unknown, found, strict=True):
-                self._introduce(image, self._markers[k], *candidate)
-            return reasons
-        tolerance = self.parameters.expected_row_tolerance_px
-        for k in unknown:
+                return dict.fromkeys(missing, "ambiguous")
+            for k, (spot, light) in zip(missing, found, strict=True):
+                self._introduce(image, self._markers[k], spot, light)
+            return {}
+        reasons: dict[int, Reason] = {}
+        for k in missing:
             marker = self._markers[k]
-            assert marker.known_row is not None
-            near = [candidate for candidate in found if abs(candidate[0].v - marker.known_row) <= tolerance]
-            if len(near) == 1 and not self._is_taken(near[0][0], k):
+            near = [
+                (spot, light)
+                for spot, light in found
+                if self._is_expected(marker, spot, light) and not self._is_taken(spot, k)
+            ]
+            # A marker that was seen before has been lost for long: it must be alone for a while.
+            if len(near) > 1:
+                marker.lonely_since = self._frame
+            wanted = 0 if marker.appearance is None else _LONELY_FRAMES
+            if len(near) == 1 and self._frame - marker.lonely_since >= wanted:
                 self._introduce(image, marker, *near[0])
             else:
                 reasons[k] = "ambiguous" if near else "not_acquired"
         return reasons
 
-    def _introduce(
-        self,
-        image: npt.NDArray[Any],
-        marker: _Marker,
-        spot: _Spot,
-        background: float,
-        contrast: float,
-        noise: float,
-    ) -> None:
+    def _is_expected(self, marker: _Marker, spot: Spot, light: Light) -> bool:
+        """True when a spot lies in the marker's row and, if the marker was seen before, looks like it."""
+        row = marker.known_row
+        if row is None or abs(spot.v - row) > self.parameters.expected_row_tolerance_px:
+            return False
+        if marker.appearance is None:
+            return True
+        return self._meter.judge(spot, self._meter.gates(light, marker.appearance)) == "ok"
+
+    def _introduce(self, image: npt.NDArray[Any], marker: _Marker, spot: Spot, light: Light) -> None:
         """Start to follow a spot as this marker."""
-        marker.background, marker.contrast, marker.noise = background, contrast, noise
-        excess = max(0.0, spot.variance_u - spot.variance_v)
-        smear = math.sqrt(12.0 * excess)
-        marker.reference = _Reference(
-            area=spot.area + 0.1 * smear * self.parameters.marker_diameter_px,
-            variance=min(spot.variance_u, spot.variance_v),
-            skew_u=spot.skew_u,
-            skew_v=spot.skew_v,
-            row=spot.v,
-        )
-        marker.known_row = spot.v
-        marker.u, marker.v = spot.u, spot.v
-        marker.velocity = 0.0
+        marker.light = light
+        if marker.appearance is None:
+            marker.appearance = self._meter.appearance(image, spot, light)
+        marker.gates = self._meter.gates(light, marker.appearance)
+        marker.known_row = marker.appearance.row
+        marker.u, marker.v, marker.centre = spot.u, spot.v, spot.u
+        marker.velocity = marker.swing = 0.0
         marker.hold_error = marker.linear_error = 1.0
         marker.lost_frames = 0
-        marker.support = self._support(image, marker, spot)
+        marker.is_followed = True
+        marker.is_mixed = False
+        marker.rivals = []
+
+
+def _associated(
+    tracks: list[_Track], spots: list[Spot], frame: int, reach: float
+) -> tuple[list[_Track], list[Spot]]:
+    """Continue tracks by the nearest spots; returns the tracks and the spots that belong to none."""
+    free = list(spots)
+    continued = []
+    for track in tracks:
+        predicted = track.predicted(frame)
+        nearest = min(free, key=lambda spot: abs(spot.u - predicted), default=None)
+        if nearest is not None and abs(nearest.u - predicted) <= reach:
+            free.remove(nearest)
+            elapsed = max(1, frame - track.frame)
+            continued.append(_Track(nearest.u, (nearest.u - track.u) / elapsed, frame))
+        else:
+            continued.append(track)
+    return continued, free
+
+
+def _continued(tracks: list[_Track], spots: list[Spot], frame: int, reach: float) -> list[_Track]:
+    """Tracks of these spots, with velocities where an earlier track leads to them; and of those just gone."""
+    continued, free = _associated(tracks, spots, frame, reach)
+    return [track for track in continued if frame - track.frame <= _RIVAL_MEMORY_FRAMES] + [
+        _Track(spot.u, 0.0, frame) for spot in free
+    ]
+
+
+def _present(tracks: list[_Track], frame: int, left: float, right: float, reach: float) -> list[_Track]:
+    """Tracks but those that have left the columns looked at, or have not been seen for long."""
+    return [
+        track
+        for track in tracks
+        if track.frame == frame
+        or (left + reach < track.u < right - reach and frame - track.frame <= _FORGET_AFTER_FRAMES)
+    ]
