@@ -106,10 +106,25 @@ class LinearStepper:
         return result
 
     def _state_at(self, tau: float, value: float, slope: float = 0.0) -> Array:
-        """Return the state after `tau` under the input value + slope t."""
+        return self.propagate(self._full_state, tau, value, slope)
+
+    def propagate(self, start: Array, tau: float, value: float, slope: float = 0.0) -> Array:
+        """Return where a state stands after `tau` under the input value + slope t, shape (n,).
+
+        Parameters
+        ----------
+        start : ndarray, shape (n,)
+            Not the stepper's own state, which stays as it is.
+        tau : float
+            [s], as long as wanted; a whole period under a held input takes the precomputed step.
+        value, slope : float
+            Of the input and of its change per second.
+        """
+        if tau == self.period and slope == 0.0:
+            return np.asarray(self._transition @ start + self._held * value)
         n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
         h = tau / n_pieces
-        state = self._full_state.copy()
+        state = start.copy()
         for piece in range(n_pieces):
             term = h * (self._A @ state + self._B * (value + slope * h * piece))
             state += term
