@@ -65,19 +65,27 @@ def test_a_rigid_slide_comes_to_rest_where_friction_says() -> None:
 
 @pytest.mark.parametrize("scenario", ["friction", "stops", "both"])
 def test_halving_the_tick_changes_nothing(scenario: str) -> None:
-    friction = HubFriction(coulomb=0.3, viscous=1.0) if scenario != "stops" else None
-    stops = EndStops(-0.004, 0.004, 0.5) if scenario != "friction" else None
+    friction = HubFriction(coulomb=2.0, viscous=1.0) if scenario != "stops" else None
+    stops = EndStops(-0.0005, 0.0005, 0.5) if scenario != "friction" else None
     rng = np.random.default_rng(2)
     forces = np.repeat(3.0 * rng.standard_normal(40), 10)
     ends = []
+    n_held = n_turned = 0
     for divisor in (1, 2, 4):
         axis = AxisStepper(MODEL, PERIOD / divisor, friction, stops)
         path = []
         for force in forces:
             for _ in range(divisor):
+                before = axis.velocity
                 axis.step(force)
+                n_held += axis.is_held
+                n_turned += axis.velocity * before < 0.0
             path.append(axis.state.copy())
         ends.append(np.array(path))
+    assert n_turned > 10
+    assert scenario == "stops" or n_held > 20
+    if stops is not None:
+        assert np.abs(ends[0][:, 0]).max() > 0.00049
     for finer in ends[1:]:
         assert np.abs(finer[:, 0] - ends[0][:, 0]).max() < 1e-9
         assert np.abs(finer[:, 1] - ends[0][:, 1]).max() < 1e-8
