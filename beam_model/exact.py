@@ -199,5 +199,5 @@ def _duncan(B: ComplexArray, x: Array, k: int, derivative: int) -> ComplexArray:
     for j in range(_SERIES_TERMS):
         power = k + 4 * j - derivative
         if power >= 0:
-            result += (B**j)[:, None] * (x**power / math.factorial(power))
+            result += (B**j)[:, None] * (x**power / float(math.factorial(power)))
     return result
