@@ -24,9 +24,11 @@ from beam_ros.vision.errors import VisionParameterError
 
 StampMeaning = Literal["start", "mid", "end", "arrival"]
 Polarity = Literal["bright", "dark"]
+Refinement = Literal["none", "radial_symmetry", "disc_model"]
 
 STAMP_MEANINGS: tuple[StampMeaning, ...] = ("start", "mid", "end", "arrival")
 POLARITIES: tuple[Polarity, ...] = ("bright", "dark")
+REFINEMENTS: tuple[Refinement, ...] = ("none", "radial_symmetry", "disc_model")
 
 
 def _require(condition: bool, name: str, value: object, expected: str) -> None:
@@ -227,6 +229,9 @@ class TrackerParameters:
         first [px]; lets the tracker tell markers from other spots. None: exactly as many spots as markers
         must be in view when they are acquired
     expected_row_tolerance_px : float -- tolerance of these rows [px]
+    refinement : "none", "radial_symmetry", "disc_model" -- what is made of the centre of gravity: nothing, the
+        centre of the gradients, or a fitted disc (at the noise limit, for some 0.2 ms a marker); for clean
+        and round markers only
     """
 
     marker_diameter_px: float = 12.0
@@ -246,6 +251,7 @@ class TrackerParameters:
     sigma_floor_px: float = 0.0015
     expected_rows_px: tuple[float, ...] | None = None
     expected_row_tolerance_px: float = 15.0
+    refinement: Refinement = "none"
 
     def __post_init__(self) -> None:
         _require_number(self, "marker_diameter_px", 3.0, 500.0)
@@ -272,6 +278,12 @@ class TrackerParameters:
             "TrackerParameters.polarity",
             self.polarity,
             f"one of {', '.join(POLARITIES)}",
+        )
+        _require(
+            self.refinement in REFINEMENTS,
+            "TrackerParameters.refinement",
+            self.refinement,
+            f"one of {', '.join(REFINEMENTS)}",
         )
         _require(
             self.max_gate_px >= self.max_jump_px,

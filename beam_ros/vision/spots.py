@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from beam_ros.vision.parameters import TrackerParameters
+from beam_ros.vision.refinement import fit_disc, radial_symmetry_centre
 
 Image = npt.NDArray[Any]
 
@@ -47,6 +48,8 @@ _MAX_PASSES = 4
 """The region is centred anew on what it shows at most this often."""
 _CENTRED_PX = 1.5
 """A spot this close to its region's centre needs no further pass [px]."""
+_REFINED_PX = 4
+"""A refinement uses the pixels up to this far beyond a marker's radius [px]."""
 _SIDE_PX = 2
 """Width of the columns at either side of the region in which the background is measured [px]."""
 _CLEAR_PX = 3
@@ -335,6 +338,44 @@ class SpotMeter:
             rest = (bottom - top) * width * (width * width - 1) / 12.0 - second_moment
             variance += light.speck_variance * max(rest, 0.0)
         return math.sqrt(variance / (spot.mass * spot.mass) + self.parameters.sigma_floor_px**2)
+
+    def refine(
+        self, image: Image, spot: Spot, light: Light, appearance: Appearance
+    ) -> tuple[float, float, float]:
+        """Centre and standard deviation by the refinement that the parameters ask for.
+
+        Returns
+        -------
+        u, v, sigma_u : float -- the centre of gravity's own where the refinement fails [px]
+        """
+        sigma = self.sigma(spot, light, appearance.support)
+        smear = math.sqrt(12.0 * max(0.0, spot.variance_u - appearance.variance_u))
+        reach = self.radius + _REFINED_PX
+        left = max(math.floor(spot.u - reach - smear / 2), spot.region[0])
+        right = min(math.ceil(spot.u + reach + smear / 2) + 1, spot.region[2])
+        top = max(math.floor(spot.v - reach), spot.region[1])
+        bottom = min(math.ceil(spot.v + reach) + 1, spot.region[3])
+        region = image[top:bottom, left:right]
+        u, v = spot.u - left, spot.v - top
+        if self.parameters.refinement == "radial_symmetry":
+            centre = radial_symmetry_centre(region, u, v, reach + smear / 2, light.noise)
+            return (spot.u, spot.v, sigma) if centre is None else (left + centre[0], top + centre[1], sigma)
+        radius = math.sqrt(appearance.area / math.pi)
+        disc = fit_disc(
+            region,
+            u,
+            v,
+            radius=radius,
+            edge=math.sqrt(max(appearance.variance_v - radius * radius / 4, 0.25)),
+            background=light.background,
+            contrast=-light.contrast if self._is_dark else light.contrast,
+            noise=light.noise,
+            smear=smear,
+        )
+        if disc is None:
+            return spot.u, spot.v, sigma
+        floor = self.parameters.sigma_floor_px
+        return left + disc.u, top + disc.v, math.sqrt(disc.sigma_u**2 + floor * floor)
 
     # -- gates ---------------------------------------------------------------------------------------------
 

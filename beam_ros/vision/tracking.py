@@ -264,10 +264,14 @@ class MarkerTracker:
                 marker.rivals = _continued(marker.rivals, others, self._frame, parameters.max_gate_px)
         if is_due and not marker.rivals:
             self._adapt(image, marker, light, appearance, spot)
+        if parameters.refinement == "none":
+            u, v, sigma = spot.u, spot.v, meter.sigma(spot, light, appearance.support)
+        else:
+            u, v, sigma = meter.refine(image, spot, light, appearance)
         return MarkerMeasurement(
-            spot.u,
-            spot.v,
-            meter.sigma(spot, light, appearance.support),
+            u,
+            v,
+            sigma,
             True,
             "ok",
             self._stamp(stamp_ns, spot.v),
