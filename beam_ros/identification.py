@@ -174,7 +174,7 @@ def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int)
 def _outputs(
     displacements: Displacements, origin_ns: int, rig: Rig, notes: list[str]
 ) -> tuple[OutputSignal, ...]:
-    times = (displacements.stamps_ns - origin_ns) * 1e-9
+    times: FloatArray = np.asarray((displacements.stamps_ns - origin_ns) * 1e-9, dtype=np.float64)
     outputs = []
     for k, name in enumerate(displacements.names):
         values = displacements.positions[:, k]

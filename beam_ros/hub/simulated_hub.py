@@ -1,8 +1,9 @@
 """The hub without hardware: a virtual axis in this process, advanced by the time that passes.
 
 `SimulatedHub` behaves as the driver does with the real axis behind it: the device has a clock of its own
-with a start and a drift, a host that falls silent trips the watchdog, samples come in batches whose stamps
-are mapped from device time. Only the map is known exactly here.
+with a start and a drift, set-points age, samples come in batches whose stamps are mapped from device time.
+Two things differ: the map is known exactly here, and since device and host are one process, a stall of the
+computer is not a silence of the host until it lasts for seconds.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from beam_ros.hub.sequences import CommandGate, Guard
 
 CLOCK_SYNC_NS = 200_000_000
 """Interval of the clock comparisons that are reported [ns]."""
+MAX_STALL_NS = 2_000_000_000
+"""A busy computer may keep this process waiting so long; device and host stood still together then."""
 MAX_CATCH_UP_NS = 10_000_000_000
 """After a longer pause (a suspended computer) the simulated device starts a new clock epoch instead."""
 
@@ -104,12 +107,11 @@ class SimulatedHub:
         """Advance by the time that has passed, and collect what happened."""
         clock = self._host_clock(now)
         events: list[HubEvent] = []
+        pause_ns = now.steady_ns - self._last_steady_ns
         batches = self._catch_up_or_pause(now, clock, events)
         self._last_steady_ns = now.steady_ns
         now_ns = clock.stamp_ns(now.steady_ns)
-        self._pending.append(self.axis.advance(self.device_ns(now_ns)))
-        self._n_pending += len(self._pending[-1])
-        self.axis.feed()
+        self._advance(self.device_ns(now_ns), is_stall=pause_ns <= MAX_STALL_NS)
         batches += self._full_batches()
 
         jump_ns = clock.jump_ns(now)
@@ -193,6 +195,17 @@ class SimulatedHub:
             self._anchor_stamp_ns = now.unix_ns
             self._last_steady_ns = self._next_sync_ns = now.steady_ns
         return self._clock
+
+    def _advance(self, device_ns: int, *, is_stall: bool) -> None:
+        """Advance the axis; after a mere stall it was one process with its host all along, never without it."""
+        step_ns = self._parameters.batch_ticks * self._parameters.period_ns
+        while True:
+            until_ns = min(device_ns, self.axis.device_ns + step_ns) if is_stall else device_ns
+            self._pending.append(self.axis.advance(until_ns))
+            self._n_pending += len(self._pending[-1])
+            self.axis.feed()
+            if until_ns >= device_ns:
+                return
 
     def _catch_up_or_pause(
         self, now: HostTime, clock: HostClock, events: list[HubEvent]

@@ -33,7 +33,6 @@ class RigClient:
     displacement : dict -- newest u by marker's name [m]; NaN where it was not seen
     hub_position : float -- newest hub position [m]
     sequence : dict -- newest `hub/sequence_state`
-    identification : dict or None -- newest `identification/result`
     recorded : dict -- messages that the recorder has, by topic
     hub_counters : dict or None -- the hub's newest values on `/diagnostics`
     """
@@ -47,7 +46,7 @@ class RigClient:
         self.displacement: dict[str, float] = {}
         self.hub_position = math.nan
         self.sequence: dict[str, Any] = {}
-        self.identification: dict[str, Any] | None = None
+        self._on_result: Callable[[dict[str, Any]], None] = lambda result: None
         self.hub_counters: dict[str, object] | None = None
         self.recorded: dict[str, int] = {}
         self._listen("beam/displacement", self._on_displacement)
@@ -73,7 +72,7 @@ class RigClient:
         self.sequence = json.loads(message.data)
 
     def _on_identification(self, message: Any) -> None:
-        self.identification = json.loads(message.data)
+        self._on_result(json.loads(message.data))
 
     def _on_recorder_state(self, message: Any) -> None:
         counts = json.loads(message.data).get("topics", {})
@@ -151,6 +150,26 @@ class RigClient:
         if not response.success:
             raise RigUnavailableError(f"{service} was refused: {response.message}")
         return str(response.message)
+
+    def identify(self, timeout_s: float, on_tick: Callable[[float], None]) -> dict[str, Any]:
+        """Have the identifier work on its bag and return what it publishes.
+
+        Parameters
+        ----------
+        timeout_s : float -- patience
+        on_tick : callable -- called with the seconds waited so far, for progress
+
+        Raises
+        ------
+        RigUnavailableError
+            The identifier is not there, refuses, or publishes nothing in time.
+        """
+        results: list[dict[str, Any]] = []
+        self._on_result = results.append
+        self.call("identifier/identify")
+        what, remedy = "the identifier published no result", "look at identifier.log"
+        self.wait(lambda: bool(results), timeout_s, what, remedy, on_tick)
+        return results[-1]
 
     def __enter__(self) -> RigClient:
         return self

@@ -14,6 +14,7 @@ from beam_ros.cli.progress import Progress
 from beam_ros.errors import RigUnavailableError
 from beam_ros.interfaces import Rig as RigKind
 from beam_ros.interfaces import nodes_of_rig
+from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
     PrivateDomain,
@@ -95,8 +96,6 @@ def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[
         rig_nodes = nodes_of_rig(kind, with_camera_images=bool(rig["simulation.images"]))
         for executable in (*rig_nodes, "bag_recorder", "identifier"):
             nodes.start(executable, arguments)
-        from beam_ros.launching.client import RigClient
-
         client = RigClient(nodes.check)
         with client:
             client.wait(
@@ -110,7 +109,7 @@ def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[
             return _measure_and_identify(rig, client)
 
 
-def _measure_and_identify(rig: Rig, client: Any) -> dict[str, Any]:
+def _measure_and_identify(rig: Rig, client: RigClient) -> dict[str, Any]:
     with Progress("home and enable", 30.0, "s") as stage:
         client.call("hub/home", timeout_s=30.0)
         if rig["simulation.images"]:
@@ -162,22 +161,13 @@ def _measure_and_identify(rig: Rig, client: Any) -> dict[str, Any]:
         client.call("hub/enable", value=False)
         stage.finish(recorded)
     with Progress("identify", _IDENTIFY_TIMEOUT_S, "s") as stage:
-        client.identification = None
-        client.call("identifier/identify")
-        client.wait(
-            lambda: client.identification is not None,
-            _IDENTIFY_TIMEOUT_S,
-            "the identifier published no result",
-            "look at identifier.log",
-            stage.update,
-        )
-        result: dict[str, Any] = client.identification
+        result = client.identify(_IDENTIFY_TIMEOUT_S, stage.update)
         if "error" in result:
             raise RigUnavailableError(f"identification failed: {result['error']}")
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
     return result
 
 
-def _live(client: Any) -> str:
+def _live(client: RigClient) -> str:
     *_, tip = client.displacement.values()
     return f"hub {client.hub_position * 1e3:+7.3f} mm   tip marker {tip * 1e3:+7.2f} mm"

@@ -13,7 +13,6 @@ import fcntl
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,6 +25,7 @@ from beam_ros.errors import RigUnavailableError
 from beam_ros.executables import command
 from beam_ros.interfaces import NODES
 
+_C_LIBRARY = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
 _GRACE_S = 5.0
 _ONE_THREAD_EACH = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -111,9 +111,10 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _die_with_parent() -> None:
-    """Ask the kernel to end this process when its parent ends (Linux; runs in the child before exec)."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+def _prepare_child() -> None:
+    """In the child before exec: end with the parent, and hold signals back until Python can take them."""
+    _C_LIBRARY.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
 
 
 @dataclass
@@ -174,7 +175,7 @@ class NodeGroup:
                 stdout=stream,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+                preexec_fn=_prepare_child,
             )
         node = NodeProcess(executable, process, log)
         self.nodes.append(node)

@@ -55,7 +55,10 @@ class FirmwareEmulator(RigNode):
 
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report where the controller is and how the camera keeps up."""
-        counters = {"frames": self._camera.published, "dropped frames": self._camera.dropped_frames}
+        counters: dict[str, object] = {
+            "frames": self._camera.published,
+            "dropped frames": self._camera.dropped_frames,
+        }
         return "OK", f"controller on {self._controller.port}", counters
 
     def close(self) -> None:

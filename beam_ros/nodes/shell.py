@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -216,7 +217,7 @@ def _leave_it_to_rclpy(_number: int, _frame: object) -> None:
 def _initialise(arguments: list[str]) -> None:
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     for path in files:
-        schema.read_yaml(schema.Path(path))
+        schema.read_yaml(Path(path))
     try:
         rclpy.init(args=arguments)
     except Exception as err:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+import time
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 
 from beam_ros import interfaces, messages
 from beam_ros.nodes.shell import RigNode, qos_profile, run_node
@@ -19,9 +23,19 @@ from beam_ros.vision.storage import load_calibration, save_calibration
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking import FrameResult, MarkerTracker
 
-_RECENT_FRAMES = 100
-_MINIMUM_FRAMES = 10
+_AVERAGED_FRAMES = 100
+_PATIENCE_S = 5.0
 _LOOK_FOR_CAMERA_S = 0.2
+
+
+@dataclass
+class _Average:
+    """Frames that a service waits for."""
+
+    deadline: float
+    future: Future
+    columns: list[list[float]] = field(default_factory=list)
+    sigmas: list[list[float]] = field(default_factory=list)
 
 
 class VisionTracker(RigNode):
@@ -36,7 +50,7 @@ class VisionTracker(RigNode):
         self._image_size = (camera.width, camera.height)
         self._calibration = self._first_calibration()
         self._procedure = CalibrationProcedure(len(self._names), self._image_size)
-        self._recent: deque[tuple[list[float], list[float]]] = deque(maxlen=_RECENT_FRAMES)
+        self._averages: list[_Average] = []
         self._hub_position = math.nan
         self._counts: Counter[str] = Counter()
         self._frames_before = 0
@@ -45,8 +59,11 @@ class VisionTracker(RigNode):
         self._markers = self.offer("beam/markers")
         self.listen("hub/state", self._on_hub_state)
         self.serve("tracker/reset", self._on_reset)
-        self.serve("tracker/tare", self._on_tare)
-        self.serve("tracker/capture_point", self._on_capture_point)
+        # These wait for the frames that they average; in a group of their own they keep nothing else waiting.
+        group = ReentrantCallbackGroup()
+        self.serve("tracker/tare", self._on_tare, callback_group=group)
+        self.serve("tracker/capture_point", self._on_capture_point, callback_group=group)
+        self.create_timer(0.1, self._end_overdue_averages)
         self.serve("tracker/fit_calibration", self._on_fit_calibration)
         self._camera_search = self.create_timer(_LOOK_FOR_CAMERA_S, self._look_for_camera)
 
@@ -101,7 +118,11 @@ class VisionTracker(RigNode):
     def _publish(self, result: FrameResult) -> None:
         columns = [marker.u_px for marker in result.markers]
         sigmas = [marker.sigma_px for marker in result.markers]
-        self._recent.append((columns, sigmas))
+        for average in list(self._averages):
+            average.columns.append(columns)
+            average.sigmas.append(sigmas)
+            if len(average.columns) >= _AVERAGED_FRAMES:
+                self._end_average(average)
         found = self._calibration.displacement(columns, sigmas)
         stamps = [marker.stamp_ns for marker in result.markers]
         for stamp_ns in sorted(set(stamps)):
@@ -121,31 +142,44 @@ class VisionTracker(RigNode):
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._tracker.reset()
-        self._recent.clear()
         response.success, response.message = True, "markers are acquired anew"
         return response
 
-    def _recent_frames(self) -> tuple[list[list[float]], list[list[float]]]:
-        if len(self._recent) < _MINIMUM_FRAMES:
+    async def _next_frames(self) -> _Average:
+        """Wait for the frames from now on, so that an average never reaches back to another position."""
+        average = _Average(time.monotonic() + _PATIENCE_S, Future())
+        self._averages.append(average)
+        await average.future
+        if len(average.columns) < _AVERAGED_FRAMES:
             raise CalibrationError(
-                f"{len(self._recent)} frames since the last reset; expected at least {_MINIMUM_FRAMES}: is a "
-                "camera publishing on camera/image_raw?"
+                f"{len(average.columns)} frames in {_PATIENCE_S:g} s; expected {_AVERAGED_FRAMES}: is a camera "
+                "publishing on camera/image_raw?"
             )
-        columns, sigmas = zip(*self._recent, strict=True)
-        return list(columns), list(sigmas)
+        return average
 
-    def _on_tare(self, _request: Any, response: Any) -> Any:
+    def _end_average(self, average: _Average) -> None:
+        self._averages.remove(average)
+        average.future.set_result(None)
+
+    def _end_overdue_averages(self) -> None:
+        now = time.monotonic()
+        for average in [average for average in self._averages if now > average.deadline]:
+            self._end_average(average)
+
+    async def _on_tare(self, _request: Any, response: Any) -> Any:
         try:
-            self._calibration = self._calibration.tare(*self._recent_frames())
-            response.success, response.message = True, f"zero from {len(self._recent)} frames"
+            frames = await self._next_frames()
+            self._calibration = self._calibration.tare(frames.columns, frames.sigmas)
+            response.success, response.message = True, f"zero from {len(frames.columns)} frames"
         except CalibrationError as err:
             response.success, response.message = False, str(err)
         return response
 
-    def _on_capture_point(self, _request: Any, response: Any) -> Any:
+    async def _on_capture_point(self, _request: Any, response: Any) -> Any:
         encoder_sd = self.rig.number("hub.encoder_resolution") / math.sqrt(12.0)
         try:
-            self._procedure.capture_point(*self._recent_frames(), self._hub_position, encoder_sd)
+            frames = await self._next_frames()
+            self._procedure.capture_point(frames.columns, frames.sigmas, self._hub_position, encoder_sd)
             response.success = True
             response.message = f"point {len(self._procedure.points)} at {self._hub_position:.6f} m"
         except CalibrationError as err:
@@ -173,7 +207,7 @@ class VisionTracker(RigNode):
         """Report the frame rate, lost markers, and what is wrong with the frames."""
         frames = self._counts["frames"]
         rate, self._frames_before = frames - self._frames_before, frames
-        counters = {**self._counts, "frames in the last second": rate}
+        counters: dict[str, object] = {**self._counts, "frames in the last second": rate}
         if self._trouble:
             return "ERROR", self._trouble, counters
         if rate == 0:

@@ -89,6 +89,18 @@ def test_a_host_that_stops_polling_finds_the_axis_stopped():
     assert len(report.measured) == 25
 
 
+def test_a_stalled_computer_does_not_abort_a_sequence():
+    """Device and host are one process: when both stand still for a second, neither has left the other."""
+    rig = SimulatedRig(HubParameters())
+    rig.enable()
+    for chunk in chunks_of(rest_to_rest(1500), rig.now.unix_ns + 200_000_000):
+        rig.hub.load(chunk, rig.now)
+    rig.run(0.5)
+    rig.run(1.2, step_ns=1_200_000_000)
+    assert states(rig.run(1.5))[-1] == "done"
+    assert rig.reports[-1].status.state == "enabled"
+
+
 def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps():
     rig = SimulatedRig(HubParameters())
     rig.enable()

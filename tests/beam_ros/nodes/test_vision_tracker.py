@@ -68,3 +68,48 @@ def test_bad_frames_give_nan_and_the_node_lives_on(tracker) -> None:
         tracker.wait(lambda count=count: len(tracker.seen) > count, "an answer to the frame")
     seen = [all(math.isfinite(x) for x in d.positions) for d in tracker.seen]
     assert seen == [True, False, False, False, False, False, True]
+
+
+def test_calibration_against_the_hubs_encoder_finds_scale_and_zero(tracker) -> None:
+    """Five positions of the hub, a camera that is really at 1480 px/m: the fit finds it, tare sets the zero."""
+    from beam_ros.vision.rendering import SceneRenderer
+
+    rig = Rig.from_file().with_values({"camera.pixels_per_metre": 1480.0, "markers.diameter": 0.012 / 1.48})
+    heights = np.array(rig.numbers("markers.heights")) * 1500.0 / 1480.0  # where the tracker looks for them
+    renderer = SceneRenderer(rig.camera_parameters(), heights)
+    rng = np.random.default_rng(0)
+    hub = tracker.publisher("hub/state")
+    tracker.wait(lambda: hub.get_subscription_count() > 0, "hub/state's listener")
+    stamp = tracker.node.get_clock().now().nanoseconds
+
+    def average(service: str, x: float):
+        nonlocal stamp
+        service_class = tracker.types.service_class(interfaces.SERVICES[service].type_name)
+        client = tracker.node.create_client(service_class, service)
+        tracker.wait(client.service_is_ready, service)
+        future = client.call_async(service_class.Request())
+        frame = renderer.render(np.full(3, x), rng)
+        while not future.done():
+            stamp += 10_000_000
+            hub.publish(messages.hub_state(tracker.types, messages.HubSample(stamp, x)))
+            tracker.images.publish(messages.image(tracker.types, stamp, frame))
+            tracker.spin(0.004)
+        return future.result()
+
+    refused = tracker.call("tracker/fit_calibration")
+    assert not refused.success
+    assert "0 points" in refused.message
+    for x in (-0.02, -0.01, 0.0, 0.01, 0.02):
+        captured = average("tracker/capture_point", x)
+        assert captured.success, captured.message
+    fitted = tracker.call("tracker/fit_calibration")
+    assert fitted.success, fitted.message
+    scales = [float(word) for word in fitted.message.split(" px/m")[0].split(", ")]
+    assert scales == pytest.approx([1480.0] * 3, rel=1e-3)
+    assert average("tracker/tare", 0.015).success
+    tracker.seen.clear()
+    tracker.images.publish(
+        messages.image(tracker.types, stamp + 10_000_000, renderer.render(np.full(3, 0.015), rng))
+    )
+    tracker.wait(lambda: bool(tracker.seen), "a displacement")
+    assert tracker.seen[-1].positions == pytest.approx([0.0] * 3, abs=2e-5)  # 5 sd of one frame
