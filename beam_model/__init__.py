@@ -5,37 +5,58 @@ response of the continuous beam as a yardstick; advice for experiments. NumPy an
 which imports Matplotlib when it draws.
 """
 
+from __future__ import annotations
+
+from .axis_dynamics import AxisStepper, EndStops, HubFriction, PositionServo
 from .errors import BeamModelError, BeamParameterError, PhysicalFitError
 from .exact import exact_frequency_response
-from .experiment_advice import ExperimentAdvice, advise, aliases, node_heights, suggest_marker_heights
+from .experiment_advice import (
+    ExperimentAdvice,
+    PredictedLoads,
+    advise,
+    aliases,
+    node_heights,
+    predict_loads,
+    suggest_marker_heights,
+)
 from .frequency_response import FrequencyResponse
-from .galerkin import GalerkinMatrices, ModalBasis
+from .galerkin import GalerkinMatrices, ModalBasis, ModalParameters
 from .linear_forms import PoleResidueForm, StateSpace, ZerosPolesGain, state_space
 from .model import BeamModel
+from .nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
 from .parameters import BeamParameters, Damping, PointMass
 from .physical_fit import Identifiability, ModalMeasurement, PhysicalFit, Prior, fit_beam, identifiability
 from .stepping import ForceStepper, HubAndBeam, MotionStepper
 from .theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
 
 __all__ = [
+    "AirDrag",
+    "AxisStepper",
     "BeamModel",
     "BeamModelError",
     "BeamParameterError",
     "BeamParameters",
     "Damping",
+    "EndStops",
     "ExperimentAdvice",
     "ForceStepper",
     "FrequencyResponse",
     "GalerkinMatrices",
     "HubAndBeam",
+    "HubFriction",
     "Identifiability",
     "ModalBasis",
     "ModalMeasurement",
+    "ModalParameters",
     "MotionStepper",
+    "NonlinearMotionStepper",
+    "NonlinearTerms",
     "PhysicalFit",
     "PhysicalFitError",
     "PointMass",
     "PoleResidueForm",
+    "PositionServo",
+    "PredictedLoads",
     "Prior",
     "StateSpace",
     "TheoryComparison",
@@ -48,6 +69,7 @@ __all__ = [
     "fit_beam",
     "identifiability",
     "node_heights",
+    "predict_loads",
     "state_space",
     "suggest_marker_heights",
 ]

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from .mode_shapes import UniformBeamShapes
 from .parameters import BeamParameters
@@ -121,6 +122,30 @@ class ModalBasis:
 
 
 @dataclass(frozen=True)
+class ModalParameters:
+    """Undamped modes of the beam on its free hub, thesis eqs. (2.42) and (2.43).
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (1 + n,)
+        omega_r [rad/s]; the first, 0, is the rigid body.
+    vectors : ndarray, shape (1 + n, 1 + n)
+        phi_r over [alpha, q_1 .. q_n], one mode a column, scaled to M_r = 1.
+    masses, stiffnesses : ndarray, shape (1 + n,)
+        M_r = phi_r^T M phi_r and K_r = phi_r^T K phi_r = omega_r^2 M_r.
+    dampings : ndarray, shape (1 + n, 1 + n)
+        phi^T C phi. Its diagonal is C_r = 2 zeta_r omega_r M_r where damping is proportional; off it lies what
+        couples the modes. (The thesis's line for C_r prints K in place of C.)
+    """
+
+    frequencies: Array
+    vectors: Array
+    masses: Array
+    stiffnesses: Array
+    dampings: Array
+
+
+@dataclass(frozen=True)
 class GalerkinMatrices:
     """The matrices of thesis eq. (2.40) over x = [alpha, q_1 .. q_n].
 
@@ -136,6 +161,18 @@ class GalerkinMatrices:
     C: Array
     K: Array
     F: Array
+
+    def modal_parameters(self) -> ModalParameters:
+        """Return the eigenvectors of K - omega^2 M and M, C, K between them, thesis eqs. (2.42) and (2.43)."""
+        squared, V = linalg.eigh(self.K, self.M)
+        squared[0] = 0.0
+        return ModalParameters(
+            frequencies=np.sqrt(squared),
+            vectors=V,
+            masses=np.einsum("ir,ij,jr->r", V, self.M, V),
+            stiffnesses=np.einsum("ir,ij,jr->r", V, self.K, V),
+            dampings=V.T @ self.C @ V,
+        )
 
     def state_space(self) -> tuple[Array, Array]:
         """Return A (2N, 2N) and B (2N,) of X' = A X + B f with X = [x, x'], thesis eq. (2.41)."""

@@ -122,3 +122,16 @@ def test_effective_masses_sum_to_the_beam() -> None:
 def test_an_unknown_drive_or_quantity_is_refused(keyword: str, value: str) -> None:
     with pytest.raises(BeamParameterError, match=value):
         BeamModel(strip(), 2).frequency_response([1.0], [0.1], **{keyword: value})  # type: ignore[arg-type]
+
+
+def test_modal_parameters_meet_their_definitions() -> None:
+    model = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,))), 5)
+    modal = model.matrices.modal_parameters()
+    assert modal.frequencies[0] == 0.0
+    assert modal.frequencies[1:] == pytest.approx(model.free_hub_natural_frequencies, rel=1e-4)
+    assert modal.masses == pytest.approx(np.ones(6))
+    assert modal.stiffnesses == pytest.approx(modal.frequencies**2, abs=1e-6)
+    # C_r = 2 zeta_r omega_r M_r with C, where the source prints K.
+    ratios = np.diag(modal.dampings)[1:] / (2.0 * modal.frequencies[1:])
+    assert ratios == pytest.approx(model.free_hub_damping_ratios, rel=1e-3)
+    assert abs(modal.dampings[0, 0]) < 1e-12
