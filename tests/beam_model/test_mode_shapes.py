@@ -5,12 +5,12 @@ import pytest
 
 from beam_model.mode_shapes import UniformBeamShapes, clamped_roots, free_hub_roots
 
-# Roots to 20 digits: Newton's method on 1 + cosh b cos b in 40-digit decimal arithmetic.
+# Roots of cos b + 1/cosh b to 20 digits, from arithmetic with 40.
 CANTILEVER_ROOTS = {
     1: 1.8751040687119611664,
     2: 4.6940911329741745764,
     3: 7.8547574382376125649,
-    4: 10.995540734875466990,
+    4: 10.995540734875466991,
     5: 14.137168391046470581,
 }
 CASES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.3, 0.02, 0.0), (0.3, 0.02, 0.05), (0.0, 0.0, 0.5)]
