@@ -27,6 +27,7 @@ from .nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
 from .parameters import BeamParameters, Damping, PointMass
 from .physical_fit import Identifiability, ModalMeasurement, PhysicalFit, Prior, fit_beam, identifiability
 from .stepping import ForceStepper, HubAndBeam, MotionStepper
+from .summary import ModelSummary, summarise
 from .theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "ModalBasis",
     "ModalMeasurement",
     "ModalParameters",
+    "ModelSummary",
     "MotionStepper",
     "NonlinearMotionStepper",
     "NonlinearTerms",
@@ -72,4 +74,5 @@ __all__ = [
     "predict_loads",
     "state_space",
     "suggest_marker_heights",
+    "summarise",
 ]
