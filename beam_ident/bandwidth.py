@@ -10,14 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.signal import spectrogram
 
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal
 
 _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
-_ABOVE_FLOOR = 20.0  # times the least density: what a quantised position must stand out by
+_ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
+_SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,17 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
         step = float(np.median(np.diff(times)))
         grid = np.arange(times[0], times[-1], step)
         values = np.interp(grid, times, values)
-    segment = int(min(len(values), max(256, round(min(4.0, length_s / 4.0) / step))))
-    frequencies, density = welch(values, 1.0 / step, window="hann", nperseg=segment, detrend="constant")
-    frequencies, density = frequencies[1:], density[1:]
-    force_like = density * (2.0 * np.pi * frequencies) ** (2 * differentiations)
+    segment = int(min(len(values), max(256, round(min(_SEGMENT_S, length_s / 4.0) / step))))
+    frequencies, _, densities = spectrogram(
+        values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
+    )
+    frequencies, densities = frequencies[1:], _smooth(densities[1:])
+    loudest = np.max(densities, axis=1)
+    force_like = loudest * (2.0 * np.pi * frequencies) ** (2 * differentiations)
     if differentiations:
-        stands_out = density > _ABOVE_FLOOR * np.min(_smooth(density))
+        # Rounding or noise of a position is white; differentiated it would drown the excitation.
+        stands_out = loudest > _ABOVE_FLOOR * np.quantile(loudest, 0.2)
+        stands_out = median_filter(stands_out.astype(np.float64), 9, mode="nearest") > 0.5
         force_like = np.where(stands_out, force_like, 0.0) if np.any(stands_out) else force_like
     peak = float(np.max(force_like))
     above = frequencies[force_like > _UPPER_SHARE * peak]
@@ -64,7 +71,6 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     return Band(low, max(high, 2.0 * low), True)
 
 
-def _smooth(density: FloatArray) -> FloatArray:
-    width = max(3, len(density) // 50)
-    kernel = np.ones(width) / width
-    return np.asarray(np.convolve(density, kernel, mode="valid"))
+def _smooth(densities: FloatArray) -> FloatArray:
+    """Average every five neighbouring lines."""
+    return np.asarray(uniform_filter1d(densities, 5, axis=0, mode="nearest"))

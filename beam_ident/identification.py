@@ -18,14 +18,14 @@ from scipy.stats import chi2
 
 from beam_ident.bandwidth import Band, excited_band
 from beam_ident.errors import EstimationError
-from beam_ident.input_noise import input_noise_share
+from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.piecewise import FloatArray
-from beam_ident.records import TimeRecord
+from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.validation import Scores, Whiteness
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -36,6 +36,7 @@ Progress = Callable[[str, float], None]
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
+_VISIBLE_SHARE = 0.01  # of an output's noise variance: below this noise on the input is not looked at
 _TRIES_PER_ORDER = 2
 
 
@@ -231,6 +232,7 @@ class _Search:
         progress: Progress,
     ) -> None:
         self.regression = regression
+        self.records, self.input_name = records, input_name
         self.latency, self.clock_rate = latency, clock_rate
         self.progress = progress
         structure = regression.structure
@@ -333,6 +335,21 @@ class _Search:
                 "number of modes to see the best candidate"
             )
         model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        if max(_noise_share(model, drive) for drive in regression.drives) > _VISIBLE_SHARE:
+            self.progress("weighing the noise on the input", 0.97)
+            regression = self.regression = ModalRegression(
+                self.records, regression.structure, self.input_name, Smoothing(self.band.high_hz)
+            )
+            fit = self.chosen = fit_modes(
+                regression,
+                fit.omegas,
+                fit.zetas,
+                fit.clock,
+                self.latency,
+                self.clock_rate,
+                with_input_noise=True,
+            )
+            model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         outputs = tuple(
             self._output_fit(j, blocks[regression.block_of[j]].matrix) for j in range(regression.n_outputs)
@@ -404,24 +421,33 @@ class _Search:
             warnings.append(
                 "The input stands still: only the free decay was identified, residues mean nothing."
             )
-        coloured = [output.name for output in outputs if not output.whiteness.is_white]
-        if coloured:
+        shares = fit.input_noise_shares
+        if np.max(shares) > _VISIBLE_SHARE:
+            worst = int(np.argmax(shares))
             warnings.append(
-                f"The residuals of {', '.join(coloured)} are not white: the stated standard deviations may "
-                "be wrong."
+                f"Noise on the input makes up {shares[worst]:.0%} of the noise variance of "
+                f"{outputs[worst].name}. "
+                "The standard deviations of the poles include it; residues of modes that ring briefly keep "
+                "a bias "
+                "towards zero of up to that share."
             )
-        noisy = [
-            (drive, share)
-            for drive in self.regression.drives
-            if drive.sigma > 0.0 and (share := input_noise_share(model, drive)) > 0.1
-        ]
-        for drive, share in noisy:
-            warnings.append(
-                f"Noise on the input {drive.name!r} reaches the outputs with {share:.0%} of their noise "
-                "variance: "
-                "intervals are too narrow."
-            )
+        else:
+            coloured = [output.name for output in outputs if not output.whiteness.is_white]
+            if coloured:
+                warnings.append(
+                    f"The residuals of {', '.join(coloured)} are not white. The stated standard deviations "
+                    "include their "
+                    "autocorrelation; if it is unmodelled dynamics rather than noise, a bias remains."
+                )
         return warnings
+
+
+def _noise_share(model: ModalModel, drive: InputSignal) -> float:
+    """Return how much of the outputs' noise the noise on the input makes up."""
+    if drive.sigma == 0.0:
+        return 0.0
+    omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive)
+    return input_noise_share(model.frequency_response(omegas).response, omegas, drive, model.noise_sd)
 
 
 def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: Band) -> str:

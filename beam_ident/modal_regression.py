@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError
+from beam_ident.input_noise import Smoothing
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
 from beam_ident.pole_response import PoleResponse
@@ -24,6 +25,7 @@ from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
 
 _MIN_SAMPLES = 20
+_NOISE_DRAWS = 100  # the standard deviations that follow from them scatter by 7 %
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,9 @@ class ModalRegression:
     input_name : str or None
         Which input; may be left out where there is only one.
 
+    smoothing : Smoothing or None
+        Low-pass that a noisy input passes first.
+
     Raises
     ------
     EstimationError
@@ -219,7 +224,11 @@ class ModalRegression:
     """
 
     def __init__(
-        self, records: Sequence[TimeRecord], structure: ModalStructure, input_name: str | None = None
+        self,
+        records: Sequence[TimeRecord],
+        structure: ModalStructure,
+        input_name: str | None = None,
+        smoothing: Smoothing | None = None,
     ) -> None:
         if not records:
             raise EstimationError("no record to identify from; give at least one TimeRecord")
@@ -232,7 +241,10 @@ class ModalRegression:
                     f"record {record.name!r} has the inputs {available}; say which with input_name"
                 )
             self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
-        self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, self.drives, strict=True)]
+        self._records = list(records)
+        self._smoothing = smoothing
+        smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
+        self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, smooth, strict=True)]
         names = list(dict.fromkeys(name for record in records for name in record.output_names))
         self.units: list[str] = [
             next(o.unit for record in records for o in record.outputs if o.name == name) for name in names
@@ -306,6 +318,43 @@ class ModalRegression:
             for number, grid in enumerate(prepared.grids):
                 cache[index, number] = prepared.columns(grid, omegas, zetas, clock, gradients, responses)
         return [self._assemble(parts, cache, len(poles), gradients) for parts in self._block_keys]
+
+    def input_noise(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, coefficients: Sequence[FloatArray]
+    ) -> list[FloatArray] | None:
+        """Return draws of what noise on the input adds to every output, or None where there is none.
+
+        Returns
+        -------
+        list of ndarray, each of shape (n_samples of the output, n_draws)
+            From seeded draws of white noise of the input's ``sigma``.
+        """
+        if not any(drive.sigma > 0.0 for drive in self.drives):
+            return None
+        n_shared = self.n_shared_fixed + len(omegas)
+        poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
+        drawn = [np.empty((len(values), _NOISE_DRAWS)) for values in self.values]
+        rng = np.random.default_rng(0)
+        for draw in range(_NOISE_DRAWS):
+            shared: dict[tuple[int, int], FloatArray] = {}
+            for index, (record, drive) in enumerate(zip(self._records, self.drives, strict=True)):
+                noise = drive.sigma * rng.standard_normal(len(drive.values))
+                disturbed = InputSignal(drive.name, drive.unit, drive.times_s, noise, drive.hold)
+                if self._smoothing is not None:
+                    disturbed = self._smoothing.of(disturbed)
+                prepared = _PreparedRecord(record, disturbed, self.structure)
+                responses = [PoleResponse(pole, prepared.drive, gradients=False) for pole in poles]
+                for number, grid in enumerate(prepared.grids):
+                    source = prepared.columns(grid, omegas, zetas, clock, False, responses)
+                    shared[index, number] = np.column_stack(
+                        [value for value, _ in source.fixed] + [mode[0] for mode in source.forced]
+                    )
+            for output, parts in enumerate(self._parts):
+                disturbance = [
+                    shared[p[0], p[1]][self._rows[p]] @ coefficients[output][:n_shared] for p in parts
+                ]
+                drawn[output][:, draw] = np.concatenate(disturbance)
+        return drawn
 
     def _assemble(
         self,

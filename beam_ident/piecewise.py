@@ -21,6 +21,7 @@ HOLDS: tuple[Hold, ...] = ("zoh", "linear", "cubic")
 FloatArray = NDArray[np.float64]
 
 _REGULAR_TOLERANCE = 1e-9  # knots closer than this [s] to k * period count as a regular grid
+_SNAP = 1e-6  # of a period: closer to a knot than this is on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +100,20 @@ class PiecewisePolynomial:
         return int(self.coefficients.shape[1]) - 1
 
     def locate(self, times: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return the segment of every instant and the time since its knot [s]."""
+        """Return the segment of every instant and the time since its knot [s].
+
+        An instant that misses a knot by rounding alone belongs to the segment that begins
+        there: a held input has changed by then.
+        """
         last = len(self.coefficients) - 1
+        slack = _SNAP * (self.period if self.period is not None else float(np.min(np.diff(self.knots))))
         if self.period is not None:
-            index = np.floor((times - self.knots[0]) / self.period).astype(np.intp)
+            index = np.floor((times - self.knots[0] + slack) / self.period).astype(np.intp)
         else:
-            index = np.searchsorted(self.knots, times, side="right") - 1
+            index = np.searchsorted(self.knots, times + slack, side="right") - 1
         index = np.clip(index, 0, last)
-        return index, times - self.knots[index]
+        offset = times - self.knots[index]
+        return index, np.where(np.abs(offset) <= slack, 0.0, offset)
 
     def __call__(self, times: FloatArray, derivative: int = 0) -> FloatArray:
         """Return the signal, or one of its derivatives, at any instants."""
