@@ -290,6 +290,11 @@ NODES: dict[str, Node] = {
 }
 
 
+def emulated_port(path: str) -> dict[str, object]:
+    """Parameters with which the emulator offers, and the driver expects, a port at a path."""
+    return {"emulator.port_link": path, "serial.port": path, "serial.patience": 20.0}
+
+
 def nodes_of_rig(rig: Rig, *, with_camera_images: bool = True) -> tuple[str, ...]:
     """Executables that make up a rig, in the order in which they start.
 

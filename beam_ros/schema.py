@@ -24,6 +24,7 @@ from beam_ros.errors import ParameterFileError
 Value = bool | int | float | str | list[float] | list[str]
 
 PACKAGED_RIG = "rig.yaml"
+MAX_FACTOR_WITH_IMAGES = 2.0
 
 
 @dataclass(frozen=True)
@@ -192,6 +193,7 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             "serial",
             Parameter("port", "str", "device of the motion controller"),
             Parameter("baud", "int", "line speed", "baud", 1200, 12_000_000),
+            Parameter("patience", "float", "wait so long for the port to appear", "s", 0.0, 60.0),
             Parameter("accept_no_device_watchdog", "bool", "drive an axis that cannot stop by itself"),
         ),
         *_group(
@@ -351,6 +353,13 @@ def check_relations(values: Mapping[str, Value]) -> None:
         raise ParameterFileError(
             f"markers.heights ends at {levels[-1]:g} m, above the tip at beam.length = {length:g} m: give "
             "heights in metres from the clamp"
+        )
+    factor = values["simulation.real_time_factor"]
+    if values["simulation.images"] and float(factor) > MAX_FACTOR_WITH_IMAGES:  # type: ignore[arg-type]
+        raise ParameterFileError(
+            f"simulation.real_time_factor is {factor:g} with simulation.images: expected at most "
+            f"{MAX_FACTOR_WITH_IMAGES:g}, the most that images over DDS keep up with; switch the images off, or use "
+            "`beam simulate`, which needs no real time"
         )
     start, end = values["excitation.start_frequency"], values["excitation.end_frequency"]
     if not float(start) < float(end):  # type: ignore[arg-type]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
 from importlib import resources
+from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from beam_ros.interfaces import NODES, Rig, nodes_of_rig
+from beam_ros.interfaces import NODES, Rig, emulated_port, nodes_of_rig
 from launch import LaunchContext, LaunchDescription
 
 PACKAGED_RIG = str(resources.files("beam_ros") / "config" / "rig.yaml")
@@ -37,13 +39,16 @@ def _nodes(context: LaunchContext) -> list[Node]:
     rig, params_file, namespace = (
         LaunchConfiguration(name).perform(context) for name in ("rig", "params_file", "namespace")
     )
+    parameters: list[str | dict[str, object]] = [params_file]
+    if Rig(rig) is Rig.EMULATED:
+        parameters.append(emulated_port(str(Path(tempfile.mkdtemp(prefix="beam-rig-")) / "controller")))
     return [
         Node(
             package="beam_ros",
             executable=executable,
             name=NODES[executable].name,
             namespace=namespace,
-            parameters=[params_file],
+            parameters=parameters,
             output="screen",
         )
         for executable in nodes_of_rig(Rig(rig))

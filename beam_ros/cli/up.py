@@ -14,8 +14,8 @@ from pathlib import Path
 from beam_ros.cli.options import add_rig_file, read_rig
 from beam_ros.errors import UsageError
 from beam_ros.interfaces import Rig as RigKind
-from beam_ros.interfaces import nodes_of_rig
-from beam_ros.launching.processes import NodeGroup, interrupted_by_sigterm
+from beam_ros.interfaces import emulated_port, nodes_of_rig
+from beam_ros.launching.processes import NodeGroup, interrupted_by_sigterm, node_arguments
 
 _WATCH_S = 0.2
 
@@ -47,16 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
         )
     with interrupted_by_sigterm(), tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch:
         if kind is RigKind.EMULATED:
-            port = rig.text("serial.port") or f"{scratch}/controller"
-            changes.update({"emulator.port_link": port, "serial.port": port})
+            changes.update(emulated_port(rig.text("serial.port") or f"{scratch}/controller"))
         rig_file = Path(scratch) / "rig.yaml"
         rig.with_values(changes).write(rig_file)
-        ros_arguments = ["--ros-args", "--params-file", str(rig_file)]
-        if arguments.namespace:
-            ros_arguments += ["-r", f"__ns:=/{arguments.namespace.strip('/')}"]
         with NodeGroup({}, Path(scratch) / "logs") as nodes:
             for executable in executables:
-                nodes.start(executable, ros_arguments)
+                nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
             reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
             print(f"{kind.value} rig up: {', '.join(executables)}")

@@ -13,12 +13,13 @@ from typing import Any
 from beam_ros.cli.progress import Progress
 from beam_ros.errors import RigUnavailableError
 from beam_ros.interfaces import Rig as RigKind
-from beam_ros.interfaces import nodes_of_rig
+from beam_ros.interfaces import emulated_port, nodes_of_rig
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
     PrivateDomain,
     interrupted_by_sigterm,
+    node_arguments,
     private_domain_environment,
 )
 from beam_ros.rig import Rig
@@ -84,18 +85,18 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
     }
     if kind is RigKind.EMULATED:
         port = str(scratch / "controller")
-        changes.update({"emulator.port_link": port, "serial.port": port})
+        changes.update(emulated_port(port))
     here = rig.with_values(changes)
     here.write(folder / "rig.yaml")
     return here
 
 
 def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[str, Any]:
-    arguments = ("--ros-args", "--params-file", str(nodes.log_folder.parent / "rig.yaml"))
+    rig_file = nodes.log_folder.parent / "rig.yaml"
     with Progress("start", _START_TIMEOUT_S, "s") as stage:
         rig_nodes = nodes_of_rig(kind, with_camera_images=bool(rig["simulation.images"]))
         for executable in (*rig_nodes, "bag_recorder", "identifier"):
-            nodes.start(executable, arguments)
+            nodes.start(executable, node_arguments(executable, rig, rig_file))
         client = RigClient(nodes.check)
         with client:
             client.wait(

@@ -24,6 +24,7 @@ from beam_ros.environment import child_environment
 from beam_ros.errors import RigUnavailableError
 from beam_ros.executables import command
 from beam_ros.interfaces import NODES
+from beam_ros.rig import Rig
 
 _C_LIBRARY = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
@@ -83,6 +84,28 @@ class PrivateDomain:
     def release(self) -> None:
         """Give the domain back."""
         self._file.close()
+
+
+def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "") -> tuple[str, ...]:
+    """ROS arguments that start a node on a rig file.
+
+    Parameters
+    ----------
+    executable : str -- key of NODES
+    rig : Rig -- what the file holds
+    rig_file : Path
+    namespace : str -- of all nodes of this rig; empty: the root
+
+    Returns
+    -------
+    tuple of str -- where simulated time does not run in real time, everybody but the simulator follows `/clock`
+    """
+    words = ["--ros-args", "--params-file", str(rig_file)]
+    if namespace:
+        words += ["-r", f"__ns:=/{namespace.strip('/')}"]
+    if executable != "simulator" and rig.number("simulation.real_time_factor") != 1.0:
+        words += ["-p", "use_sim_time:=true"]
+    return tuple(words)
 
 
 @contextlib.contextmanager

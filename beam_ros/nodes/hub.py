@@ -144,6 +144,10 @@ class HubNode(RigNode):
         status = self._status
         level = {"disconnected": "ERROR", "fault": "ERROR"}.get(status.state, "OK")
         sentence = f"{status.state}: {status.fault}" if status.fault else status.state
+        jumps = status.counters.get("real_time_jumps", 0)
+        if jumps:
+            # Recorded with the bag, so that whoever reads it later knows.
+            level, sentence = "ERROR", f"the computer's real-time clock jumped {jumps} times; {sentence}"
         return level, sentence, {**status.counters, "refused set-points": self._refused_setpoints}
 
     def close(self) -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
+
+import rclpy
+
 from beam_ros.excitation_plan import tip_guard
 from beam_ros.hub.contract import Hub
 from beam_ros.hub.driver import DriverHub
 from beam_ros.nodes.hub import HubNode
 from beam_ros.nodes.shell import run_node
 from beam_ros.rig import Rig
+
+_LOOK_AGAIN_S = 0.05
 
 
 class HubDriver(HubNode):
@@ -18,6 +25,10 @@ class HubDriver(HubNode):
 
 
 def _connect(rig: Rig) -> Hub:
+    port = Path(rig.text("serial.port"))
+    end = time.monotonic() + rig.number("serial.patience")
+    while not port.exists() and time.monotonic() < end and rclpy.ok():
+        time.sleep(_LOOK_AGAIN_S)
     return DriverHub(rig.hub_parameters(), guard=tip_guard(rig))
 
 
