@@ -120,7 +120,8 @@ def pole_figure(model: BeamModel) -> Figure:
     ):
         axis.plot(100.0 * -poles.real / np.abs(poles), np.abs(poles) / (2.0 * np.pi), mark, label=label)
     axis.set_yscale("log")
-    axis.set_xlim(left=0.0)
+    widest = max(float(np.max(-poles.real / np.abs(poles))) for poles in (model.poles, model.free_hub_poles))
+    axis.set_xlim(0.0, 115.0 * widest if widest > 0.0 else 1.0)
     axis.set_xlabel("damping ratio [%]")
     axis.set_ylabel("natural frequency [Hz]")
     axis.grid(True, which="both", color="0.9", linewidth=0.5)

@@ -341,7 +341,8 @@ class HubAndBeam:
 class ForceStepper(LinearStepper):
     """The beam on a free hub under a force, held over each tick.
 
-    Displacements are u(z, t) = alpha + shape(z) @ q - R(z) alpha''.
+    Displacements are u(z, t) = alpha + shape(z) @ q - R(z) alpha''. (The lag that internal damping gives to the
+    last term, eta omega of a part in a thousand, is left out here.)
 
     Parameters
     ----------

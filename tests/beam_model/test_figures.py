@@ -34,6 +34,16 @@ def test_a_mode_shape_figure_shows_every_mode_and_node() -> None:
     assert len(dots[0].get_xdata()) == 2
 
 
+def test_every_pole_lies_inside_the_pole_figure() -> None:
+    for model in (MODEL, BeamModel(strip(), 3)):
+        axis = figures.pole_figure(model).axes[0]
+        left, right = axis.get_xlim()
+        assert left == 0.0
+        for line in axis.lines:
+            # Undamped poles of the free hub lie within rounding of the axis.
+            assert all(left - 1e-9 <= value < right for value in line.get_xdata())
+
+
 def test_importing_the_model_brings_no_drawing_library() -> None:
     code = "import sys, beam_model.figures; sys.exit(bool({'matplotlib', 'rclpy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
