@@ -61,7 +61,9 @@ def test_bayer_patterns_are_named_by_the_first_row(pattern):
 def test_a_bayer_image_of_a_white_marker_keeps_its_position():
     camera = CameraParameters(noise_grey=0.0)
     frame = SceneRenderer(camera, [0.1]).render([0.0123], np.random.default_rng(0))
-    grey = grey_image("bayer_rggb8", 480, 640, 640, frame).astype(float) - 30.0
+    grey = grey_image("bayer_rggb8", 480, 640, 640, frame).astype(float)
+    # Older OpenCV truncates 30 to 29 in places.
+    grey = np.where(grey < 32, 0.0, grey - 30.0)
     columns = np.arange(640)
     # Interpolation is symmetric about each site only on average: a few thousandths remain.
     assert (grey.sum(axis=0) @ columns) / grey.sum() == pytest.approx(camera.columns(0.0123), abs=0.01)

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from beam_ros.vision import CalibrationError, CameraParameters, Lens, TrackerParameters
+from beam_ros.vision.rendering import SceneRenderer
+from beam_ros.vision.tracking import MarkerTracker
+
+LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01))
+
+
+def test_distortion_is_that_of_opencv():
+    u, v = np.meshgrid(np.linspace(0, 639, 9), np.linspace(0, 479, 7))
+    normalised = np.stack([(u - 322.0) / 900.0, (v - 238.0) / 905.0, np.ones_like(u)], axis=-1)
+    matrix = np.array([[900.0, 0, 322.0], [0, 905.0, 238.0], [0, 0, 1]])
+    expected, _ = cv2.projectPoints(
+        normalised.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, np.array(LENS.distortion)
+    )
+    found = np.stack(LENS.distort(u, v), axis=-1).reshape(-1, 2)
+    assert found == pytest.approx(expected.reshape(-1, 2), abs=1e-9)
+
+
+def test_undistortion_inverts_it_and_leaves_the_unknown_unknown():
+    u, v = np.meshgrid(np.linspace(0, 639, 9), np.linspace(0, 479, 7))
+    back = LENS.undistort(*LENS.distort(u, v))
+    assert back[0] == pytest.approx(u, abs=1e-6)
+    assert back[1] == pytest.approx(v, abs=1e-6)
+    assert np.isnan(LENS.undistort([np.nan], [10.0])[0][0])
+
+
+def test_beyond_the_models_range_nothing_is_invented():
+    fisheye = Lens((300.0, 300.0), (320.0, 240.0), (-0.35, 0.0, 0.0, 0.0, 0.0))
+    # x (1 - 0.35 x^2) has its largest value, 0.65, at x = 0.976: nothing is imaged beyond column 515.
+    assert np.isnan(fisheye.undistort([600.0], [240.0])[0][0])
+    assert np.isfinite(fisheye.undistort([480.0], [240.0])[0][0])
+
+
+def test_a_lens_comes_from_camera_info():
+    matrix = [900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1]
+    assert Lens.from_camera_info("plumb_bob", LENS.distortion, matrix) == LENS
+    assert Lens.from_camera_info("plumb_bob", [0.0] * 5, matrix) is None
+    assert Lens.from_camera_info("", [], [0.0] * 9) is None
+    with pytest.raises(CalibrationError, match="'equidistant' with 4"):
+        Lens.from_camera_info("equidistant", [0.1, 0.1, 0.1, 0.1], matrix)
+    with pytest.raises(CalibrationError, match="3 numbers"):
+        Lens.from_camera_info("plumb_bob", [0.1], [1.0, 2.0, 3.0])
+
+
+def test_markers_seen_through_a_lens_are_where_they_were_once_undistorted():
+    camera = CameraParameters()
+    heights = (0.010, 0.225, 0.285)
+    renderer = SceneRenderer(camera, heights, lens=LENS)
+    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3)
+    rng = np.random.default_rng(1)
+    errors = []
+    for x in np.linspace(-0.1, 0.1, 41):
+        result = tracker.process(renderer.render([x, x, x], rng), 0)
+        assert result.is_complete, result
+        seen = np.array([[marker.u_px, marker.v_px] for marker in result.markers])
+        assert np.abs(seen[:, 0] - camera.columns(x)).max() > (1.5 if abs(x) > 0.08 else 0.0)
+        errors.append(LENS.undistort(seen[:, 0], seen[:, 1])[0] - camera.columns(x))
+    # 0.0055 px of noise
+    assert np.sqrt(np.mean(np.square(errors))) < 0.008
