@@ -8,6 +8,10 @@ MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
 
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 
+# The matrices here are small: more threads only take the processors from the real-time nodes.
+export OMP_NUM_THREADS = 1
+export OPENBLAS_NUM_THREADS = 1
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test verify lint test-matrix clean distclean
 

@@ -21,6 +21,7 @@ TEST = [
     "pytest>=8",
     "hypothesis>=6.100",
     "control>=0.10",
+    "scikit-fem>=10",
     "colcon-common-extensions",
     "colcon-ros",
     "setuptools<80",

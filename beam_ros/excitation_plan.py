@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from beam_ident.errors import IdentificationError
 from beam_ident.excitation import AxisLimits, LogChirp, Multisine, Recipe, SampledExcitation, Step
-from beam_model import BeamModel
+from beam_model.experiment_advice import PredictedLoads, predict_loads
 from beam_ros.errors import UsageError
 from beam_ros.rig import Rig
 
@@ -73,47 +73,6 @@ def recipe_of_rig(rig: Rig) -> Recipe:
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """What the beam is predicted to do under a plan.
-
-    Attributes
-    ----------
-    tip_deflection : float -- largest |w| at the tip [m]
-    modal_tip_amplitudes : ndarray, shape (n_modes,) -- largest |phi_i(L) q_i| [m]
-    hub_force : float -- largest force on the hub, the beam's reaction included [N]
-    """
-
-    tip_deflection: float
-    modal_tip_amplitudes: FloatArray
-    hub_force: float
-
-
-def predict(model: BeamModel, accelerations: FloatArray, period_s: float) -> Prediction:
-    """Predict the beam's motion under hub accelerations held from tick to tick.
-
-    Parameters
-    ----------
-    model : BeamModel
-    accelerations : ndarray, shape (n_ticks,) -- [m/s^2]
-    period_s : float -- [s]
-    """
-    coordinates = model.motion_stepper(period_s).run(accelerations)[:, : model.n_modes]
-    tip = np.array([model.parameters.length])
-    modal = coordinates * model.shape(tip)[0]
-    deflection = modal.sum(axis=1)[:-1] - model.residual_terms(tip)[0] * accelerations
-    matrices = model.matrices
-    # The beam acts back on the hub: f = J alpha'' + sum E_i q_i'', q_i'' = -omega_i^2 q_i - E_i/M_i alpha''.
-    participation = matrices.M[0, 1:]
-    restoring = coordinates[:-1] @ (participation * model.natural_frequencies**2)
-    rigid = matrices.M[0, 0] - np.sum(participation**2 / np.diag(matrices.M)[1:])
-    return Prediction(
-        float(np.max(np.abs(deflection))),
-        np.max(np.abs(modal), axis=0),
-        float(np.max(np.abs(rigid * accelerations - restoring))),
-    )
-
-
-@dataclass(frozen=True)
 class ExcitationPlan:
     """A checked excitation for one rig.
 
@@ -123,14 +82,14 @@ class ExcitationPlan:
     sampled : SampledExcitation -- at the device's period
     mode : str -- the hub's command mode
     values : ndarray, shape (n_ticks,) -- samples in the mode's unit
-    prediction : Prediction
+    prediction : PredictedLoads -- what the beam and the hub are predicted to bear
     """
 
     recipe: Recipe
     sampled: SampledExcitation
     mode: str
     values: FloatArray
-    prediction: Prediction
+    prediction: PredictedLoads
 
     def info(self, rig: Rig) -> dict[str, Any]:
         """Describe the plan for `excitation/info`: recipe, seed, hold, and the rig's parameters."""
@@ -169,20 +128,32 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
     total_mass = model.matrices.M[0, 0]
     is_force = mode == "effort"
     values = sampled.accelerations * total_mass if is_force else sampled.samples(mode)  # type: ignore[arg-type]
-    plan = ExcitationPlan(recipe, sampled, mode, values, predict(model, sampled.accelerations, period_s))
+    plan = ExcitationPlan(
+        recipe,
+        sampled,
+        mode,
+        values,
+        predict_loads(model, period_s, sampled.accelerations, rig.number("beam.thickness")),
+    )
     reason = _refusal(rig, plan.prediction)
     if reason:
         raise UsageError(f"excitation refused: {reason}")
     return plan
 
 
-def _refusal(rig: Rig, prediction: Prediction) -> str | None:
+def _refusal(rig: Rig, prediction: PredictedLoads) -> str | None:
     limit, force_limit = rig.number("hub.max_tip_deflection"), rig.number("hub.max_effort")
     if prediction.tip_deflection > limit:
         return (
             f"predicted tip deflection {prediction.tip_deflection * 1e3:.3g} mm: the limit "
             f"hub.max_tip_deflection is {limit * 1e3:g} mm; lower excitation.acceleration to "
             f"{100 * limit / prediction.tip_deflection:.0f} %"
+        )
+    strain_limit = rig.number("beam.max_root_strain")
+    if prediction.root_strain > strain_limit:
+        return (
+            f"predicted root strain {prediction.root_strain:.3g}: the limit beam.max_root_strain is "
+            f"{strain_limit:g}; lower excitation.acceleration to {100 * strain_limit / prediction.root_strain:.0f} %"
         )
     if prediction.hub_force > force_limit:
         return (
@@ -201,6 +172,7 @@ def tip_guard(rig: Rig) -> Callable[[FloatArray], str | None]:
     """
     model = rig.beam_model()
     mode, period_s = rig.text("hub.command_mode"), rig.number("hub.period")
+    thickness = rig.number("beam.thickness")
 
     def guard(values: FloatArray) -> str | None:
         if mode == "acceleration":
@@ -210,7 +182,7 @@ def tip_guard(rig: Rig) -> Callable[[FloatArray], str | None]:
         else:
             order = {"velocity": 1, "position": 2}[mode]
             accelerations = np.diff(values, order, prepend=[values[0]] * order) / period_s**order
-        prediction = predict(model, np.asarray(accelerations, dtype=np.float64), period_s)
+        prediction = predict_loads(model, period_s, np.asarray(accelerations, dtype=np.float64), thickness)
         return (
             _refusal(rig, prediction) if math.isfinite(prediction.tip_deflection) else "prediction diverged"
         )

@@ -18,7 +18,7 @@ from beam_ros import schema
 from beam_ros.errors import ParameterFileError
 
 if TYPE_CHECKING:
-    from beam_model import BeamModel, BeamParameters
+    from beam_model import BeamModel, BeamParameters, NonlinearTerms
     from beam_ros.hub.parameters import HubParameters
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
@@ -191,6 +191,14 @@ class Rig:
         from beam_model import BeamModel
 
         return BeamModel(self.beam_parameters(), n_modes=int(self.number("beam.modes")))
+
+    def nonlinear_terms(self) -> NonlinearTerms | None:
+        """Air drag and large deflections, where a realistic simulation is wanted."""
+        if not self.values["simulation.realistic"]:
+            return None
+        from beam_model import AirDrag, NonlinearTerms
+
+        return NonlinearTerms(self.beam_model(), AirDrag(self.number("beam.width")))
 
     def hub_parameters(self, **simulated: Any) -> HubParameters:
         """The axis and its controller.

@@ -154,6 +154,7 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter("viscous_damping", "float", "per length, relative to the hub", "N s/m^2", 0.0, 1e3),
             Parameter("air_damping", "float", "per length, on the absolute motion", "N s/m^2", 0.0, 1e3),
             Parameter("internal_damping", "float", "Kelvin-Voigt time constant", "s", 0.0, 1.0),
+            Parameter("max_root_strain", "float", "predicted bending strain that is refused", "1", 1e-6, 0.1),
             Parameter("modes", "int", "modes that the simulator integrates", "", 1, 20),
         ),
         *_group(
@@ -229,6 +230,7 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             "simulation",
             Parameter("images", "bool", "film the beam; else displacements are published directly"),
             Parameter("displacement_noise", "float", "standard deviation without images", "m", 0.0, 0.01),
+            Parameter("realistic", "bool", "air drag and large-deflection terms in the beam"),
             Parameter("real_time_factor", "float", "speed of simulated time", "1", 0.01, 20.0),
             Parameter("seed", "int", "of all simulated noise", "", 0, 2**31 - 1),
         ),

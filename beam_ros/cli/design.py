@@ -56,6 +56,7 @@ def describe_design(rig: Rig) -> dict[str, Any]:
                 "m/s^2",
             ],
             "tip deflection": [plan.prediction.tip_deflection, rig.number("hub.max_tip_deflection"), "m"],
+            "root strain": [plan.prediction.root_strain, rig.number("beam.max_root_strain"), ""],
             "hub force": [plan.prediction.hub_force, rig.number("hub.max_effort"), "N"],
         },
         "crest_factor": float(np.max(np.abs(moving)) / np.sqrt(np.mean(moving**2))),
@@ -67,7 +68,7 @@ def describe_design(rig: Rig) -> dict[str, Any]:
                 "tip_amplitude": float(amplitude),
             }
             for f, zeta, amplitude in zip(
-                frequencies, model.damping_ratios, plan.prediction.modal_tip_amplitudes, strict=True
+                frequencies, model.damping_ratios, plan.prediction.modal_tip_deflections, strict=True
             )
         ],
     }

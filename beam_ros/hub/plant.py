@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from beam_model import BeamModel
+from beam_model import BeamModel, MotionStepper, NonlinearMotionStepper, NonlinearTerms
 from beam_ros.hub.contract import FloatArray
 from beam_ros.hub.parameters import HubParameters
 
@@ -134,6 +134,8 @@ class BeamPlant:
         Beam and hub.
     period : float
         The device's tick [s].
+    terms : NonlinearTerms, optional
+        Air drag and large deflections, where the hub is led; a free hub's beam stays linear.
 
     Notes
     -----
@@ -141,11 +143,18 @@ class BeamPlant:
     acceleration that the modes left out follow, delayed by eta where there is internal damping.
     """
 
-    def __init__(self, model: BeamModel, period: float) -> None:
+    def __init__(self, model: BeamModel, period: float, terms: NonlinearTerms | None = None) -> None:
         self.n_modes = model.n_modes
         self._period = period
-        self._led = model.motion_stepper(period)
-        self._probe = model.motion_stepper(period)
+
+        def stepper() -> MotionStepper | NonlinearMotionStepper:
+            return (
+                model.motion_stepper(period)
+                if terms is None
+                else NonlinearMotionStepper(model, period, terms)
+            )
+
+        self._led, self._probe = stepper(), stepper()
         self._free = model.force_stepper(period)
         self._hub_velocity = 0.0
         self._residual = 0.0
@@ -296,7 +305,7 @@ class PlantOnDeviceClock:
         return acceleration / self._second**2
 
 
-def beam_on_axis(model: BeamModel, parameters: HubParameters) -> Plant:
+def beam_on_axis(model: BeamModel, parameters: HubParameters, terms: NonlinearTerms | None = None) -> Plant:
     """Put a beam on the axis of a device, whose clock may drift.
 
     Parameters
@@ -305,7 +314,9 @@ def beam_on_axis(model: BeamModel, parameters: HubParameters) -> Plant:
         Beam and hub.
     parameters : HubParameters
         The device's tick and the drift of its clock.
+    terms : NonlinearTerms, optional
+        Air drag and large deflections.
     """
     second = 1.0 / (1.0 + parameters.clock_drift_ppm * 1e-6)
-    plant = BeamPlant(model, parameters.period * second)
+    plant = BeamPlant(model, parameters.period * second, terms)
     return plant if second == 1.0 else PlantOnDeviceClock(plant, second)

@@ -27,7 +27,9 @@ class FirmwareEmulator(RigNode):
             clock_drift_ppm=self.rig.number("emulator.clock_drift_ppm"), clock_start_ns=_POWER_ON_NS
         )
         self._link: Path | None = None
-        self._controller = EmulatedController(parameters, beam_on_axis(model, parameters))
+        self._controller = EmulatedController(
+            parameters, beam_on_axis(model, parameters, self.rig.nonlinear_terms())
+        )
         self._camera = CameraOutput(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )

@@ -29,7 +29,7 @@ class Simulator(HubNode):
     def _build(self, rig: Rig) -> Hub:
         self._model = rig.beam_model()
         parameters = rig.hub_parameters()
-        plant = beam_on_axis(self._model, parameters)
+        plant = beam_on_axis(self._model, parameters, rig.nonlinear_terms())
         factor = rig.number("simulation.real_time_factor")
         self._simulated = SimulatedHub(
             VirtualAxis(parameters, plant), real_time_factor=factor, guard=tip_guard(rig)

@@ -123,3 +123,12 @@ def test_a_bag_without_the_needed_topics_is_refused_with_what_is_there(tmp_path:
         identify_bag(tmp_path / "poor")
     with pytest.raises(BagError):
         identify_bag(tmp_path / "nowhere")
+
+
+def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_it_is_not_enough(
+    rig: Rig, tmp_path: Path
+) -> None:
+    simulate(rig.with_values({"simulation.realistic": True}), tmp_path / "realistic")
+    result = identify_bag(tmp_path / "realistic", n_modes=1)
+    assert result["modes"][0]["damping_ratio"] > 0.0055
+    assert any("not white" in warning for warning in result["warnings"])
