@@ -19,7 +19,7 @@ pytest.importorskip("rclpy")
 
 @pytest.fixture
 def graph():
-    from tests.beam_ros.bags.graph import Graph
+    from tests.graph import Graph
 
     with Graph() as graph:
         yield graph
@@ -86,7 +86,7 @@ def test_a_live_hub_by_its_topic_is_refused(executables, graph, tmp_path):
 
 
 def test_a_live_hub_by_its_name_is_refused_even_when_it_comes_late(executables, tmp_path):
-    from tests.beam_ros.bags.graph import Graph
+    from tests.graph import Graph
 
     player = _play(executables, write_experiment(tmp_path / "run", batches=500))
     player.wait_for("playing")

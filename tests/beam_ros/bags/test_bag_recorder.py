@@ -25,7 +25,7 @@ pytest.importorskip("rclpy")
 
 @pytest.fixture
 def graph():
-    from tests.beam_ros.bags.graph import Graph
+    from tests.graph import Graph
 
     with Graph() as graph:
         yield graph

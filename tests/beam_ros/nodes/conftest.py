@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture
 def graph() -> Iterator[object]:
     pytest.importorskip("rclpy")
-    from tests.beam_ros.bags.graph import Graph
+    from tests.graph import Graph
 
     with Graph() as graph:
         yield graph

@@ -29,7 +29,7 @@ class Graph:
         """Make the publisher of a topic of the table."""
         row = interfaces.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
-        name = f"{namespace}/{topic}"
+        name = topic if topic.startswith("/") else f"{namespace}/{topic}"
         return self.node.create_publisher(message_class, name, qos_profile(qos or row.qos))
 
     def listen(
@@ -38,7 +38,7 @@ class Graph:
         """Subscribe to a topic of the table."""
         row = interfaces.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
-        name = f"{namespace}/{topic}"
+        name = topic if topic.startswith("/") else f"{namespace}/{topic}"
         self.node.create_subscription(message_class, name, callback, qos_profile(row.qos), raw=raw)
 
     def spin(self, seconds: float) -> None:
