@@ -18,6 +18,11 @@ def add_rig_file(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="ROS parameter file of the rig; what it leaves out comes from the packaged one",
     )
+    add_parameters(parser)
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add single parameters on top of a rig or plan file."""
     parser.add_argument(
         "-p",
         dest="parameters",

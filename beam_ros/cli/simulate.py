@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from beam_ros.cli.options import add_parameters
 from beam_ros.cli.progress import Progress
 from beam_ros.rig import Rig
 
@@ -19,14 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bag", type=Path, required=True, metavar="OUT", help="folder of the new bag")
     parser.add_argument("--seed", type=int, help="seed of the noise (simulation.seed)")
     parser.add_argument("--camera", action="store_true", help="render and track every frame (needs OpenCV)")
-    parser.add_argument(
-        "-p",
-        dest="parameters",
-        metavar="NAME:=VALUE",
-        action="append",
-        default=[],
-        help="one parameter on top of the plan",
-    )
+    add_parameters(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
