@@ -218,15 +218,10 @@ def test_a_ros_that_does_not_fit_is_left_alone(
 
 
 def test_a_second_call_starts_at_once(bootstrap: ModuleType, clone: Path) -> None:
+    """The environment made ready here has no pip and no index: whatever wanted to install would fail."""
     make_ready(bootstrap, clone)
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        ended = call(clone, "--extras", "ros", "--", "python", "-S", "-c", "print('ran', *[1, 2])")
-        times.append(time.perf_counter() - start)
-        assert (ended.returncode, ended.stdout, ended.stderr) == (0, "ran 1 2\n", "")
-    # Two interpreter starts, and twice that where the wheels' own start-up code runs: 0.1 s on an idle core.
-    assert min(times) < 0.3
+    ended = call(clone, "--extras", "ros", "--", "python", "-S", "-c", "print('ran', *[1, 2])")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "ran 1 2\n", "")
 
 
 def test_the_command_sees_the_environment_and_its_own_status_comes_back(
