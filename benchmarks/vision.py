@@ -1,0 +1,325 @@
+"""Position error and time per frame of marker trackers, side by side on the same rendered frames.
+
+    python benchmarks/vision.py [--frames N] [--json FILE] [--only METHOD ...] [--speed]
+
+Four markers move along u by a few pixels; the error is the RMS per marker after its constant offset is taken away,
+in pixels and in units of the Cramer-Rao bound of a disc,
+
+    sigma_x >= (sigma_n / A) sqrt(2 sigma_b / (sqrt(pi) R))
+
+with noise sigma_n (rounding to grey levels included), contrast A, edge blur sigma_b (lens and pixel) and radius R.
+trackpy and pyidi are optional: a method that is not installed is said to be absent. pyidi brings an OpenCV of its own
+and belongs in an environment of its own: `--only pyidi` there. Times are processor time of one thread; set
+OPENBLAS_NUM_THREADS=1.
+
+`--speed` measures the tracker alone at two image sizes, the search for markers, the renderer and the reading of
+images.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from beam_ros.vision import CameraParameters, TrackerParameters
+from beam_ros.vision.images import grey_image
+from beam_ros.vision.rendering import SceneRenderer
+from beam_ros.vision.tracking import MarkerTracker
+
+HEIGHTS = (0.010, 0.100, 0.225, 0.285)
+WARM_UP = 20
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Frames of one kind, with the truth they were made from."""
+
+    name: str
+    camera: CameraParameters
+    frames: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    bound: float
+
+
+class AbsentError(Exception):
+    """A method's package is not installed."""
+
+
+def make_scene(name: str, diameter_px: float, noise: float, smear_px: float, n_frames: int) -> Scene:
+    """Render the frames of one scene."""
+    camera = CameraParameters(marker_diameter_m=diameter_px / 1500, noise_grey=noise)
+    renderer = SceneRenderer(camera, HEIGHTS)
+    rng = np.random.default_rng(1)
+    k = np.arange(n_frames)[:, None]
+    swing = 3.3 if smear_px == 0 else 12.0
+    centre = swing * np.sin(0.37 * k + np.arange(len(HEIGHTS))) / 1500
+    frames, truth = [], []
+    for row, phase in zip(centre, np.cos(0.37 * k + np.arange(len(HEIGHTS))), strict=True):
+        travel = np.linspace(-0.5, 0.5, renderer.sub_instants)[:, None] * smear_px / 1500 * phase
+        positions = row + travel
+        frames.append(renderer.render(positions, rng))
+        truth.append(renderer.exposure_weights @ camera.columns(positions))
+    blur = math.hypot(camera.blur_px, math.sqrt(1 / 12))
+    noise_total = math.hypot(noise, math.sqrt(1 / 12))
+    bound = noise_total / camera.contrast * math.sqrt(2 * blur / (math.sqrt(math.pi) * diameter_px / 2))
+    v = np.broadcast_to(camera.rows(HEIGHTS), (n_frames, len(HEIGHTS)))
+    return Scene(name, camera, np.array(frames), np.array(truth), v, bound)
+
+
+# -- methods: from a scene to columns (n_frames, n_markers) --------------------------------------------------
+
+
+def tracked(refinement: str) -> Callable[[Scene], np.ndarray]:
+    """Return the suite's tracker with one of its refinements."""
+
+    def run(scene: Scene) -> np.ndarray:
+        parameters = TrackerParameters.for_camera(scene.camera, HEIGHTS, refinement=refinement)
+        tracker = MarkerTracker(parameters, len(HEIGHTS))
+        return np.array(
+            [[m.u_px for m in tracker.process(frame, k).markers] for k, frame in enumerate(scene.frames)]
+        )
+
+    return run
+
+
+def lowest_first(found: Sequence[tuple[float, float]], scene: Scene) -> list[float]:
+    """Columns of the spots nearest to the markers' rows; NaN where there is none within 4 px."""
+    columns = []
+    for row in scene.v[0]:
+        near = [u for u, v in found if abs(v - row) < 4]
+        columns.append(near[0] if len(near) == 1 else math.nan)
+    return columns
+
+
+def simple_blob_detector(scene: Scene) -> np.ndarray:
+    """OpenCV's SimpleBlobDetector."""
+    parameters = cv2.SimpleBlobDetector_Params()
+    parameters.filterByColor, parameters.blobColor = True, 255
+    parameters.minThreshold, parameters.maxThreshold, parameters.thresholdStep = 60, 200, 20
+    parameters.minArea, parameters.maxArea, parameters.filterByArea = 20, 1500, True
+    parameters.filterByConvexity = parameters.filterByInertia = parameters.filterByCircularity = False
+    detector = cv2.SimpleBlobDetector_create(parameters)
+    return np.array([lowest_first([p.pt for p in detector.detect(frame)], scene) for frame in scene.frames])
+
+
+def pyramidal_lucas_kanade(scene: Scene) -> np.ndarray:
+    """OpenCV's calcOpticalFlowPyrLK, always from the first frame."""
+    start = np.stack([scene.u[0], scene.v[0]], axis=1).astype(np.float32).reshape(-1, 1, 2)
+    size = 2 * math.ceil(scene.camera.marker_diameter_px / 2 + 4) + 1
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
+    guess = start.copy()
+    columns = []
+    for frame in scene.frames:
+        guess, _, _ = cv2.calcOpticalFlowPyrLK(
+            scene.frames[0],
+            frame,
+            start,
+            guess,
+            winSize=(size, size),
+            maxLevel=2,
+            criteria=criteria,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        columns.append(guess.reshape(-1, 2)[:, 0].astype(float))
+    return np.array(columns)
+
+
+def binary_moments(scene: Scene) -> np.ndarray:
+    """Threshold at half height, contours, moments of the mask."""
+    columns = []
+    for frame in scene.frames:
+        _, mask = cv2.threshold(frame, 120, 255, cv2.THRESH_BINARY)
+        contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+        found = []
+        for contour in contours:
+            x, y, w, h = cv2.boundingRect(contour)
+            m = cv2.moments(mask[y : y + h, x : x + w], True)
+            found.append((x + m["m10"] / m["m00"], y + m["m01"] / m["m00"]))
+        columns.append(lowest_first(found, scene))
+    return np.array(columns)
+
+
+def trackpy_locate(scene: Scene) -> np.ndarray:
+    """Run trackpy.locate with its own defaults for this diameter."""
+    trackpy = required("trackpy")
+    trackpy.quiet()
+    size = 2 * math.ceil(scene.camera.marker_diameter_px / 2 + 2) + 1
+    columns = []
+    for frame in scene.frames:
+        spots = trackpy.locate(frame, size, minmass=1500)
+        columns.append(lowest_first(list(zip(spots["x"], spots["y"], strict=True)), scene))
+    return np.array(columns)
+
+
+def pyidi_lucas_kanade(scene: Scene) -> np.ndarray:
+    """Run pyidi's Lucas-Kanade over the whole video."""
+    pyidi = required("pyidi")
+    video = pyidi.VideoReader(np.ascontiguousarray(scene.frames), root=".", fps=100)
+    method = pyidi.LucasKanade(video)
+    points = np.rint(np.stack([scene.v[0], scene.u[0]], axis=1)).astype(int)
+    method.set_points(points)
+    size = 2 * math.ceil(scene.camera.marker_diameter_px / 2 + 3) + 1
+    method.configure(roi_size=(size, size), verbose=0, show_pbar=False)
+    displacements = method.get_displacements(autosave=False)
+    return np.asarray(points[:, 1] + displacements[:, :, 1].T)
+
+
+def required(package: str) -> Any:
+    """Import an optional package."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as err:
+        raise AbsentError(package) from err
+
+
+METHODS: dict[str, Callable[[Scene], np.ndarray]] = {
+    "centroid": tracked("none"),
+    "radial_symmetry": tracked("radial_symmetry"),
+    "disc_model": tracked("disc_model"),
+    "pyrlk": pyramidal_lucas_kanade,
+    "blob_detector": simple_blob_detector,
+    "binary_moments": binary_moments,
+    "trackpy": trackpy_locate,
+    "pyidi": pyidi_lucas_kanade,
+}
+
+
+def compare(n_frames: int, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Run the methods on all scenes and print the table."""
+    scenes = [
+        make_scene("D8 noise 2", 8, 2, 0, n_frames),
+        make_scene("D12 noise 2", 12, 2, 0, n_frames),
+        make_scene("D16 noise 2", 16, 2, 0, n_frames),
+        make_scene("D12 noise 5", 12, 5, 0, n_frames),
+        make_scene("D12 noise 10", 12, 10, 0, n_frames),
+        make_scene("D12 6 px smear", 12, 2, 6, n_frames),
+    ]
+    rows: list[dict[str, Any]] = []
+    for scene in scenes:
+        print(
+            f"{scene.name}: Cramer-Rao bound {scene.bound:.4f} px{' without smear' if 'smear' in scene.name else ''}"
+        )
+        for name in names:
+            try:
+                started = time.process_time()
+                columns = METHODS[name](scene)
+                seconds = (time.process_time() - started) / n_frames
+            except AbsentError as absent:
+                print(f"  {name:16s} not installed: pip install {absent}")
+                continue
+            error = (columns - scene.u)[WARM_UP:]
+            found = np.isfinite(error)
+            error = error - np.nanmean(error, axis=0)
+            rms = float(np.sqrt(np.nanmean(error**2))) if found.any() else math.nan
+            rows.append(
+                {
+                    "scene": scene.name,
+                    "method": name,
+                    "rms_px": rms,
+                    "bounds": rms / scene.bound,
+                    "found": float(found.mean()),
+                    "ms_per_frame": 1e3 * seconds,
+                }
+            )
+            print(
+                f"  {name:16s} {rms:8.4f} px  {rms / scene.bound:6.2f} bounds  {100 * found.mean():5.1f} % found  "
+                f"{1e3 * seconds:8.3f} ms a frame"
+            )
+    return rows
+
+
+def best_ms(action: Callable[[], object], repeats: int) -> float:
+    """Shortest time of an action [ms]."""
+    best = math.inf
+    for _ in range(repeats):
+        started = time.process_time()
+        action()
+        best = min(best, time.process_time() - started)
+    return 1e3 * best
+
+
+def speed() -> list[dict[str, Any]]:
+    """Measure tracker, acquisition, renderer and image reading at two sizes."""
+    rows: list[dict[str, Any]] = []
+
+    def note(what: str, size: str, milliseconds: float) -> None:
+        rows.append({"what": what, "size": size, "ms": milliseconds})
+        print(f"  {what:44s} {size:10s} {milliseconds:8.3f} ms")
+
+    for width, height, origin in ((640, 480, (320.0, 465.0)), (1920, 1080, (960.0, 1000.0))):
+        camera = CameraParameters(width=width, height=height, origin_px=origin)
+        size = f"{width}x{height}"
+        strip = np.linspace(0.0, 0.3, 25)
+        renderer = SceneRenderer(camera, HEIGHTS, strip_heights=strip)
+        rng = np.random.default_rng(1)
+        frames = [renderer.render(rng.random(4) / 1500, rng, strip=0 * strip) for _ in range(8)]
+        for refinement in ("none", "radial_symmetry", "disc_model"):
+            tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS, refinement=refinement), 4)
+            for frame in frames * 2:
+                tracker.process(frame, 0)
+
+            def track(tracker: MarkerTracker = tracker, frames: list[np.ndarray] = frames) -> None:
+                for frame in frames:
+                    tracker.process(frame, 0)
+
+            note(f"track four markers, refinement {refinement}", size, best_ms(track, 150) / len(frames))
+
+        def acquire(tracker: MarkerTracker = tracker, frame: np.ndarray = frames[0]) -> None:
+            tracker.reset()
+            tracker.process(frame, 0)
+
+        note("find four markers anew", size, best_ms(acquire, 50))
+        positions = np.zeros((renderer.sub_instants, 4))
+
+        def render(
+            renderer: SceneRenderer = renderer,
+            positions: np.ndarray = positions,
+            strip: np.ndarray = 0 * strip,
+            rng: np.random.Generator = rng,
+        ) -> None:
+            renderer.render(positions, rng, strip=strip)
+
+        note("render", size, best_ms(render, 100))
+        data = frames[0].tobytes()
+        note(
+            "read a mono8 message",
+            size,
+            best_ms(lambda w=width, h=height, d=data: grey_image("mono8", h, w, w, d), 500),
+        )
+    return rows
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--frames", type=int, default=300, help="frames a scene (default 300)")
+    parser.add_argument("--only", nargs="+", choices=sorted(METHODS), help="methods to run (default: all)")
+    parser.add_argument("--speed", action="store_true", help="measure times only")
+    parser.add_argument("--json", type=Path, help="write the rows to this file")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    print(f"OpenCV {cv2.__version__}, NumPy {np.__version__}, Python {sys.version.split()[0]}")
+    rows = speed() if arguments.speed else compare(arguments.frames, arguments.only or list(METHODS))
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
