@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,40 +17,38 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 
-def _arguments(executable: str, tmp_path) -> list[str]:
-    if executable == "bag_player":
-        bag = tmp_path / "bag"
-        simulate(Rig.from_file().with_values({"excitation.duration": 1.0, "excitation.still": 20.0}), bag)
-        return ["-p", f"player.bag:={bag}"]
-    if executable == "bag_recorder":
-        return ["-p", f"recorder.path:={tmp_path / 'recording'}"]
-    return []
+def _parameters(executable: str, folder: Path) -> list[str]:
+    """Parameters with which a node has something to do until it is told to end."""
+    port = folder / "controller"
+    return {
+        "bag_player": ["-p", f"player.bag:={folder / 'bag'}"],
+        "bag_recorder": ["-p", f"recorder.path:={folder / 'recording'}"],
+        "firmware_emulator": ["-p", f"emulator.port_link:={port}"],
+        "hub_driver": ["-p", f"serial.port:={port}", "-p", "serial.patience:=20.0"],
+    }.get(executable, [])
 
 
-def _start(executables, graph, executable: str, tmp_path):
-    words = _arguments(executable, tmp_path)
-    if executable == "hub_driver":
-        port = tmp_path / "controller"
-        emulator = executables.start("firmware_emulator", "--ros-args", "-p", f"emulator.port_link:={port}")
-        emulator.wait_for("motion controller on")
-        words = ["-p", f"serial.port:={port}"]
-    node = executables.start(executable, "--ros-args", *words)
-    name = NODES[executable].name
-    graph.wait(lambda: (name, "/") in graph.node.get_node_names_and_namespaces(), f"node {name}", 20.0)
-    graph.spin(0.3)
-    return node
-
-
-@pytest.mark.parametrize("executable", sorted(NODES))
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_node_cleanly_also_when_it_comes_twice(
-    executables, graph, tmp_path, executable: str, number: signal.Signals
+@pytest.mark.parametrize(("number", "times"), [(signal.SIGINT, 2), (signal.SIGTERM, 1)])
+def test_a_signal_ends_every_node_cleanly_also_when_it_comes_twice(
+    executables: Any, graph: Any, tmp_path: Path, number: signal.Signals, times: int
 ) -> None:
-    node = _start(executables, graph, executable, tmp_path)
-    node.send_signal(number)
-    if number is signal.SIGINT:
+    simulate(
+        Rig.from_file().with_values({"excitation.duration": 1.0, "excitation.still": 25.0}), tmp_path / "bag"
+    )
+    # Each in a namespace of its own: simulator and driver are both `hub`, and no bag is played beside a hub.
+    nodes = {
+        name: executables.start(name, "--ros-args", "-r", f"__ns:=/{name}", *_parameters(name, tmp_path))
+        for name in sorted(NODES)
+    }
+    wanted = {(NODES[name].name, f"/{name}") for name in nodes}
+    graph.wait(lambda: wanted <= set(graph.node.get_node_names_and_namespaces()), "every node", 40.0)
+    graph.spin(1.0)
+    for _ in range(times):
+        for node in nodes.values():
+            if node.process.poll() is None:
+                node.send_signal(number)
         time.sleep(0.02)
-        node.send_signal(number)
-    assert node.wait(8.0) == 0, node.output()
-    assert "Traceback" not in node.output()
-    assert "Error" not in node.output()
+    for name, node in nodes.items():
+        assert node.wait(10.0) == 0, f"{name}: {node.output()}"
+        assert "Traceback" not in node.output(), node.output()
+        assert "Error" not in node.output(), node.output()
