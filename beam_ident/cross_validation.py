@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.linear_solution import LinearSolution
 from beam_ident.modal_model import ModalModel
@@ -74,6 +75,7 @@ class ValidationResult:
         )
 
 
+@on_one_thread
 def validate(model: ModalModel | TransferFunctionModel, record: TimeRecord) -> ValidationResult:
     """Predict a record with a model that was estimated from another one.
 

@@ -17,9 +17,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from beam_ident.bandwidth import Band, excited_band
+from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
-from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes
+from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes, profiled_cost
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
@@ -37,6 +38,11 @@ Progress = Callable[[str, float], None]
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: below this noise on the input is not looked at
+_MAX_LATENCY_S = 0.2
+_ITERATIONS = 40
+_TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
+_CLOCK_STARTS = 2
+_SHORT = 8  # iterations of a trial fit
 _TRIES_PER_ORDER = 2
 
 
@@ -139,6 +145,7 @@ class IdentificationResult:
         )
 
 
+@on_one_thread
 def identify(
     record: TimeRecord | Sequence[TimeRecord],
     structure: StructureKind | ModalStructure = "base_motion",
@@ -233,6 +240,7 @@ class _Search:
     ) -> None:
         self.regression = regression
         self.records, self.input_name = records, input_name
+        self.max_iterations = _ITERATIONS
         self.latency, self.clock_rate = latency, clock_rate
         self.progress = progress
         structure = regression.structure
@@ -257,10 +265,59 @@ class _Search:
             latency, rate = Prior(self.latency.mean), Prior(self.clock_rate.mean)
         else:
             latency, rate = self.latency, self.clock_rate
-        return fit_modes(self.regression, omegas, zetas, clock, latency, rate)
+        return fit_modes(self.regression, omegas, zetas, clock, latency, rate, self.max_iterations)
+
+    def _untangled(self, fit: ModalFit) -> ModalFit:
+        """Return the fit after a look for cycles that the clock may have slipped.
+
+        Latency and clock rate can lock on to a wrong cycle of the fastest mode.  Their
+        neighbourhood of one cycle is searched on thinned data, and the fit repeated from
+        wherever the likelihood is higher.
+        """
+        if not self.latency.is_free or not len(fit.omegas):
+            return fit
+        quarter = 0.5 * np.pi / float(fit.omegas[-1])
+        half = 0.5 * self.regression.duration_s
+        is_wide = min(self.clock_rate.sd, 1.0) * half > quarter
+        steps = np.arange(-4, 5, 2) if is_wide else np.arange(-5, 6)
+        rates = steps * quarter / half if is_wide else np.zeros(1)
+        places = [
+            ClockState(fit.clock.latency + s * quarter, fit.clock.rate + r) for s in steps for r in rates
+        ]
+        places = [place for place in places if abs(place.latency) < _MAX_LATENCY_S]
+        if is_wide and len(fit.omegas) > 1:  # poles and clock move together: try each place with a short fit
+            thinned = self.scan.regression
+            starts = [
+                fit_modes(thinned, fit.omegas, fit.zetas, place, self.latency, self.clock_rate, _SHORT)
+                for place in places
+            ]
+            here = fit_modes(
+                thinned, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate, _SHORT
+            ).cost
+            ranked = [(start.cost, start.omegas, start.zetas, start.clock) for start in starts]
+        else:
+            here = profiled_cost(self.scan.regression, fit.omegas, fit.zetas, fit.clock)
+            ranked = [
+                (
+                    profiled_cost(self.scan.regression, fit.omegas, fit.zetas, place),
+                    fit.omegas,
+                    fit.zetas,
+                    place,
+                )
+                for place in places
+            ]
+        best = fit
+        for cost, omegas, zetas, clock in sorted(ranked, key=lambda item: item[0])[:_CLOCK_STARTS]:
+            if not cost < here - 1.0:
+                break
+            again = self._fit(omegas, zetas, clock, len(omegas))
+            if again.cost < best.cost:
+                best = again
+        return best
 
     def run(self, n_modes: int | None, max_modes: int) -> None:
         limit = n_modes if n_modes is not None else max_modes
+        self.max_iterations = _ITERATIONS if n_modes is not None else _TRIAL_ITERATIONS
         while len(self.chosen.omegas) < limit:
             current = self.chosen
             n = len(current.omegas)
@@ -276,7 +333,7 @@ class _Search:
                     break
                 omegas = np.append(current.omegas, candidate.omega)
                 zetas = np.append(current.zetas, candidate.zeta)
-                trial = self._fit(omegas, zetas, current.clock, n + 1)
+                trial = self._untangled(self._fit(omegas, zetas, current.clock, n + 1))
                 refusal = self._refusal(trial, current, n_modes is not None)
                 self.entries.append(self._entry(trial, refusal))
                 if not refusal or n_modes is not None:

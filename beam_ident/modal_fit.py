@@ -258,6 +258,19 @@ def fit_modes(
     return _finish(problem, minimise(problem, first, max_iterations), with_input_noise)
 
 
+def profiled_cost(
+    regression: ModalRegression, omegas: FloatArray, zetas: FloatArray, clock: ClockState
+) -> float:
+    """Return the concentrated negative log-likelihood at given poles and clock."""
+    blocks = regression.blocks(omegas, zetas, clock, gradients=False)
+    bases = [LinearSolution.of(block.matrix).basis for block in blocks]
+    cost = 0.0
+    for values, block in zip(regression.values, regression.block_of, strict=True):
+        left = values - bases[block] @ (bases[block].T @ values)
+        cost += 0.5 * len(values) * math.log(max(float(left @ left), 1e-300))
+    return cost
+
+
 def _under_real_noise(
     problem: _Problem, state: _State, variances: FloatArray, covariance: FloatArray, with_input_noise: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -335,7 +348,7 @@ def _finish(problem: _Problem, minimum: Minimum[_State], with_input_noise: bool)
     for output, found in enumerate(state.coefficients):
         local = np.arange(sizes[output])
         local[n_fixed : n_fixed + n] = n_fixed + order
-        if regression.structure.has_free_response:
+        if regression.structure.has_free_response and n:
             n_own = regression.n_nuisance(n)
             for first in range(n_fixed + n, sizes[output], n_own):
                 pairs = np.arange(first + n_own - 2 * n, first + n_own).reshape(n, 2)

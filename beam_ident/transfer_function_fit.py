@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.levenberg_marquardt import minimise
 from beam_ident.linear_solution import LinearSolution
@@ -78,6 +79,7 @@ class TransferFunctionResult:
     ramp: float
 
 
+@on_one_thread
 def estimate_transfer_function(
     record: TimeRecord,
     n_poles: int,
