@@ -1,7 +1,7 @@
 """The camera: frames rendered, markers tracked, pixels calibrated. Pure: NumPy and OpenCV only.
 
-What needs OpenCV (`images`, `rendering`, `tracking`, `refinement`, `overlay`, `checkerboard`) is imported from
-its own module, so that parameters, timing and calibration are there without it.
+What needs OpenCV (`images`, `rendering`, `tracking`, `refinement`, `overlay`, `checkerboard`, `video`) is imported
+from its own module, so that parameters, timing and calibration are there without it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,17 @@ from beam_ros.vision.calibration import (
 )
 from beam_ros.vision.continuity import FrameContinuity, FrameStep
 from beam_ros.vision.disturbances import Disturbances, Glare, Occluder, SecondSpot
-from beam_ros.vision.errors import CalibrationError, ImageFormatError, VisionError, VisionParameterError
+from beam_ros.vision.errors import (
+    CalibrationError,
+    ImageFormatError,
+    SynchronisationError,
+    VideoError,
+    VisionError,
+    VisionParameterError,
+)
 from beam_ros.vision.lens import Lens
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.synchronisation import Synchronisation, synchronise
 from beam_ros.vision.timing import FrameTiming, exposure_weights
 
 __all__ = [
@@ -43,9 +51,13 @@ __all__ = [
     "LinearCalibration",
     "Occluder",
     "SecondSpot",
+    "Synchronisation",
+    "SynchronisationError",
     "TrackerParameters",
+    "VideoError",
     "VisionError",
     "VisionParameterError",
     "exposure_weights",
     "fit_line",
+    "synchronise",
 ]

@@ -19,3 +19,11 @@ class ImageFormatError(VisionError, ValueError):
 
 class CalibrationError(VisionError, ValueError):
     """A calibration cannot be fitted, read, or used with this camera."""
+
+
+class SynchronisationError(VisionError, ValueError):
+    """A camera's record cannot be laid over the hub's."""
+
+
+class VideoError(VisionError, OSError):
+    """A video file cannot be opened or read, or says nothing about its times."""

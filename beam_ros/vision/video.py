@@ -1,0 +1,182 @@
+"""Frames from a video file, with the times that the file or its user states, and their tracking in one go.
+
+Fast cameras and telephones leave a file afterwards. Its frame rate may be the one it was recorded with, one
+for slow replay, or none at all; times that the user gives always come first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from beam_ros.vision.errors import VideoError
+from beam_ros.vision.tracking import MarkerTracker
+
+_NS = 1_000_000_000
+
+Floats = npt.NDArray[np.float64]
+
+
+class VideoFile:
+    """Frames of a video, in grey.
+
+    Parameters
+    ----------
+    path : Path -- the file
+    rate_hz : float or None -- frame rate; None believes the file
+    frame_times_ns : sequence of int or None -- time of every frame [ns]; comes before any rate
+
+    Attributes
+    ----------
+    width, height : int -- [px]
+    rate_hz : float -- frame rate; NaN where only times are given
+    n_frames : int -- what the file claims; 0 where it does not say
+    """
+
+    def __init__(
+        self, path: Path, *, rate_hz: float | None = None, frame_times_ns: Sequence[int] | None = None
+    ) -> None:
+        self.path = Path(path)
+        capture = self._open()
+        try:
+            self.width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+            self.height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+            self.n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+            stated = float(capture.get(cv2.CAP_PROP_FPS))
+        finally:
+            capture.release()
+        self._times = None if frame_times_ns is None else [int(time) for time in frame_times_ns]
+        if self._times is not None:
+            if any(
+                later <= earlier for earlier, later in zip(self._times[:-1], self._times[1:], strict=True)
+            ):
+                raise VideoError(
+                    f"{self.path}: the frame times given do not rise; expected one later than the other"
+                )
+            self.rate_hz = math.nan
+            return
+        rate = stated if rate_hz is None else float(rate_hz)
+        if not (math.isfinite(rate) and 0 < rate <= 1e6):
+            whose = "the file states" if rate_hz is None else "given is"
+            raise VideoError(
+                f"{self.path}: {whose} a frame rate of {rate!r} Hz; expected one > 0: give the frame rate"
+            )
+        self.rate_hz = rate
+
+    def _open(self) -> Any:
+        if not self.path.is_file():
+            raise VideoError(f"{self.path}: no such video file; check the path")
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            capture.release()
+            raise VideoError(
+                f"{self.path}: no video that OpenCV {cv2.__version__} can read; convert it, for example with "
+                "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
+            )
+        return capture
+
+    def frames(self) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
+        """Read the frames, one after the other.
+
+        Yields
+        ------
+        time_ns : int -- since the first frame, or as given [ns]
+        image : ndarray, shape (height, width), uint8
+
+        Raises
+        ------
+        VideoError -- fewer times than frames, or no frame at all
+        """
+        capture = self._open()
+        count = 0
+        try:
+            while True:
+                is_read, frame = capture.read()
+                if not is_read:
+                    break
+                yield self._time(count), _grey(frame)
+                count += 1
+        finally:
+            capture.release()
+        if count == 0:
+            raise VideoError(f"{self.path}: not one frame can be read; the file may be cut short")
+
+    def _time(self, k: int) -> int:
+        if self._times is None:
+            return round(k * _NS / self.rate_hz)
+        if k >= len(self._times):
+            raise VideoError(
+                f"{self.path}: {len(self._times)} frame times for more frames; expected one for each"
+            )
+        return self._times[k]
+
+
+def _grey(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """One channel of a decoded frame."""
+    if frame.ndim == 2:
+        return np.asarray(frame, dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class TrackRecord:
+    """Markers over a whole video.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray of int64, shape (n_frames, n_markers) -- middle of the exposure of every marker's row [ns]
+    u_px, v_px, sigma_px : ndarray, shape (n_frames, n_markers) -- as MarkerMeasurement; NaN where not valid [px]
+    reasons : dict of str to int -- how many measurements were valid ("ok") or not, and why
+    """
+
+    stamps_ns: npt.NDArray[np.int64]
+    u_px: Floats
+    v_px: Floats
+    sigma_px: Floats
+    reasons: dict[str, int]
+
+
+def track_frames(
+    frames: Iterable[tuple[int, npt.NDArray[Any]]],
+    tracker: MarkerTracker,
+    progress: Callable[[int], None] | None = None,
+) -> TrackRecord:
+    """Track the markers through frames.
+
+    Parameters
+    ----------
+    frames : iterable of (int, ndarray) -- stamps [ns] and grey images
+    tracker : MarkerTracker -- fresh, or as it was left
+    progress : callable or None -- told the number of frames done, after each
+
+    Returns
+    -------
+    TrackRecord
+    """
+    stamps, u, v, sigma = [], [], [], []
+    reasons: dict[str, int] = {}
+    for k, (stamp_ns, image) in enumerate(frames):
+        markers = tracker.process(image, stamp_ns).markers
+        stamps.append([marker.stamp_ns for marker in markers])
+        u.append([marker.u_px for marker in markers])
+        v.append([marker.v_px for marker in markers])
+        sigma.append([marker.sigma_px for marker in markers])
+        for marker in markers:
+            reasons[marker.reason] = reasons.get(marker.reason, 0) + 1
+        if progress is not None:
+            progress(k + 1)
+    shape = (len(stamps), tracker.n_markers)
+    return TrackRecord(
+        np.array(stamps, dtype=np.int64).reshape(shape),
+        np.array(u, dtype=np.float64).reshape(shape),
+        np.array(v, dtype=np.float64).reshape(shape),
+        np.array(sigma, dtype=np.float64).reshape(shape),
+        reasons,
+    )

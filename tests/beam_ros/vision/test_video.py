@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from beam_ros.vision import CameraParameters, TrackerParameters
+from beam_ros.vision.errors import VideoError
+from beam_ros.vision.rendering import SceneRenderer
+from beam_ros.vision.tracking import MarkerTracker
+from beam_ros.vision.video import VideoFile, track_frames
+
+HEIGHTS = (0.010, 0.225, 0.285)
+CAMERA = CameraParameters()
+
+
+def write_video(path, n_frames=40, codec="FFV1", rate=100.0):
+    """A lossless video of three markers; returns their true columns."""
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    rng = np.random.default_rng(1)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), rate, (640, 480), True)
+    assert writer.isOpened()
+    truth = []
+    for k in range(n_frames):
+        x = 0.01 * np.sin(0.2 * k + np.arange(3.0))
+        frame = renderer.render(x, rng)
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+        truth.append(CAMERA.columns(x))
+    writer.release()
+    return np.array(truth)
+
+
+def test_a_video_is_tracked_to_its_truth(tmp_path):
+    path = tmp_path / "beam.avi"
+    truth = write_video(path)
+    video = VideoFile(path)
+    assert (video.width, video.height, video.rate_hz, video.n_frames) == (640, 480, 100.0, 40)
+    seen: list[int] = []
+    record = track_frames(
+        video.frames(), MarkerTracker(TrackerParameters.for_camera(CAMERA, HEIGHTS), 3), seen.append
+    )
+    # 0.0055 px of image noise; the colour conversion of the codec adds rounding.
+    assert np.sqrt(np.mean((record.u_px - truth) ** 2)) < 0.008
+    assert record.reasons == {"ok": 120}
+    assert record.stamps_ns[:, 0].tolist() == [k * 10_000_000 for k in range(40)]
+    assert seen == list(range(1, 41))
+
+
+def test_a_rate_or_times_of_the_users_come_before_the_files(tmp_path):
+    path = tmp_path / "beam.avi"
+    write_video(path, 5, rate=25.0)
+    assert [time for time, _ in VideoFile(path, rate_hz=500.0).frames()] == [
+        0,
+        2_000_000,
+        4_000_000,
+        6_000_000,
+        8_000_000,
+    ]
+    times = [10, 20, 40, 50, 60]
+    assert [time for time, _ in VideoFile(path, frame_times_ns=times).frames()] == times
+    with pytest.raises(VideoError, match="4 frame times for more frames"):
+        list(VideoFile(path, frame_times_ns=times[:4]).frames())
+
+
+def test_what_is_no_video_is_refused(tmp_path):
+    with pytest.raises(VideoError, match="no such video file"):
+        VideoFile(tmp_path / "absent.avi")
+    text = tmp_path / "text.avi"
+    text.write_text("no video", encoding="utf-8")
+    with pytest.raises(VideoError, match="that OpenCV"):
+        VideoFile(text)
+    path = tmp_path / "beam.avi"
+    write_video(path, 3)
+    for bad in (0.0, -1.0, float("nan")):
+        with pytest.raises(VideoError, match="expected one > 0"):
+            VideoFile(path, rate_hz=bad)
+    with pytest.raises(VideoError, match="do not rise"):
+        VideoFile(path, frame_times_ns=[3, 2, 1])
+
+
+def test_no_frames_make_an_empty_record():
+    record = track_frames([], MarkerTracker(TrackerParameters(), 3))
+    assert record.u_px.shape == (0, 3)
