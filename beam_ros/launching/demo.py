@@ -27,6 +27,7 @@ from beam_ros.rig import Rig
 _START_TIMEOUT_S = 30.0
 _IDENTIFY_TIMEOUT_S = 90.0
 _CLOCK_TIMEOUT_S = 30.0
+_PATIENT_WATCHDOG_S = 1.0
 
 
 def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> dict[str, Any]:
@@ -86,6 +87,8 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
     if kind is RigKind.EMULATED:
         port = str(scratch / "controller")
         changes.update(emulated_port(port))
+        # Nothing real moves here: a busy computer may delay the host without ending the demo.
+        changes["hub.watchdog"] = max(rig.number("hub.watchdog"), _PATIENT_WATCHDOG_S)
     here = rig.with_values(changes)
     here.write(folder / "rig.yaml")
     return here
