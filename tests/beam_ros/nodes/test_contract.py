@@ -36,9 +36,8 @@ def rigs(executables, graph, tmp_path: Path):
             f"hub of {rig}",
             15.0,
         )
-    graph.wait(
-        lambda: len(_publishers(graph, "a")) >= 5 and len(_publishers(graph, "b")) >= 5, "topics", 15.0
-    )
+    expected = len(interfaces.NODES["hub_driver"].publishes)
+    graph.wait(lambda: all(len(_publishers(graph, rig)) >= expected for rig in "ab"), "topics", 15.0)
     return graph
 
 
