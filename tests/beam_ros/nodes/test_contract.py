@@ -5,6 +5,7 @@ The driver talks to the firmware emulator over a real pseudo-terminal; the two r
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -54,29 +55,40 @@ def _publishers(graph, rig):
     return found
 
 
+def _services(graph, rig):
+    rows = graph.node.get_service_names_and_types_by_node("hub", f"/{rig}")
+    return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
+
+
+def _subscriptions(graph, rig):
+    rows = graph.node.get_subscriber_names_and_types_by_node("hub", f"/{rig}")
+    return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
+
+
+def _settled(graph, look):
+    """What both rigs show; discovery brings one thing after the other, so until it is the same or time is over."""
+    with contextlib.suppress(AssertionError):
+        graph.wait(lambda: look(graph, "a") == look(graph, "b"), "agreement", 10.0)
+    return look(graph, "a"), look(graph, "b")
+
+
 def test_topics_types_qos_services_and_parameters_are_the_same(rigs) -> None:
-    assert _publishers(rigs, "a") == _publishers(rigs, "b")
-    expected = {name for name in interfaces.NODES["hub_driver"].publishes if name != "/diagnostics"}
-    assert expected <= set(_publishers(rigs, "b"))
-    for topic, (types, reliability, durability) in _publishers(rigs, "a").items():
+    simulator, driver = _settled(rigs, _publishers)
+    assert simulator == driver
+    assert set(interfaces.NODES["hub_driver"].publishes) == set(driver)
+    for topic, (types, reliability, durability) in driver.items():
         profile = qos_profile(interfaces.TOPICS[topic].qos)
         assert types == (interfaces.TOPICS[topic].type_name,)
         assert (reliability, durability) == (profile.reliability, profile.durability)
-
-    def services(rig):
-        rows = rigs.node.get_service_names_and_types_by_node("hub", f"/{rig}")
-        return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
-
-    assert services("a") == services("b")
-    assert {
-        (n, (interfaces.SERVICES[n].type_name,)) for n in interfaces.NODES["hub_driver"].serves
-    } <= services("a")
-
-    def subscriptions(rig):
-        rows = rigs.node.get_subscriber_names_and_types_by_node("hub", f"/{rig}")
-        return {(name.removeprefix(f"/{rig}/"), tuple(types)) for name, types in rows}
-
-    assert subscriptions("a") == subscriptions("b")
+    simulator, driver = _settled(rigs, _services)
+    assert simulator == driver
+    promised = {
+        (name, (interfaces.SERVICES[name].type_name,)) for name in interfaces.NODES["hub_driver"].serves
+    }
+    assert promised <= driver
+    simulator, driver = _settled(rigs, _subscriptions)
+    assert simulator == driver
+    assert set(interfaces.NODES["hub_driver"].subscribes) <= {name for name, _ in driver}
 
 
 def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> None:
