@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "vision.md"
+
+
+def test_the_example_of_the_page_runs_and_says_what_it_promises(capsys):
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 1
+    names: dict[str, object] = {}
+    exec(compile(blocks[0], str(PAGE), "exec"), names)
+    found = names["found"]
+    # 0.006 px of noise at 1500 px/m
+    assert found.x_m == pytest.approx([0.001, 0.002, 0.003], abs=2e-5)
+    assert capsys.readouterr().out.count("'ok'") == 3
+
+
+def test_every_test_that_the_page_names_exists():
+    text = PAGE.read_text(encoding="utf-8")
+    sources = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*.py"))
+    for name in re.findall(r"`(test_\w+)", text):
+        assert name in sources or (Path(__file__).parent / f"{name}.py").exists(), name
