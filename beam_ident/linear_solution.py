@@ -48,6 +48,8 @@ class LinearSolution:
     def coefficients(self, values: FloatArray) -> FloatArray:
         """Return ``A^+ values``, for one or several right-hand sides."""
         result = np.zeros((len(self.scales), *values.shape[1:]))
+        if not len(self.kept):
+            return result
         solved = solve_triangular(self.triangle, self.basis.T @ values, check_finite=False)
         scales = self.scales[self.kept]
         result[self.kept] = solved / (scales[:, None] if values.ndim > 1 else scales)
@@ -55,6 +57,8 @@ class LinearSolution:
 
     def inverse_gram(self) -> FloatArray:
         """Return ``(A^T A)^-1``, zero for columns left out."""
+        if not len(self.kept):
+            return np.zeros((len(self.scales), len(self.scales)))
         inverse = solve_triangular(self.triangle, np.eye(len(self.kept)), check_finite=False)
         inverse = inverse / self.scales[self.kept][:, None]
         result = np.zeros((len(self.scales), len(self.scales)))
