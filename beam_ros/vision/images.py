@@ -73,7 +73,7 @@ def image_view(
     Returns
     -------
     ndarray, shape (height, width) or (height, width, channels), uint8 or uint16 -- a read-only or writable
-        view as `data` is; big-endian samples alone are copied
+        view as `data` is; only 16-bit samples of the other byte order or at odd addresses are copied
 
     Raises
     ------
@@ -112,7 +112,9 @@ def image_view(
         wide = np.ndarray(
             (height, width), dtype=">u2" if is_bigendian else "<u2", buffer=octets, strides=(step, 2)
         )
-        return np.asarray(wide.astype(np.uint16, copy=False))
+        # OpenCV reads whole samples: rows at odd addresses are copied.
+        is_seen_in_place = wide.dtype == np.uint16 and wide.flags.aligned
+        return wide if is_seen_in_place else np.asarray(wide.astype(np.uint16))
     shape = (height, width) if kind.channels == 1 else (height, width, kind.channels)
     strides = (step, 1) if kind.channels == 1 else (step, kind.channels, 1)
     return np.asarray(np.ndarray(shape, dtype=np.uint8, buffer=octets, strides=strides))

@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision import CameraParameters, ImageFormatError
+from beam_ros.vision import CameraParameters, ImageFormatError, TrackerParameters
 from beam_ros.vision.images import SUPPORTED_ENCODINGS, grey_image, image_view
 from beam_ros.vision.rendering import SceneRenderer
+from beam_ros.vision.tracking import MarkerTracker
 
 RNG = np.random.default_rng(5)
 GREY = RNG.integers(0, 256, (6, 8), dtype=np.uint8)
@@ -39,6 +40,19 @@ def test_mono16_is_read_in_both_byte_orders_and_odd_steps(is_bigendian, padding)
     image = grey_image("mono16", 6, 8, 16 + padding, data, is_bigendian=is_bigendian)
     assert image.dtype == np.uint16
     assert np.array_equal(image, WIDE)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "padding"), [("mono8", 0), ("mono8", 7), ("mono16", 0), ("mono16", 1), ("mono16", 6)]
+)
+def test_the_tracker_works_on_the_bytes_of_a_message(encoding, padding):
+    camera, heights = CameraParameters(), (0.010, 0.225, 0.285)
+    frame = SceneRenderer(camera, heights).render([0.0, 0.0, 0.0], np.random.default_rng(0))
+    pixels = frame if encoding == "mono8" else frame.astype("<u2") * 100
+    step = 640 * pixels.itemsize + padding
+    image = grey_image(encoding, 480, 640, step, padded(pixels, padding))
+    result = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3).process(image, 0)
+    assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * 3, abs=0.03)
 
 
 @pytest.mark.parametrize(("encoding", "code"), [("bgr8", cv2.COLOR_BGR2GRAY), ("rgb8", cv2.COLOR_RGB2GRAY)])

@@ -326,6 +326,45 @@ def test_a_twin_beside_a_moving_marker_takes_nothing_over_even_while_the_marker_
             assert marker.u_px == pytest.approx(float(camera.columns(x[1])), abs=0.05)
 
 
+def test_markers_that_leave_the_image_are_lost_and_found_again():
+    camera = CameraParameters()
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(37)
+    seen = []
+    for k in range(220):
+        x = np.full(3, 0.22 * np.sin(0.03 * k))
+        result = tracker.process(renderer.render(x, rng), k)
+        valid = np.array([marker.is_valid for marker in result.markers])
+        seen.append(valid.all())
+        assert columns(result)[valid] == pytest.approx(camera.columns(x)[valid], abs=0.05)
+        # 9 px from the edge the whole blurred disc is in view.
+        if abs(float(camera.columns(x[0])) - 319.5) > 319.5 - 6.0:
+            assert not valid.any()
+    assert seen[0]
+    assert not all(seen)
+    assert seen[100]
+
+
+def test_no_image_breaks_the_tracker_and_invalid_means_nothing_is_told():
+    rng = np.random.default_rng(38)
+    for n_markers, polarity in ((1, "bright"), (3, "dark"), (3, "bright")):
+        for _ in range(12):
+            tracker = MarkerTracker(TrackerParameters(polarity=polarity), n_markers)
+            shape = (int(rng.integers(1, 200)), int(rng.integers(1, 300)))
+            for image in (
+                rng.integers(0, 256, shape),
+                np.linspace(0, 255, shape[0] * shape[1]).reshape(shape),
+                np.where(rng.random(shape) < 0.01, 255, 0),
+                (np.indices(shape) // 13).sum(axis=0) % 2 * 255,
+            ):
+                for dtype in (np.uint8, np.uint16):
+                    for marker in tracker.process(image.astype(dtype), 0).markers:
+                        assert marker.is_valid == (marker.reason == "ok")
+                        assert (
+                            np.isfinite([marker.u_px, marker.v_px, marker.sigma_px]).all() == marker.is_valid
+                        )
+
+
 def test_a_change_of_light_costs_frames_but_no_truth():
     camera = CameraParameters()
     brighter = CameraParameters(background=60.0)
