@@ -173,7 +173,7 @@ def pole_figure(
             name, (omega / (2.0 * np.pi), 100.0 * zeta), textcoords="offset points", xytext=(6, 6), fontsize=8
         )
     axis.set_xscale("log")
-    axis.set_ylim(bottom=0.0)
+    axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
     axis.set_xlabel("natural frequency [Hz]")
     axis.set_ylabel("damping ratio [%]")
     axis.legend(loc="best", fontsize=8, frameon=False)

@@ -340,10 +340,13 @@ def _write(
     partial.write_text(json.dumps(document, indent=1), encoding="utf-8")
     os.replace(partial, model_path)
     omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
-    reference = [(f"mode {k + 1}", float(omegas[k]), float(zetas[k])) for k in range(len(omegas))]
+    highest = 1.5 * float(np.max(result.model.natural_frequencies))
+    reference = [
+        (f"mode {k + 1}", float(omegas[k]), float(zetas[k])) for k in range(len(omegas)) if omegas[k] < highest
+    ]
     write_report(
         report_path,
-        f"Identification of {experiment.path.name}",
+        f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
         experiment.record,
         result,
         reference_modes=reference,
