@@ -35,6 +35,12 @@ def recipe_of_rig(rig: Rig) -> Recipe:
         The parameters do not make a signal.
     """
     kind = rig.text("excitation.kind")
+    highest, nyquist = rig.number("excitation.end_frequency"), 0.5 / rig.number("hub.period")
+    if kind != "step" and highest > nyquist:
+        raise UsageError(
+            f"excitation.end_frequency is {highest:g} Hz: expected at most {nyquist:g} Hz, half the rate "
+            "of hub.period"
+        )
     duration, still = rig.number("excitation.duration"), rig.number("excitation.still")
     try:
         if kind == "chirp":

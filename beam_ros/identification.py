@@ -31,6 +31,7 @@ from beam_model import BeamModel
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag, Displacements, HubSamples
 from beam_ros.errors import UsageError
+from beam_ros.folders import make_folder
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.rig import Rig
 
@@ -108,6 +109,12 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
                 )
             rig = Rig.from_nested(info["rig"])
         mode = str(info.get("mode", rig.text("hub.command_mode")))
+        if mode not in _STRUCTURE_OF_MODE:
+            raise BagError(
+                f"{path}: excitation/info names the command mode {mode!r}; expected one of "
+                f"{', '.join(_STRUCTURE_OF_MODE)}: give the structure with --structure and the rig with --rig-file"
+            )
+        _refuse_unrun_sequence(path, info, bag.sequence_states())
         chosen = _STRUCTURE_OF_MODE[mode] if structure == "auto" else structure
         topic, quantity, unit = _INPUT_OF_STRUCTURE[chosen]
         bag.require(topic)
@@ -131,6 +138,16 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     outputs = _outputs(displacements, origin_ns, rig, notes)
     record = TimeRecord((drive,), outputs, origin_ns, path.name)
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
+
+
+def _refuse_unrun_sequence(path: Path, info: Mapping[str, Any], states: Sequence[Mapping[str, Any]]) -> None:
+    """Name the hub's refusal where the recorded excitation never ran."""
+    for state in states:
+        if state.get("id") == info.get("sequence_id") and state.get("state") == "refused":
+            raise BagError(
+                f"{path}: the hub refused the excitation {state['id']} ({state.get('reason')}), so that nothing "
+                "moved; mend that and record again"
+            )
 
 
 def _longest_stretch(samples: HubSamples, notes: list[str]) -> slice:
@@ -183,7 +200,8 @@ def _outputs(
             notes.append(f"{name} was never seen and is left out")
             continue
         missing = int(np.count_nonzero(~seen))
-        if missing:
+        # With a rolling shutter every marker has stamps of its own, and NaN at the others'.
+        if missing and rig.number("camera.readout") == 0.0:
             notes.append(f"{name} was not seen in {missing} of {len(values)} frames")
         outputs.append(
             OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.number("camera.exposure"))
@@ -241,6 +259,9 @@ def identify_bag(
     BagError, UsageError, IdentificationError
     """
     experiment = load_experiment(path, rig, structure)
+    unseen = None if validation is None else load_experiment(validation, rig, structure)
+    if folder is not None:
+        make_folder(folder)
     result = identify(
         experiment.record,
         experiment.structure,  # type: ignore[arg-type]
@@ -249,8 +270,8 @@ def identify_bag(
         progress=progress,
     )
     content = describe(experiment, result)
-    if validation is not None:
-        content["validation"] = _validate(load_experiment(validation, rig, structure), result)
+    if unseen is not None:
+        content["validation"] = _validate(unseen, result)
     if folder is not None:
         progress("writing the report", 1.0)
         _write(folder, experiment, result, content)
@@ -333,7 +354,6 @@ def _write(
 ) -> None:
     from beam_ident.report import write_report
 
-    folder.mkdir(parents=True, exist_ok=True)
     model_path, report_path = folder / "model.json", folder / "report.html"
     partial = model_path.with_name(model_path.name + ".partial")
     document = {"schema": SCHEMA, "model": result.model.to_dict(), "summary": content}
@@ -342,7 +362,9 @@ def _write(
     omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
     highest = 1.5 * float(np.max(result.model.natural_frequencies))
     reference = [
-        (f"mode {k + 1}", float(omegas[k]), float(zetas[k])) for k in range(len(omegas)) if omegas[k] < highest
+        (f"mode {k + 1}", float(omegas[k]), float(zetas[k]))
+        for k in range(len(omegas))
+        if omegas[k] < highest
     ]
     write_report(
         report_path,

@@ -23,7 +23,7 @@ RIG_FRAME = "rig"
 CAMERA_FRAME = "camera_optical_frame"
 
 
-class Rig(str, Enum):
+class RigKind(str, Enum):
     """What stands behind the node `hub` and the camera's topics."""
 
     SIMULATED = "simulated"
@@ -295,12 +295,12 @@ def emulated_port(path: str) -> dict[str, object]:
     return {"emulator.port_link": path, "serial.port": path, "serial.patience": 20.0}
 
 
-def nodes_of_rig(rig: Rig, *, with_camera_images: bool = True) -> tuple[str, ...]:
+def nodes_of_rig(rig: RigKind, *, with_camera_images: bool = True) -> tuple[str, ...]:
     """Executables that make up a rig, in the order in which they start.
 
     Parameters
     ----------
-    rig : Rig -- simulated, emulated or real
+    rig : RigKind -- simulated, emulated or real
     with_camera_images : bool -- False leaves the tracker out (the simulator gives displacements itself)
 
     Returns
@@ -308,9 +308,9 @@ def nodes_of_rig(rig: Rig, *, with_camera_images: bool = True) -> tuple[str, ...
     tuple of str -- keys of NODES
     """
     plant = {
-        Rig.SIMULATED: ("simulator",),
-        Rig.EMULATED: ("firmware_emulator", "hub_driver"),
-        Rig.REAL: ("hub_driver",),
-    }[Rig(rig)]
+        RigKind.SIMULATED: ("simulator",),
+        RigKind.EMULATED: ("firmware_emulator", "hub_driver"),
+        RigKind.REAL: ("hub_driver",),
+    }[RigKind(rig)]
     tracker = ("vision_tracker",) if with_camera_images else ()
     return (*plant, *tracker, "excitation_generator")

@@ -29,6 +29,7 @@ from beam_ros.errors import RigError, RosMissingError
 from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch, SequenceChunk, SequenceReport
 
 SECOND_NS = 1_000_000_000
+MAX_CHUNK_POINTS = 500
 
 MODE_FIELDS = {
     "position": "positions",
@@ -397,7 +398,7 @@ def read_setpoint(message: Any) -> Setpoint:
 
 
 def split_sequence(
-    sequence_id: str, start_ns: int, period_ns: int, values: ArrayLike, max_points: int = 500
+    sequence_id: str, start_ns: int, period_ns: int, values: ArrayLike, max_points: int = MAX_CHUNK_POINTS
 ) -> tuple[SequenceChunk, ...]:
     """Cut a sequence into chunks of nearly equal length.
 

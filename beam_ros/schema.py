@@ -63,7 +63,7 @@ class Parameter:
             "floats": "a list of numbers",
             "strs": "a list of words",
         }[self.kind]
-        unit = f" {self.unit}" if self.unit else ""
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         if self.minimum is not None and self.maximum is not None:
             return f"{noun} from {self.minimum:g} to {self.maximum:g}{unit}"
         if self.minimum is not None:
@@ -116,8 +116,9 @@ class Parameter:
 
     def _refusal(self, value: object) -> ParameterFileError:
         seen = repr(value) if isinstance(value, str) else str(value)
-        unit = f" {self.unit}" if self.unit and isinstance(value, (int, float)) else ""
-        remedy = f"; give it in {self.unit}" if self.unit else ""
+        has_unit = self.unit not in ("", "1")
+        unit = f" {self.unit}" if has_unit and isinstance(value, (int, float)) else ""
+        remedy = f"; give it in {self.unit}" if has_unit else ""
         return ParameterFileError(f"{self.name} is {seen}{unit}: expected {self.expectation()}{remedy}")
 
 
@@ -195,7 +196,6 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter("port", "str", "device of the motion controller"),
             Parameter("baud", "int", "line speed", "baud", 1200, 12_000_000),
             Parameter("patience", "float", "wait so long for the port to appear", "s", 0.0, 60.0),
-            Parameter("accept_no_device_watchdog", "bool", "drive an axis that cannot stop by itself"),
         ),
         *_group(
             "emulator",
@@ -421,13 +421,15 @@ def parameters_in_file(path: Path) -> dict[str, Value]:
         if not isinstance(section["ros__parameters"], Mapping):
             raise ParameterFileError(f"{path}: section {node!r} has an empty `ros__parameters:`; {shape}")
         sections[str(node)] = section["ros__parameters"]
-    if "/**" not in sections:
-        raise ParameterFileError(f"{path}: has sections {', '.join(sections)} but no `/**`; {shape}")
+    if set(sections) != {"/**"}:
+        raise ParameterFileError(
+            f"{path}: has sections {', '.join(sections)}; a rig file has `/**` alone, so that every node and command "
+            f"reads the same: move the others into it; {shape}"
+        )
     try:
-        checked = {node: check_parameters(dict(flatten(section))) for node, section in sections.items()}
+        return check_parameters(dict(flatten(sections["/**"])))
     except ParameterFileError as err:
         raise ParameterFileError(f"{path}: {err}") from err
-    return checked["/**"]
 
 
 def packaged_rig_file() -> Path:

@@ -10,7 +10,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from beam_ros.interfaces import NODES, Rig, emulated_port, nodes_of_rig
+from beam_ros.interfaces import NODES, RigKind, emulated_port, nodes_of_rig
+from beam_ros.rig import Rig
 from launch import LaunchContext, LaunchDescription
 
 PACKAGED_RIG = str(resources.files("beam_ros") / "config" / "rig.yaml")
@@ -22,8 +23,8 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument(
                 "rig",
-                default_value=Rig.SIMULATED.value,
-                choices=[rig.value for rig in Rig],
+                default_value=RigKind.SIMULATED.value,
+                choices=[rig.value for rig in RigKind],
                 description="what stands behind the node `hub` and the camera's topics",
             ),
             DeclareLaunchArgument(
@@ -39,17 +40,20 @@ def _nodes(context: LaunchContext) -> list[Node]:
     rig, params_file, namespace = (
         LaunchConfiguration(name).perform(context) for name in ("rig", "params_file", "namespace")
     )
+    kind, values = RigKind(rig), Rig.from_file(Path(params_file))
     parameters: list[str | dict[str, object]] = [params_file]
-    if Rig(rig) is Rig.EMULATED:
+    if kind is RigKind.EMULATED:
         parameters.append(emulated_port(str(Path(tempfile.mkdtemp(prefix="beam-rig-")) / "controller")))
+    follows_clock = values.number("simulation.real_time_factor") != 1.0
+    has_images = kind is not RigKind.SIMULATED or bool(values["simulation.images"])
     return [
         Node(
             package="beam_ros",
             executable=executable,
             name=NODES[executable].name,
             namespace=namespace,
-            parameters=parameters,
+            parameters=[*parameters, {"use_sim_time": follows_clock and executable != "simulator"}],
             output="screen",
         )
-        for executable in nodes_of_rig(Rig(rig))
+        for executable in nodes_of_rig(kind, with_camera_images=has_images)
     ]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from beam_ros.launching.processes import PrivateDomain, private_domain_environment
+from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
 from tests.real_processes import Executables
 
 
@@ -36,11 +37,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _private_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Nothing of a test session leaves the machine or meets another session's nodes."""
     domain = PrivateDomain()
-    with pytest.MonkeyPatch.context() as patch:
-        log_folder = tmp_path_factory.mktemp("ros_log")
-        for name, value in private_domain_environment(domain.number, log_folder).items():
-            patch.setenv(name, value)
-        yield
+    before = dict(os.environ)
+    stay_on_this_machine(os.environ, domain.number, tmp_path_factory.mktemp("ros_log"))
+    yield
+    os.environ.clear()
+    os.environ.update(before)
     domain.release()
 
 

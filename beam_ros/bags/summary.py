@@ -11,6 +11,7 @@ import numpy as np
 
 from beam_ros.bags.errors import MissingTopicsError
 from beam_ros.bags.reading import Bag, HubSamples, TopicCount
+from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.hub.contract import ClockSync
 
 HUB_TOPICS = ("hub/applied", "hub/measured")
@@ -42,7 +43,8 @@ class ClockSummary:
     epoch : int
     points : int
     rate_ppm : float -- how fast it runs against the host [1e-6]; NaN with fewer than three points
-    residual_ns : float -- standard deviation from the line [ns]; NaN with fewer than three points
+    residual_ns : float -- standard deviation from the line of the better half of the exchanges [ns]; NaN with
+        fewer than three points
     median_rtt_ns : float -- of the exchanges [ns]
     """
 
@@ -145,13 +147,12 @@ def summarise_clocks(syncs: tuple[ClockSync, ...]) -> tuple[ClockSummary, ...]:
     summaries = []
     for epoch in sorted({sync.epoch for sync in syncs}):
         own = [sync for sync in syncs if sync.epoch == epoch]
-        host = np.array([sync.host_ns - own[0].host_ns for sync in own], dtype=np.float64)
-        device = np.array([sync.device_ns - own[0].device_ns for sync in own], dtype=np.float64)
         rate_ppm = residual_ns = np.nan
-        if len(own) > 2 and np.ptp(host) > 0:
-            slope, offset = np.polyfit(host / 1e9, device - host, 1)
-            rate_ppm = slope / 1e3
-            residual_ns = float(np.std(device - host - slope * host / 1e9 - offset, ddof=2))
+        if len(own) > 2 and own[0].device_ns != own[-1].device_ns:
+            line = fit_affine(own)
+            rate_ppm = (1.0 / line.rate - 1.0) * 1e6
+            best = sorted(own, key=lambda sync: sync.rtt_ns)[: max(3, len(own) // 2)]
+            residual_ns = float(np.std([sync.host_ns - line.host_ns(sync.device_ns) for sync in best]))
         rtt_ns = float(np.median([sync.rtt_ns for sync in own]))
         summaries.append(ClockSummary(epoch, len(own), float(rate_ppm), residual_ns, rtt_ns))
     return tuple(summaries)

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
-from beam_ros.interfaces import Rig as RigKind
+from beam_ros.interfaces import RigKind
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_file(parser)
     parser.add_argument("--images", action="store_true", help="record the camera's frames too (30 MB/s)")
     parser.add_argument(
-        "--out", type=Path, help="folder for bag, model and report (default: runs/demo-<time>)"
+        "--out", type=Path, help="folder for bag, model and report (default: runs/<time>-demo-<rig>)"
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
 

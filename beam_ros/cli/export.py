@@ -7,7 +7,7 @@ from pathlib import Path
 
 from beam_ros.bags.export import export_csv, export_flat_bag
 from beam_ros.bags.reading import Bag
-from beam_ros.cli.progress import Progress
+from beam_ros.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

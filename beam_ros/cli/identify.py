@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig
-from beam_ros.cli.progress import Progress
+from beam_ros.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

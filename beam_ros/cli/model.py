@@ -13,6 +13,7 @@ from pathlib import Path
 from beam_model.summary import summarise
 from beam_ros import schema
 from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.folders import make_folder
 from beam_ros.rig import Rig
 
 
@@ -62,7 +63,7 @@ def _draw(rig: Rig, folder: Path) -> list[Path]:
     from beam_model import figures
 
     model, heights = rig.beam_model(), rig.numbers("markers.heights")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     drawn = {
         "mode_shapes.png": figures.mode_shape_figure(model, heights),
         "bode_motion.png": figures.bode_figure(model, heights),

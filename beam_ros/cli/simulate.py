@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from beam_ros.cli.options import add_parameters
-from beam_ros.cli.progress import Progress
+from beam_ros.progress import Progress
 from beam_ros.rig import Rig
 
 

@@ -1,23 +1,30 @@
 """Start the rig's nodes together and keep them until Ctrl-C.
 
-They use your own ROS domain and discovery range, so that viewers, `ros2` and other nodes can attach.
+The nodes' logs go to runs/<time>-up-<rig>/logs. They use your own ROS domain and discovery range, so that
+viewers, `ros2` and other nodes can attach.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import math
 import tempfile
 import time
 from pathlib import Path
 
-from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.errors import UsageError
-from beam_ros.interfaces import Rig as RigKind
-from beam_ros.interfaces import emulated_port, nodes_of_rig
-from beam_ros.launching.processes import NodeGroup, interrupted_by_sigterm, node_arguments
+from beam_ros.folders import make_folder
+from beam_ros.interfaces import RigKind, emulated_port, nodes_of_rig
+from beam_ros.launching.processes import (
+    NodeGroup,
+    interrupted_by_sigterm,
+    node_arguments,
+    refuse_made_up_time,
+)
 
 _WATCH_S = 0.2
+_START_TIMEOUT_S = 40.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,18 +52,27 @@ def run(arguments: argparse.Namespace) -> int:
             "--rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"
         )
+    refuse_made_up_time(rig, kind)
+    logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
+    from beam_ros.launching.client import RigClient
+
     with interrupted_by_sigterm(), tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch:
         if kind is RigKind.EMULATED:
             changes.update(emulated_port(rig.text("serial.port") or f"{scratch}/controller"))
-        rig_file = Path(scratch) / "rig.yaml"
+        rig_file = logs.parent / "rig.yaml"
         rig.with_values(changes).write(rig_file)
-        with NodeGroup({}, Path(scratch) / "logs") as nodes:
+        with NodeGroup(logs) as nodes, RigClient(nodes.check, namespace=arguments.namespace) as client:
+            client.refuse_live_hub()
             for executable in executables:
                 nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
-            domain = os.environ.get("ROS_DOMAIN_ID", "0")
-            reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-            print(f"{kind.value} rig up: {', '.join(executables)}")
-            print(f"ROS_DOMAIN_ID={domain}, discovery range {reach}; Ctrl-C ends it", flush=True)
+            client.wait(
+                lambda: not math.isnan(client.hub_position),
+                _START_TIMEOUT_S,
+                "the hub published no state",
+                f"look at the nodes' logs in {logs}",
+            )
+            print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")
+            print(f"ROS {client.reach()}; Ctrl-C ends it", flush=True)
             try:
                 while True:
                     nodes.check()
@@ -64,5 +80,5 @@ def run(arguments: argparse.Namespace) -> int:
             except KeyboardInterrupt:
                 statuses = nodes.end()
     failed = [f"{name} with status {status}" for name, status in statuses.items() if status]
-    print("ended" if not failed else f"ended, but {', '.join(failed)}")
+    print("ended" if not failed else f"ended, but {', '.join(failed)}; logs in {logs}")
     return 1 if failed else 0

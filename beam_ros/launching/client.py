@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -19,6 +20,7 @@ from beam_ros.messages import RosTypes
 from beam_ros.nodes.shell import qos_profile
 
 _SPIN_S = 0.05
+_LOOK_ROUND_S = 1.0
 MAX_CLOCK_SD_NS = 50_000
 """Standard deviation of the clock map below which an experiment may start [ns]."""
 
@@ -63,7 +65,7 @@ class RigClient:
         )
 
     def _on_displacement(self, message: Any) -> None:
-        self.displacement = dict(zip(message.name, message.position, strict=True))
+        self.displacement.update(zip(message.name, message.position, strict=True))
 
     def _on_hub_state(self, message: Any) -> None:
         self.hub_position = message.position[0]
@@ -82,6 +84,29 @@ class RigClient:
         for status in messages.read_diagnostics(message):
             if status.hardware_id == "hub":
                 self.hub_counters = dict(status.values)
+
+    @staticmethod
+    def reach() -> str:
+        """Say in which domain and how far this process looks for nodes."""
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        return f"ROS_DOMAIN_ID={domain}, range {os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')}"
+
+    def refuse_live_hub(self) -> None:
+        """Look round for a second and raise where a hub is on the graph already.
+
+        Raises
+        ------
+        RigUnavailableError
+            Two hubs would both act on every command.
+        """
+        end = time.monotonic() + _LOOK_ROUND_S
+        while time.monotonic() < end:
+            rclpy.spin_once(self._node, timeout_sec=_SPIN_S)
+        if ("hub", self._node.get_namespace()) in self._node.get_node_names_and_namespaces():
+            raise RigUnavailableError(
+                f"a hub is already on this graph ({self.reach()}): two would act on every command; end the other "
+                "rig, or give this one another --namespace or ROS_DOMAIN_ID"
+            )
 
     def is_clock_settled(self) -> bool:
         """Whether the device's clock is mapped well enough to start a sequence."""
@@ -136,7 +161,7 @@ class RigClient:
         """
         service_class = self._types.service_class(interfaces.SERVICES[service].type_name)
         client = self._node.create_client(service_class, service)
-        log_hint = "look at the node's log or at /diagnostics"
+        log_hint = f"is the rig up (`beam up`) on {self.reach()}? If so, its nodes' logs say more"
         try:
             self.wait(client.service_is_ready, timeout_s, f"service {service} did not appear", log_hint)
             request = service_class.Request()

@@ -10,18 +10,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from beam_ros.cli.progress import Progress
 from beam_ros.errors import RigUnavailableError
-from beam_ros.interfaces import Rig as RigKind
-from beam_ros.interfaces import emulated_port, nodes_of_rig
+from beam_ros.excitation_plan import plan_excitation
+from beam_ros.folders import make_folder
+from beam_ros.interfaces import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
     PrivateDomain,
     interrupted_by_sigterm,
     node_arguments,
-    private_domain_environment,
+    refuse_made_up_time,
+    stay_on_this_machine,
 )
+from beam_ros.progress import Progress
 from beam_ros.rig import Rig
 
 _START_TIMEOUT_S = 30.0
@@ -49,18 +51,21 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
     RigUnavailableError
         A node fell, did not answer or refused.
     """
+    refuse_made_up_time(rig, kind)
+    plan = plan_excitation(rig)
+    factor = rig.number("simulation.real_time_factor")
+    length_s = (rig.number("excitation.start_delay") + plan.sampled.duration_s) / factor
+    make_folder(folder)
     with ExitStack() as stack:
         stack.enter_context(interrupted_by_sigterm())
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="beam-rig-")))
         domain = PrivateDomain()
         stack.callback(domain.release)
-        environment = private_domain_environment(domain.number, scratch / "ros")
-        os.environ.update(environment)
-        folder.mkdir(parents=True, exist_ok=True)
+        stay_on_this_machine(os.environ, domain.number, scratch / "ros")
         rig_here = _rig_for_run(rig, kind, folder, scratch, record_images)
-        nodes = stack.enter_context(NodeGroup(environment, folder / "logs"))
+        nodes = stack.enter_context(NodeGroup(folder / "logs"))
         try:
-            result = _experiment(rig_here, kind, nodes, domain.number)
+            result = _experiment(rig_here, kind, nodes, domain.number, length_s)
         finally:
             with Progress("stop", 1) as stage:
                 statuses = nodes.end()
@@ -94,7 +99,7 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
     return here
 
 
-def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[str, Any]:
+def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int, length_s: float) -> dict[str, Any]:
     rig_file = nodes.log_folder.parent / "rig.yaml"
     with Progress("start", _START_TIMEOUT_S, "s") as stage:
         rig_nodes = nodes_of_rig(kind, with_camera_images=bool(rig["simulation.images"]))
@@ -110,10 +115,10 @@ def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int) -> dict[
                 stage.update,
             )
             stage.finish(f"{len(nodes.nodes)} nodes on domain {domain}, this machine only")
-            return _measure_and_identify(rig, client)
+            return _measure_and_identify(rig, client, length_s)
 
 
-def _measure_and_identify(rig: Rig, client: RigClient) -> dict[str, Any]:
+def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[str, Any]:
     with Progress("home and enable", 30.0, "s") as stage:
         client.call("hub/home", timeout_s=30.0)
         if rig["simulation.images"]:
@@ -136,8 +141,7 @@ def _measure_and_identify(rig: Rig, client: RigClient) -> dict[str, Any]:
         "the recorder received nothing from hub and tracker",
         "look at bag_recorder.log",
     )
-    length = float(rig["excitation.duration"]) + float(rig["excitation.still"])  # type: ignore[arg-type]
-    with Progress(f"{rig['excitation.kind']}", length, "s") as stage:
+    with Progress(rig.text("excitation.kind"), length_s, "s") as stage:
         client.sequence = {}
         client.call("excitation/start", timeout_s=30.0)
         client.wait(
@@ -148,7 +152,7 @@ def _measure_and_identify(rig: Rig, client: RigClient) -> dict[str, Any]:
         )
         client.wait(
             lambda: client.sequence["state"] != "running",
-            length + 10.0,
+            length_s + 30.0,
             "the sequence did not end",
             "look at hub/sequence_state",
             lambda elapsed_s: stage.update(elapsed_s, _live(client)),

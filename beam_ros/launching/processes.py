@@ -15,15 +15,15 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
 from beam_ros.environment import child_environment
-from beam_ros.errors import RigUnavailableError
+from beam_ros.errors import RigUnavailableError, UsageError
 from beam_ros.executables import command
-from beam_ros.interfaces import NODES
+from beam_ros.interfaces import NODES, RigKind
 from beam_ros.rig import Rig
 
 _C_LIBRARY = ctypes.CDLL(None)
@@ -33,24 +33,36 @@ _ONE_THREAD_EACH = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """A node's matrices are small: more threads only take the processor from its neighbours."""
 
 
-def private_domain_environment(domain: int, log_folder: Path) -> dict[str, str]:
-    """Environment that keeps a graph on this machine and on a domain of its own.
+DISCOVERY_VARIABLES = (
+    "ROS_STATIC_PEERS",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_SUPER_CLIENT",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_SECURITY_ENABLE",
+    "ROS_SECURITY_STRATEGY",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
+    "RMW_IMPLEMENTATION",
+)
+"""What in a shell could lead a private graph off this machine or keep it from finding itself."""
+
+
+def stay_on_this_machine(environ: MutableMapping[str, str], domain: int, log_folder: Path) -> None:
+    """Change an environment so that its processes' graph stays on this machine, on a domain of its own.
 
     Parameters
     ----------
+    environ : mutable mapping -- usually `os.environ`, from which child processes inherit
     domain : int -- ROS_DOMAIN_ID, 1 to 101
     log_folder : Path -- where the nodes' logs go
-
-    Returns
-    -------
-    dict -- variables to add to a process's environment
     """
-    return {
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-        "ROS_LOG_DIR": str(log_folder),
-    }
+    for name in DISCOVERY_VARIABLES:
+        environ.pop(name, None)
+    environ["ROS_DOMAIN_ID"] = str(domain)
+    environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+    environ["ROS_LOG_DIR"] = str(log_folder)
 
 
 class PrivateDomain:
@@ -86,6 +98,22 @@ class PrivateDomain:
         self._file.close()
 
 
+def refuse_made_up_time(rig: Rig, kind: RigKind) -> None:
+    """Raise where something else than the simulator should run in simulated time.
+
+    Raises
+    ------
+    UsageError
+        The real-time factor is not 1 and the rig is not the simulated one.
+    """
+    factor = rig.number("simulation.real_time_factor")
+    if factor != 1.0 and kind is not RigKind.SIMULATED:
+        raise UsageError(
+            f"simulation.real_time_factor is {factor:g} with the {kind.value} rig: expected 1, because a device and "
+            "its serial line keep real time; use --rig simulated"
+        )
+
+
 def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "") -> tuple[str, ...]:
     """ROS arguments that start a node on a rig file.
 
@@ -100,10 +128,11 @@ def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "
     -------
     tuple of str -- where simulated time does not run in real time, everybody but the simulator follows `/clock`
     """
+    factor = rig.number("simulation.real_time_factor")
     words = ["--ros-args", "--params-file", str(rig_file)]
     if namespace:
         words += ["-r", f"__ns:=/{namespace.strip('/')}"]
-    if executable != "simulator" and rig.number("simulation.real_time_factor") != 1.0:
+    if executable != "simulator" and factor != 1.0:
         words += ["-p", "use_sim_time:=true"]
     return tuple(words)
 
@@ -167,11 +196,9 @@ class NodeGroup:
 
     Parameters
     ----------
-    environment : mapping -- variables added to the children's environment
     log_folder : Path -- one log file a node
     """
 
-    environment: Mapping[str, str]
     log_folder: Path
     nodes: list[NodeProcess] = field(default_factory=list)
 
@@ -193,7 +220,7 @@ class NodeGroup:
         with log.open("wb") as stream:
             process = subprocess.Popen(
                 [*command(executable), *arguments],
-                env=child_environment({**_ONE_THREAD_EACH, **self.environment}),
+                env=child_environment(_ONE_THREAD_EACH),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,

@@ -5,7 +5,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from beam_ros import messages
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+from beam_ros import interfaces, messages
 from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
 from beam_ros.excitation_plan import ExcitationPlan, plan_excitation
@@ -14,6 +17,10 @@ from beam_ros.nodes.shell import RigNode, run_node
 
 _CHUNKS_PER_TICK = 4
 _TICK_S = 0.02
+_MARGIN_S = 1.0
+"""Between the last chunk and the start, for the hub to check the whole."""
+_ANSWER_S = 10.0
+"""Patience with a hub that does not answer."""
 
 
 class ExcitationGenerator(RigNode):
@@ -28,9 +35,14 @@ class ExcitationGenerator(RigNode):
         self._current = ""
         self._outgoing: list[bytes] = []
         self.listen("hub/sequence_state", self._on_sequence_state)
-        self.serve("excitation/start", self._on_start)
-        self.serve("excitation/stop", self._on_stop)
-        self._hub_stop = self.create_client(self.types.service_class("std_srvs/srv/Trigger"), "hub/stop")
+        self._verdict: tuple[Future, float] | None = None
+        # Both answer when the hub has; in a group of their own they keep nothing else waiting.
+        group = ReentrantCallbackGroup()
+        self.serve("excitation/start", self._on_start, callback_group=group)
+        self.serve("excitation/stop", self._on_stop, callback_group=group)
+        self._hub_stop = self.create_client(
+            self.types.service_class(interfaces.TRIGGER), "hub/stop", callback_group=group
+        )
         self.create_timer(_TICK_S, self._send)
         self._plan = plan_excitation(self.rig)
         self._publish_info(self._plan, {})
@@ -44,16 +56,30 @@ class ExcitationGenerator(RigNode):
         except MessageContentError as err:
             self.get_logger().warning(str(err), throttle_duration_sec=5.0)
             return
-        if self._state.get("id") == self._current and self._state.get("state") == "refused":
+        if self._state.get("id") != self._current:
+            return
+        if self._state.get("state") == "refused":
             self._outgoing.clear()
-            self.get_logger().error(f"the hub refused: {self._state.get('reason')}")
+            self._answer(False, f"the hub refused {self._current}: {self._state.get('reason')}")
+        elif self._state.get("state") in ("ready", "running", "done"):
+            self._answer(True, f"{self._current} starts")
+
+    def _answer(self, success: bool, message: str) -> None:
+        if self._verdict is not None:
+            future, _ = self._verdict
+            self._verdict = None
+            future.set_result((success, message))
 
     @property
     def _is_busy(self) -> bool:
         ours = self._state.get("id") == self._current
-        return bool(self._outgoing) or (ours and self._state.get("state") in ("loading", "ready", "running"))
+        return (
+            self._verdict is not None
+            or bool(self._outgoing)
+            or (ours and self._state.get("state") in ("loading", "ready", "running"))
+        )
 
-    def _on_start(self, _request: Any, response: Any) -> Any:
+    async def _on_start(self, _request: Any, response: Any) -> Any:
         if self._is_busy:
             response.success, response.message = False, f"sequence {self._current} is under way"
             return response
@@ -69,26 +95,31 @@ class ExcitationGenerator(RigNode):
         self._started += 1
         self._current = f"{self.rig.text('excitation.kind')}-{time.time_ns() // 1_000_000}-{self._started}"
         period_ns = round(plan.sampled.period_s * 1e9)
-        start_ns = self.now_ns() + round(self.rig.number("excitation.start_delay") * 1e9)
+        handing_over_s = len(plan.values) / messages.MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S + _MARGIN_S
+        delay_s = max(self.rig.number("excitation.start_delay"), handing_over_s)
+        start_ns = self.now_ns() + round(delay_s * 1e9)
         chunks = messages.split_sequence(self._current, start_ns, period_ns, plan.values)
         self._outgoing = [encode_chunk(chunk, plan.mode) for chunk in chunks]
         self._publish_info(plan, {"sequence_id": self._current, "start_ns": start_ns})
-        response.success = True
-        response.message = f"{self._current}: {len(plan.values)} samples in {len(chunks)} chunks"
+        future = Future()
+        self._verdict = (future, time.monotonic() + delay_s + _ANSWER_S)
+        response.success, response.message = await future
         return response
 
     def _send(self) -> None:
         for chunk in self._outgoing[:_CHUNKS_PER_TICK]:
             self._sequence.publish(chunk)
         del self._outgoing[:_CHUNKS_PER_TICK]
+        if self._verdict is not None and time.monotonic() > self._verdict[1]:
+            self._answer(False, f"the hub said nothing of {self._current}: is a hub on this graph?")
 
-    def _on_stop(self, _request: Any, response: Any) -> Any:
+    async def _on_stop(self, _request: Any, response: Any) -> Any:
         self._outgoing.clear()
         if not self._hub_stop.service_is_ready():
             response.success, response.message = False, "hub/stop is not there: use the switch on the axis"
             return response
-        self._hub_stop.call_async(self._hub_stop.srv_type.Request())
-        response.success, response.message = True, "hub/stop called"
+        stopped = await self._hub_stop.call_async(self._hub_stop.srv_type.Request())
+        response.success, response.message = stopped.success, f"hub/stop: {stopped.message}"
         return response
 
     def health(self) -> tuple[str, str, dict[str, object]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,16 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args
 
 from beam_ros import interfaces, messages, schema
-from beam_ros.errors import ParameterFileError, RigError, faults_of_the_user
+from beam_ros.errors import ParameterFileError, RigError, UsageError, faults_of_the_user
 from beam_ros.messages import RosTypes
 from beam_ros.rig import Rig
 
 FAULT_OF_THE_USER = 2
+_GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
+"""What rclpy raises in a callback when a signal shuts the graph down between two of its lines."""
 
 
 def qos_profile(qos: interfaces.QualityOfService) -> QoSProfile:
@@ -194,9 +196,8 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
         if isinstance(err, faults_of_the_user()):
             print(f"{build.__module__.rpartition('.')[2]}: {err}", file=sys.stderr)  # noqa: T201
             status = FAULT_OF_THE_USER
-        elif rclpy.ok():
+        elif rclpy.ok() or type(err).__name__ not in _GRAPH_IS_GONE:
             raise
-        # else: a signal came between two lines of a callback, whose next publish found the graph gone
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
@@ -218,6 +219,12 @@ def _initialise(arguments: list[str]) -> None:
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     for path in files:
         schema.read_yaml(Path(path))
+    surplus = remove_ros_args(arguments)[1:]
+    if surplus:
+        raise UsageError(
+            f"unknown arguments {' '.join(surplus)}: expected --ros-args [-p name:=value] [--params-file FILE] "
+            "[-r from:=to]"
+        )
     try:
         rclpy.init(args=arguments)
     except Exception as err:
@@ -226,13 +233,3 @@ def _initialise(arguments: list[str]) -> None:
             f"ROS refuses the arguments {' '.join(arguments[1:])}: {reason}; expected "
             "--ros-args [-p name:=value] [--params-file FILE] [-r from:=to]"
         ) from err
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float, node: Node) -> bool:
-    """Spin a node that has no executor of its own until a condition holds or the time is over."""
-    end = time.monotonic() + timeout_s
-    while rclpy.ok() and not condition():
-        if time.monotonic() > end:
-            return False
-        rclpy.spin_once(node, timeout_sec=0.05)
-    return condition()

@@ -169,8 +169,13 @@ class VisionTracker(RigNode):
     async def _on_tare(self, _request: Any, response: Any) -> Any:
         try:
             frames = await self._next_frames()
-            self._calibration = self._calibration.tare(frames.columns, frames.sigmas)
-            response.success, response.message = True, f"zero from {len(frames.columns)} frames"
+            # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
+            away_m = 0.0 if math.isnan(self._hub_position) else self._hub_position
+            scales = np.asarray(self._calibration.pixels_per_metre) * self._calibration.direction
+            columns = np.asarray(frames.columns) - scales * away_m
+            self._calibration = self._calibration.tare(columns, frames.sigmas)
+            response.success = True
+            response.message = f"zero from {len(frames.columns)} frames, the hub at {away_m * 1e3:+.3f} mm"
         except CalibrationError as err:
             response.success, response.message = False, str(err)
         return response

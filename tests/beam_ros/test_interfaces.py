@@ -6,7 +6,7 @@ import pytest
 
 from beam_ros import interfaces
 from beam_ros.executables import MODULES
-from beam_ros.interfaces import NODES, SERVICES, TOPICS, Rig
+from beam_ros.interfaces import NODES, SERVICES, TOPICS, RigKind
 from beam_ros.messages import BagTypes
 
 
@@ -43,7 +43,7 @@ def test_commands_are_marked_so_that_no_replay_moves_an_axis() -> None:
     assert {name for name, topic in TOPICS.items() if topic.is_command} == {"hub/setpoint", "hub/sequence"}
 
 
-@pytest.mark.parametrize("rig", list(Rig))
-def test_every_rig_has_exactly_one_hub(rig: Rig) -> None:
+@pytest.mark.parametrize("rig", list(RigKind))
+def test_every_rig_has_exactly_one_hub(rig: RigKind) -> None:
     nodes = interfaces.nodes_of_rig(rig)
     assert [NODES[name].name for name in nodes].count("hub") == 1

@@ -75,7 +75,7 @@ def test_parameters_that_do_not_go_together_are_refused(change: dict[str, object
         ("", "holds no parameters"),
         ("a: [1, 2", "no valid YAML"),
         ("beam: {length: 0.3}", "no set of ROS parameters"),
-        ("/tracker: {ros__parameters: {camera: {rate: 50.0}}}", "no `/**`"),
+        ("/tracker: {ros__parameters: {camera: {rate: 50.0}}}", "`/**` alone"),
         ("/**: {ros__parameters: {beam: {length: -1.0}}}", "beam.length is -1.0 m"),
         ("/**: {ros__parameters: {beam: {lenght: 1.0}}}", "did you mean"),
         ("/**: {ros__parameters: }", "empty"),

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from beam_ros.executables import MODULES
-from beam_ros.interfaces import NODES, Rig, nodes_of_rig
+from beam_ros.interfaces import NODES, RigKind, nodes_of_rig
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("beam_ros", "beam_model", "beam_ident")
@@ -107,8 +107,8 @@ def test_every_module_is_found_by_setuptools_and_typed(setup_arguments: dict[str
             assert dotted in setup_arguments["packages"], f"{path} has no __init__.py beside it"
 
 
-@pytest.mark.parametrize("rig", list(Rig))
-def test_the_launch_file_starts_the_rig_of_the_table(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("rig", list(RigKind))
+def test_the_launch_file_starts_the_rig_of_the_table(rig: RigKind, monkeypatch: pytest.MonkeyPatch) -> None:
     """The ROS packages `launch` and `launch_ros` have no wheels: stand-ins record what they are given."""
 
     class Recorder:

@@ -55,6 +55,11 @@ def _write(folder: Path, text: str) -> None:
         (("up", "--rig", "imaginary"), ("imaginary", "simulated")),
         (("demo", "--rig", "real"), ("real", "emulated")),
         (("demo", "--out", "."), ("not an empty folder",)),
+        (("demo", "--out", "rig.yaml/run"), ("rig.yaml/run", "no folder for results")),
+        (("model", "--plot", "rig.yaml/plots"), ("no folder for results",)),
+        (("design", "-p", "excitation.end_frequency:=800.0"), ("500 Hz", "hub.period")),
+        (("demo", "--rig", "emulated", "-p", "simulation.real_time_factor:=0.5"), ("expected 1", "emulated")),
+        (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
     ],
 )
 def test_a_fault_of_the_users_is_one_line_and_status_2(

@@ -10,7 +10,9 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
+from beam_ros.errors import RigUnavailableError
 from beam_ros.interfaces import TOPICS
+from beam_ros.launching.processes import NodeGroup, PrivateDomain, stay_on_this_machine
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -73,19 +75,35 @@ def test_an_interrupted_demo_ends_every_process(executables, number: signal.Sign
     assert "ended with status 0" in demo.output()
 
 
-def test_a_fallen_node_ends_the_demo_with_its_last_words(executables, tmp_path: Path) -> None:
+def test_an_excitation_that_leaves_a_limit_is_refused_before_anything_starts(
+    executables, tmp_path: Path
+) -> None:
     demo = executables.run(
-        "beam",
-        "demo",
-        "--rig",
-        "emulated",
-        "--out",
-        "run",
-        "-p",
-        "excitation.acceleration:=3.0",
-        timeout_s=60.0,
+        "beam", "demo", "--out", "run", "-p", "excitation.acceleration:=3.0", timeout_s=30.0
     )
     assert demo.process.returncode == 2
-    assert "excitation_generator" in demo.output()
+    assert len(demo.output().strip().splitlines()) == 1
     assert "predicted tip deflection" in demo.output()
-    assert "Traceback" not in demo.output()
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_fallen_node_is_told_with_its_last_words(tmp_path: Path) -> None:
+    with NodeGroup(tmp_path / "logs") as nodes:
+        nodes.start("hub_driver", ("--ros-args", "-p", "serial.port:=/dev/ttyNOWHERE0")).process.wait(20.0)
+        with pytest.raises(RigUnavailableError, match=r"hub_driver ended with status 2.*ttyNOWHERE0"):
+            nodes.check()
+
+
+def test_what_a_shell_says_of_discovery_does_not_reach_a_private_graph(tmp_path: Path) -> None:
+    environ = {"ROS_STATIC_PEERS": "192.0.2.1", "ROS_DISCOVERY_SERVER": "192.0.2.1:11811", "HOME": "/"}
+    stay_on_this_machine(environ, 5, tmp_path)
+    assert "192.0.2.1" not in "".join(environ.values())
+    assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert environ["HOME"] == "/"
+
+
+def test_two_private_domains_are_never_the_same() -> None:
+    first, second = PrivateDomain(), PrivateDomain()
+    assert first.number != second.number
+    first.release()
+    second.release()
