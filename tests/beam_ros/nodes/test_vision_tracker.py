@@ -112,4 +112,5 @@ def test_calibration_against_the_hubs_encoder_finds_scale_and_zero(tracker) -> N
         messages.image(tracker.types, stamp + 10_000_000, renderer.render(np.full(3, 0.015), rng))
     )
     tracker.wait(lambda: bool(tracker.seen), "a displacement")
-    assert tracker.seen[-1].positions == pytest.approx([0.0] * 3, abs=2e-5)  # 5 sd of one frame
+    # u is absolute: 15 mm from home it reads 15 mm after a tare, too. 5 sd of one frame.
+    assert tracker.seen[-1].positions == pytest.approx([0.015] * 3, abs=2e-5)
