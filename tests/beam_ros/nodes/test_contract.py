@@ -23,9 +23,10 @@ pytest.importorskip("rclpy")
 @pytest.fixture
 def rigs(executables, graph, tmp_path: Path):
     """Both rigs running: namespaces `a` (simulator) and `b` (emulator and driver)."""
-    quiet = ("-p", "simulation.images:=false")
+    patient = ("-p", "hub.watchdog:=1.0")  # a busy computer is not what is tested here
+    quiet = ("-p", "simulation.images:=false", *patient)
     port = tmp_path / "controller"
-    linked = ("-p", f"emulator.port_link:={port}", "-p", f"serial.port:={port}")
+    linked = ("-p", f"emulator.port_link:={port}", "-p", f"serial.port:={port}", *patient)
     executables.start("simulator", "--ros-args", "-r", "__ns:=/a", *quiet)
     executables.start("firmware_emulator", "--ros-args", "-r", "__ns:=/b", *linked).wait_for(
         "motion controller on"
