@@ -53,16 +53,21 @@ def run(arguments: argparse.Namespace) -> int:
             "-p serial.port:=/dev/ttyACM0"
         )
     refuse_made_up_time(rig, kind)
-    logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
     from beam_ros.launching.client import RigClient
 
-    with interrupted_by_sigterm(), tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch:
+    with (
+        interrupted_by_sigterm(),
+        tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch,
+        RigClient(namespace=arguments.namespace) as client,
+    ):
+        client.refuse_live_hub()
+        logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
         if kind is RigKind.EMULATED:
             changes.update(emulated_port(rig.text("serial.port") or f"{scratch}/controller"))
         rig_file = logs.parent / "rig.yaml"
         rig.with_values(changes).write(rig_file)
-        with NodeGroup(logs) as nodes, RigClient(nodes.check, namespace=arguments.namespace) as client:
-            client.refuse_live_hub()
+        with NodeGroup(logs) as nodes:
+            client.check = nodes.check
             for executable in executables:
                 nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
             client.wait(
@@ -72,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
                 f"look at the nodes' logs in {logs}",
             )
             print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")
-            print(f"ROS {client.reach()}; Ctrl-C ends it", flush=True)
+            print(f"{client.reach()}; Ctrl-C ends it", flush=True)
             try:
                 while True:
                     nodes.check()

@@ -32,6 +32,7 @@ class RigClient:
 
     Attributes
     ----------
+    check : callable -- called while waiting; raises when a node has fallen
     displacement : dict -- newest u by marker's name [m]; NaN where it was not seen
     hub_position : float -- newest hub position [m]
     sequence : dict -- newest `hub/sequence_state`
@@ -40,11 +41,11 @@ class RigClient:
     """
 
     def __init__(self, check: Callable[[], None] = lambda: None, *, namespace: str = "") -> None:
-        """Join the graph; `check` is called while waiting and raises when a node has fallen."""
+        """Join the graph; see the attributes for `check`."""
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("experimenter", namespace=namespace)
         self._types = RosTypes()
-        self._check = check
+        self.check = check
         self.displacement: dict[str, float] = {}
         self.hub_position = math.nan
         self.sequence: dict[str, Any] = {}
@@ -141,7 +142,7 @@ class RigClient:
             elapsed = time.monotonic() - start
             if elapsed > timeout_s:
                 raise RigUnavailableError(f"{what} within {timeout_s:g} s; {remedy}")
-            self._check()
+            self.check()
             on_tick(elapsed)
             rclpy.spin_once(self._node, timeout_sec=_SPIN_S)
 
