@@ -20,7 +20,8 @@ from beam_ros.messages import RosTypes
 from beam_ros.nodes.shell import qos_profile
 
 _SPIN_S = 0.05
-_LOOK_ROUND_S = 1.0
+_LOOK_ROUND_S = 3.5
+"""Under load two nodes take seconds to find each other [s]."""
 MAX_CLOCK_SD_NS = 50_000
 """Standard deviation of the clock map below which an experiment may start [ns]."""
 
@@ -93,7 +94,7 @@ class RigClient:
         return f"ROS_DOMAIN_ID={domain}, range {os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')}"
 
     def refuse_live_hub(self) -> None:
-        """Look round for a second and raise where a hub is on the graph already.
+        """Look round and raise where a hub is on the graph already.
 
         Raises
         ------
