@@ -30,7 +30,7 @@ from beam_ident import (
 from beam_model import BeamModel
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag, Displacements, HubSamples
-from beam_ros.errors import UsageError
+from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.folders import make_folder
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.rig import Rig
@@ -107,7 +107,13 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
                     f"{path}: has no excitation/info that describes its rig; give the rig file it was recorded "
                     "with (--rig-file)"
                 )
-            rig = Rig.from_nested(info["rig"])
+            try:
+                rig = Rig.from_nested(info["rig"])
+            except (ParameterFileError, AttributeError) as err:
+                raise UsageError(
+                    f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the rig "
+                    "file it was recorded with (--rig-file)"
+                ) from err
         mode = str(info.get("mode", rig.text("hub.command_mode")))
         if mode not in _STRUCTURE_OF_MODE:
             raise BagError(
