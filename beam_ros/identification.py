@@ -111,8 +111,8 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
                 rig = Rig.from_nested(info["rig"])
             except (ParameterFileError, AttributeError) as err:
                 raise UsageError(
-                    f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the rig "
-                    "file it was recorded with (--rig-file)"
+                    f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the "
+                    "rig file it was recorded with (--rig-file)"
                 ) from err
         mode = str(info.get("mode", rig.text("hub.command_mode")))
         if mode not in _STRUCTURE_OF_MODE:
