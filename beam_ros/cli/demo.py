@@ -46,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(result, indent=2))
         return 0
     print(f"\n{format_table(result)}\n")
+    for line in (*result["notes"], *result["warnings"]):
+        print(f"note: {line}")
     print(f"report   {result['report']}\nmodel    {result['model']}\nbag      {result['bag']}")
     print(f"took     {time.monotonic() - started:.0f} s")
     return 0
