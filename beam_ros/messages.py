@@ -27,9 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 from beam_ros import interfaces
 from beam_ros.errors import RigError, RosMissingError
 from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch, SequenceChunk, SequenceReport
+from beam_ros.hub.sequences import MAX_CHUNK_POINTS
 
 SECOND_NS = 1_000_000_000
-MAX_CHUNK_POINTS = 500
 
 MODE_FIELDS = {
     "position": "positions",

@@ -31,7 +31,7 @@ VERBS: dict[str, str] = {
     "identify": "a continuous-time model with common poles from a bag",
 }
 
-OK, FAILED, FAULT_OF_THE_USER, INTERRUPTED = 0, 1, 2, 130
+OK, FAULT_OF_THE_USER, INTERRUPTED = 0, 2, 130
 
 
 class _Parser(argparse.ArgumentParser):

@@ -25,13 +25,6 @@ AxisEventKind = Literal["sequence_running", "sequence_done", "sequence_aborted",
 EventLevel = Literal["info", "warning", "error"]
 
 REQUEST_KINDS: tuple[RequestKind, ...] = ("enable", "disable", "home", "stop", "clear_fault")
-AXIS_EVENT_KINDS: tuple[AxisEventKind, ...] = (
-    "sequence_running",
-    "sequence_done",
-    "sequence_aborted",
-    "sequence_underrun",
-    "state",
-)
 AXIS_STATES: tuple[AxisState, ...] = ("disconnected", "identified", "homed", "enabled", "fault")
 
 

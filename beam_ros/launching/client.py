@@ -16,13 +16,14 @@ from rclpy.signals import SignalHandlerOptions
 
 from beam_ros import interfaces, messages
 from beam_ros.errors import RigUnavailableError
+from beam_ros.hub.parameters import HubParameters
 from beam_ros.messages import RosTypes
 from beam_ros.nodes.shell import qos_profile
 
 _SPIN_S = 0.05
 _LOOK_ROUND_S = 3.5
 """Under load two nodes take seconds to find each other [s]."""
-MAX_CLOCK_SD_NS = 50_000
+MAX_CLOCK_SD_NS = HubParameters.max_clock_sd_ns
 """Standard deviation of the clock map below which an experiment may start [ns]."""
 
 

@@ -12,6 +12,7 @@ from beam_ros import interfaces, messages
 from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
 from beam_ros.excitation_plan import ExcitationPlan, plan_excitation
+from beam_ros.hub.sequences import MAX_CHUNK_POINTS
 from beam_ros.messages import MessageContentError
 from beam_ros.nodes.shell import RigNode, run_node
 
@@ -95,7 +96,7 @@ class ExcitationGenerator(RigNode):
         self._started += 1
         self._current = f"{self.rig.text('excitation.kind')}-{time.time_ns() // 1_000_000}-{self._started}"
         period_ns = round(plan.sampled.period_s * 1e9)
-        handing_over_s = len(plan.values) / messages.MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S + _MARGIN_S
+        handing_over_s = len(plan.values) / MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S + _MARGIN_S
         delay_s = max(self.rig.number("excitation.start_delay"), handing_over_s)
         start_ns = self.now_ns() + round(delay_s * 1e9)
         chunks = messages.split_sequence(self._current, start_ns, period_ns, plan.values)
