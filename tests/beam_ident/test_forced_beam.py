@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ident import ModalStructure, Prior, identify
-from benchmarks.ident import DRIFTING, PLAIN, ForcedBeam, foreign_clock, jittered
+from benchmarks.ident.forced_beam import DRIFTING, PLAIN, ForcedBeam, foreign_clock, jittered
 
 FREE = Prior(0.0, np.inf)
 

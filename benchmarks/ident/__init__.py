@@ -1,0 +1,1 @@
+"""Seeded studies of the identification, in units of the Cramer-Rao bound."""

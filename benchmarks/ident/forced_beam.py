@@ -1,0 +1,146 @@
+"""A lightly damped beam of three modes under force, seen at two points."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from beam_ident import InputSignal, ModalModel, ModalStructure, OutputSignal, Prior, TimeRecord, identify
+from benchmarks.ident.study import AgainstBound, Outcome, Study
+
+FREE, FIXED = Prior(0.0, np.inf), Prior(0.0, 0.0)
+Make = Callable[["ForcedBeam", int, float], TimeRecord]
+
+
+class ForcedBeam:
+    """The three-mode beam under force: 2.3, 14.4 and 40 Hz, 200 samples a second, two points."""
+
+    omegas = 2.0 * np.pi * np.array([2.3, 14.4, 40.0])
+    zetas = np.array([0.02, 0.01, 0.005])
+    gains = np.array([[1.0, -0.25, 0.08], [0.05, 0.08, -0.06]])
+    period = 0.005
+    n = 10000
+    names = ("tip", "root")
+
+    def __init__(self) -> None:
+        times = self.period * np.arange(self.n)
+        phase = 2.0 * np.pi * (0.5 * times + 0.5 * 49.5 / times[-1] * times**2)
+        self.drive = InputSignal("force", "N", (0.0, self.period), np.sin(phase), "zoh")
+        size = 2 * 3 + 2 + 2 * 5
+        self.model = ModalModel(
+            "receptance",
+            "force",
+            self.names,
+            self.omegas,
+            self.zetas,
+            self.gains * self.omegas**2,
+            np.zeros(2),
+            np.zeros(2),
+            0.0,
+            0.0,
+            np.zeros((size, size)),
+            np.ones(2),
+        )
+        self.truth = np.concatenate([self.omegas, self.zetas])
+
+    def record(
+        self,
+        seed: int,
+        snr_db: float,
+        stamps: np.ndarray | None = None,
+        true_times: np.ndarray | None = None,
+        drift: tuple[float, float] = (0.0, 0.0),
+        start_s: float = 0.0,
+        quiet: float = 1.0,
+    ) -> TimeRecord:
+        """Return a noisy record; ``quiet`` scales the noise, for the bound."""
+        if stamps is None:
+            stamps = self.period * np.arange(self.n)
+        clean = self.model.simulate(self.drive, stamps if true_times is None else true_times)
+        sigma = np.std(clean, axis=0) / 10 ** (snr_db / 20)
+        noisy = clean + quiet * sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+        noisy = noisy + sigma * (drift[0] + drift[1] * (stamps / stamps[-1])[:, None])
+        outputs = tuple(OutputSignal(name, "m", stamps, noisy[:, j]) for j, name in enumerate(self.names))
+        record = TimeRecord((self.drive,), outputs)
+        return record if start_s == 0.0 else record.between(start_s, 1e9)
+
+
+PLAIN = ModalStructure("receptance", False, False, False, False)
+DRIFTING = ModalStructure("receptance", False, True, True, True)
+
+
+def jittered(snr_db: float) -> Make:
+    """Return records whose stamps scatter by a tenth of the period."""
+
+    def make(beam: ForcedBeam, seed: int, quiet: float) -> TimeRecord:
+        scatter = np.random.default_rng(77).uniform(-0.1, 0.1, beam.n)
+        stamps = np.clip(beam.period * (np.arange(beam.n) + scatter), 0.0, None)
+        stamps[0] = 0.0
+        return beam.record(seed, snr_db, stamps, quiet=quiet)
+
+    return make
+
+
+def foreign_clock(beam: ForcedBeam, seed: int, quiet: float) -> TimeRecord:
+    """Return records of a camera that is 2 ms late, runs fast by 0.1 % and drops ten frames."""
+    times = beam.period * np.arange(10, beam.n - 30)
+    dropped = np.random.default_rng(5).choice(len(times), 10, replace=False)
+    times = np.delete(times, dropped)
+    middle = 0.5 * (times[0] + times[-1])
+    stamps = middle + 2e-3 + (times - middle) * 1.001
+    return beam.record(seed, 20.0, stamps, times, quiet=quiet)
+
+
+def plain(snr_db: float) -> Make:
+    """Return records with exact stamps."""
+    return lambda beam, seed, quiet: beam.record(seed, snr_db, quiet=quiet)
+
+
+def drifting(beam: ForcedBeam, seed: int, quiet: float) -> TimeRecord:
+    """Return records that begin in motion, with an offset and a ramp."""
+    return beam.record(seed, 20.0, drift=(20.0, 30.0), start_s=3.0, quiet=quiet)
+
+
+class ForcedBeamCase(AgainstBound):
+    """Natural frequencies and damping ratios without a hint; the bound is the information at the truth."""
+
+    def __init__(
+        self, make: Make, structure: ModalStructure = PLAIN, clock: tuple[Prior, Prior] = (FIXED, FIXED)
+    ) -> None:
+        self.beam = ForcedBeam()
+        self.make, self.structure, self.clock = make, structure, clock
+        quiet = identify(make(self.beam, 10**6, 1e-3), structure, 3, *clock).model
+        self.bound = 1e3 * np.concatenate([quiet.natural_frequency_sd, quiet.damping_ratio_sd])
+        self.truth = self.beam.truth
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; another number of modes is a failure."""
+        record = self.make(self.beam, seed, 1.0)
+        start = time.perf_counter()
+        model = identify(record, self.structure, None, *self.clock).model
+        seconds = time.perf_counter() - start
+        if model.n_modes != 3:
+            return Outcome(seconds)
+        return Outcome(
+            seconds,
+            np.concatenate([model.natural_frequencies, model.damping_ratios]),
+            np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd]),
+        )
+
+
+STUDIES = {
+    **{
+        f"beam-{snr}": Study(f"forced beam {snr} dB", 2000, lambda snr=snr: ForcedBeamCase(plain(float(snr))))
+        for snr in (20, 10, 0)
+    },
+    "jitter-40": Study("jittered stamps 40 dB", 400, lambda: ForcedBeamCase(jittered(40.0))),
+    "jitter-60": Study("jittered stamps 60 dB", 400, lambda: ForcedBeamCase(jittered(60.0))),
+    "start": Study("unknown start, offset and ramp 20 dB", 400, lambda: ForcedBeamCase(drifting, DRIFTING)),
+    "clock": Study(
+        "2 ms late, 0.1 % fast, 10 frames dropped 20 dB",
+        400,
+        lambda: ForcedBeamCase(foreign_clock, PLAIN, (FREE, FREE)),
+    ),
+}

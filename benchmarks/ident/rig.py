@@ -1,0 +1,108 @@
+"""The default rig from its physics, filmed at a hundred frames a second."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.signal import lfilter
+
+from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
+from beam_model import BeamModel, BeamParameters, Damping
+from benchmarks.ident.study import AgainstBound, Outcome, Study
+
+
+class Rig:
+    """The default rig from its physics: 14 modes, hub held at 1 kHz, three points, 100 frames a second."""
+
+    heights = (0.010, 0.225, 0.285)
+    names = ("z010", "z225", "z285")
+    exposure = 5e-3
+
+    def __init__(self) -> None:
+        parameters = BeamParameters.from_section(
+            0.30,
+            0.025,
+            0.0005,
+            7850.0,
+            200e9,
+            hub_mass=0.8,
+            gravity="upright",
+            damping=Damping(ratios=(0.005,)),
+        )
+        model = BeamModel(parameters, n_modes=14)
+        heights = np.array(self.heights)
+        residues = np.asarray(model.motion_residues(heights))
+        size = 2 * 14 + 2 + 3 * 16
+        self.full = ModalModel(
+            "acceleration",
+            "hub",
+            self.names,
+            model.natural_frequencies[:14],
+            np.full(14, 0.005),
+            residues,
+            np.asarray(model.residual_terms(heights)),
+            np.ones(3),
+            0.0,
+            0.0,
+            np.zeros((size, size)),
+            np.ones(3),
+        )
+        self.excitation = LogChirp().sample()
+        self.stamps = 0.01 * np.arange(1, 2999)
+        self.clean = self.full.simulate(
+            self.excitation.input_signal("acceleration"), self.stamps, self.exposure
+        )
+        self.truth = np.concatenate(
+            [self.full.natural_frequencies[:3], np.full(3, 0.005), residues[:, :3].ravel()]
+        )
+
+    def record(self, seed: int, quiet: float, encoder: float, colour: float) -> TimeRecord:
+        """Return a record with camera noise of 5 um, an encoder's noise [m] and a colour of AR(1)."""
+        rng = np.random.default_rng(seed)
+        positions = self.excitation.positions
+        if encoder > 2e-7:
+            positions = positions + encoder * rng.standard_normal(len(positions))
+        else:
+            positions = encoder * np.round(positions / encoder + rng.uniform(-0.5, 0.5))
+        sigma = encoder if encoder > 2e-7 else encoder / np.sqrt(12.0)
+        drive = InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic", sigma)
+        white = rng.standard_normal((self.clean.shape[0] + 200, 3))
+        noise = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], white, axis=0)[200:]
+        values = self.clean + 5e-6 * quiet * noise
+        outputs = [
+            OutputSignal(n, "m", self.stamps, values[:, j], self.exposure) for j, n in enumerate(self.names)
+        ]
+        return TimeRecord((drive,), tuple(outputs))
+
+
+def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return a model's frequencies, damping ratios and residues, and their standard deviations."""
+    parts = (model.natural_frequencies, model.damping_ratios, model.residues.ravel())
+    sds = (model.natural_frequency_sd, model.damping_ratio_sd, model.residue_sd.ravel())
+    return np.concatenate(parts), np.concatenate(sds)
+
+
+class RigCase(AgainstBound):
+    """Everything of three modes; the bound is that of white noise and an exact hub."""
+
+    def __init__(self, encoder: float, colour: float) -> None:
+        self.rig = Rig()
+        self.encoder, self.colour = encoder, colour
+        self.truth = self.rig.truth
+        self.bound = flat(identify(self.rig.record(10**6, 1.0, 1e-7, 0.0), n_modes=3).model)[1]
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; another number of modes is a failure."""
+        record = self.rig.record(seed, 1.0, self.encoder, self.colour)
+        start = time.perf_counter()
+        model = identify(record).model
+        seconds = time.perf_counter() - start
+        return Outcome(seconds, *flat(model)) if model.n_modes == 3 else Outcome(seconds)
+
+
+STUDIES = {
+    "rig": Study("rig, 0.1 um encoder, white camera noise", 400, lambda: RigCase(1e-7, 0.0)),
+    "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(1e-7, 0.7)),
+    "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(1e-6, 0.0)),
+}
