@@ -16,6 +16,7 @@ from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.subspace import SubspaceModel, subspace_model
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
 from beam_ident.validation import InputCorrelation, Scores, Whiteness
@@ -46,6 +47,7 @@ __all__ = [
     "SampledExcitation",
     "Scores",
     "Step",
+    "SubspaceModel",
     "TimeRecord",
     "TransferFunctionModel",
     "TransferFunctionResult",
@@ -54,5 +56,6 @@ __all__ = [
     "compare_models",
     "estimate_transfer_function",
     "identify",
+    "subspace_model",
     "validate",
 ]

@@ -1,9 +1,10 @@
 """Direct estimation of B(s)/A(s) from sampled data: state-variable filters, SRIVC, output error.
 
-The chain that needs no hints: state-variable-filter least squares (LSSVF) over a
-portfolio of cut-offs, instrumental variables on the best (IVSVF), the simplified
-refined instrumental variable (SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt
-on the output error with the same exact gradients to finish.  Instruments and
+The chain that needs no hints: state-variable-filter least squares (LSSVF) and instrumental
+variables (IVSVF) over a portfolio of cut-offs and a subspace estimate (PO-MOESP), of which the
+best by simulated cost go on; the simplified refined instrumental variable (SRIVC; Young and
+Jakeman 1980); and Levenberg-Marquardt on the output error with the same exact gradients to
+finish.  Instruments and
 gradients are exact responses of ``s^i B / A^2`` to the held input, so that SRIVC's fixed
 point is the stationary point of the output-error cost; the interpolation of the
 *measured* output inside the filters only affects the way there.
@@ -25,6 +26,7 @@ from beam_ident.linear_solution import LinearSolution
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
 from beam_ident.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.records import TimeRecord
+from beam_ident.subspace import subspace_poles
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.validation import Scores, Whiteness
 
@@ -351,6 +353,7 @@ class _Estimation:
         for cutoff in self.cutoffs:
             for state in self._state_variable_filter(cutoff):
                 starts.append((state.cost, cutoff, state))
+        starts += self._subspace()
         starts = [s for s in starts if math.isfinite(s[0])]
         if not starts:
             raise EstimationError(
@@ -381,6 +384,19 @@ class _Estimation:
         state = problem.state(problem.rescale(state.theta, size))
         minimum = minimise(problem, state, 50)
         return self._result(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
+
+    def _subspace(self) -> list[tuple[float, float, _State]]:
+        """Return the starts that a subspace estimate gives, each with its cost and its unit of frequency."""
+        problem = self.problem
+        if self.method in ("lssvf", "ivsvf"):
+            return []
+        starts = []
+        times = problem.times - problem.delay
+        for poles in subspace_poles([problem.drive], times, problem.values[:, None], problem.n):
+            problem.scale = float(np.exp(np.mean(np.log(np.abs(poles)))))
+            state = problem.state(np.real(np.poly(poles / problem.scale))[1:])
+            starts.append((state.cost, problem.scale, state))
+        return starts
 
     def _state_variable_filter(self, cutoff: float) -> list[_State]:
         """Return the least-squares and the instrumental estimate behind one filter."""

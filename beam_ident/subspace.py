@@ -1,0 +1,319 @@
+"""State-space estimation without a start: past-output MOESP, and continuous-time poles from it.
+
+A block Hankel matrix of future outputs, freed of future inputs and correlated with the
+past, has the column space of the observability matrix (PO-MOESP; Verhaegen 1994).  One
+QR decomposition and one singular value decomposition give its basis, and the
+shift of the basis by one sample gives the poles, with no start, no iteration and no
+prior knowledge.  Its window must cover 0.2 to 0.5 periods of the slowest mode: with a
+given number of block rows, a longer window means averaging and decimating input and
+output alike.  The poles are not efficient, but they lie in the basin of the refined
+estimators, lightly damped modes under as much noise as signal included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr, svd
+
+from beam_ident.blas_threads import on_one_thread
+from beam_ident.errors import EstimationError
+from beam_ident.linear_solution import LinearSolution
+from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
+from beam_ident.rational_response import RationalResponse, upper_roots
+from beam_ident.records import TimeRecord
+from beam_ident.validation import Scores
+
+ComplexArray = NDArray[np.complex128]
+
+N_BLOCK_ROWS = 50
+
+_MAX_ORDER = 40
+_MAX_COLUMNS = 8000  # of the Hankel matrices, spread over longer records: a start needs no more
+_COLUMNS_PER_ROW = 1.5
+_WINDOW_STEP = 4  # between the windows of the portfolio
+_N_WINDOWS = 4
+_LEAST_DAMPING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceModel:
+    """What a subspace estimate found.
+
+    Attributes
+    ----------
+    poles : ndarray, shape (order,) -- of the continuous-time system [rad/s], stable
+    denominator : ndarray, shape (order + 1,) -- 1, a_1 .. a_n, descending powers of s
+    numerators : ndarray, shape (n_outputs, n_inputs, order + 1)
+        Descending powers of s; least squares on exact responses under the inputs' holds.
+    singular_values : ndarray -- of the projected outputs; a gap tells the order
+    period_s, window_s : float -- sampling of the Hankel matrices, and the time that half of one covers [s]
+    scores : tuple of Scores -- of the simulated outputs
+    input_names, output_names : tuple of str
+    """
+
+    poles: ComplexArray
+    denominator: FloatArray
+    numerators: FloatArray
+    singular_values: FloatArray
+    period_s: float
+    window_s: float
+    scores: tuple[Scores, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    @property
+    def natural_frequencies(self) -> FloatArray:
+        """Moduli of the complex pairs [rad/s], in order."""
+        return np.asarray(np.sort(np.abs(self.poles[self.poles.imag > 0.0])))
+
+    @property
+    def damping_ratios(self) -> FloatArray:
+        """Damping ratios of the complex pairs, in order of frequency."""
+        pairs = self.poles[self.poles.imag > 0.0]
+        pairs = pairs[np.argsort(np.abs(pairs))]
+        return np.asarray(-pairs.real / np.abs(pairs))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """Inputs and outputs on one regular grid, shapes (n, n_inputs) and (n, n_outputs)."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    period_s: float
+
+    def decimated(self, stride: int) -> _Sampled:
+        """Return the means over every ``stride`` samples; the same filter on both sides keeps the poles."""
+        if stride == 1:
+            return self
+        n = len(self.outputs) // stride * stride
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.asarray(values[:n].reshape(-1, stride, values.shape[1]).mean(axis=1))
+
+        return _Sampled(mean(self.inputs), mean(self.outputs), self.period_s * stride)
+
+
+@on_one_thread
+def subspace_model(
+    record: TimeRecord, order: int, window_s: float | None = None, n_block_rows: int = N_BLOCK_ROWS
+) -> SubspaceModel:
+    """Estimate a model of given order from all inputs to all outputs, with common poles.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        Outputs whose stamps are irregular or differ from output to output are interpolated
+        on a regular grid: good enough to start from, not to end on.
+    order : int -- number of poles, 1 to 40
+    window_s : float or None
+        Time that the future half of the Hankel matrices covers [s], 0.2 to 0.5 periods of
+        the slowest mode; None tries several and takes the one that simulates best.
+    n_block_rows : int -- of each half; fewer are taken for short records
+
+    Raises
+    ------
+    EstimationError
+        An impossible order or window, or too few samples for them.
+
+    Notes
+    -----
+    M. Verhaegen, Automatica 30 (1994), 61-74.  Constant and ramp are projected out, so that
+    offset and drift of an output do no harm.
+    """
+    if not 1 <= order <= _MAX_ORDER:
+        raise EstimationError(f"order is {order}; expected 1 to {_MAX_ORDER}")
+    if window_s is not None and not (math.isfinite(window_s) and window_s > 0.0):
+        raise EstimationError(f"window_s is {window_s}; expected a time > 0, or None for a choice")
+    if n_block_rows < 2:
+        raise EstimationError(f"n_block_rows is {n_block_rows}; expected at least 2")
+    drives = [drive.signal(margin_s=0.0) for drive in record.inputs]
+    first = max(drive.span_s[0] for drive in record.inputs)
+    last = min(drive.span_s[1] for drive in record.inputs)
+    signals = []
+    for output in record.outputs:
+        keep = output.is_valid & (output.times_s >= first) & (output.times_s <= last)
+        if np.count_nonzero(keep) < 2:
+            raise EstimationError(f"output {output.name!r} has no two samples while all inputs are known")
+        signals.append((output.times_s[keep], output.values[keep]))
+    sampled = _on_one_grid(drives, signals)
+    best: SubspaceModel | None = None
+    best_misfit = math.inf
+    for stride in _strides(sampled, order, window_s, n_block_rows):
+        found = _estimate(sampled.decimated(stride), order, n_block_rows)
+        if found is None:
+            continue
+        poles, values, window = found
+        numerators, residuals = _numerators(record, poles)
+        misfit = sum(
+            len(e) * math.log(max(float(e @ e), 1e-300) / float(np.sum((y - y.mean()) ** 2) or 1.0))
+            for e, (_, y) in zip(residuals, signals, strict=True)
+        )
+        if best is None or misfit < best_misfit:
+            scores = tuple(Scores.of(y, e) for e, (_, y) in zip(residuals, signals, strict=True))
+            best_misfit = misfit
+            best = SubspaceModel(
+                poles,
+                np.real(np.poly(poles)),
+                numerators,
+                values,
+                sampled.period_s * stride,
+                window,
+                scores,
+                tuple(drive.name for drive in record.inputs),
+                record.output_names,
+            )
+    if best is None:
+        raise EstimationError(
+            f"record {record.name!r} has {len(sampled.outputs)} samples, too few for a subspace of order {order} "
+            f"with {len(drives)} inputs and {len(signals)} outputs. Record longer, or lower the order"
+        )
+    return best
+
+
+def subspace_poles(
+    drives: Sequence[PiecewisePolynomial], times_s: FloatArray, values: FloatArray, order: int
+) -> list[ComplexArray]:
+    """Return sets of poles [rad/s] to start an estimator from, one for every window that the record allows.
+
+    Parameters
+    ----------
+    drives : sequence of PiecewisePolynomial -- the inputs
+    times_s : ndarray, shape (n,) -- stamps inside the span of the inputs [s]
+    values : ndarray, shape (n, n_outputs)
+    order : int -- number of poles
+    """
+    sampled = _on_one_grid(drives, [(times_s, column) for column in values.T])
+    candidates = []
+    for stride in _strides(sampled, order, None, N_BLOCK_ROWS):
+        found = _estimate(sampled.decimated(stride), order, N_BLOCK_ROWS)
+        if found is not None:
+            candidates.append(found[0])
+    return candidates
+
+
+def _on_one_grid(
+    drives: Sequence[PiecewisePolynomial], signals: Sequence[tuple[FloatArray, FloatArray]]
+) -> _Sampled:
+    """Return outputs at regular instants, and the inputs' means from each instant to the next."""
+    times = signals[0][0]
+    period = float(np.median(np.diff(times)))
+    start = max(float(t[0]) for t, _ in signals)
+    end = min(float(t[-1]) for t, _ in signals)
+    grid = start + period * np.arange(max(int((end - start) / period + 1e-6) + 1, 0))
+    outputs = np.stack([np.interp(grid, t, y) for t, y in signals], axis=1)
+    edges = np.append(grid, grid[-1] + period) if len(grid) else grid
+    inputs = np.stack([np.diff(drive.antiderivative()(edges)) / period for drive in drives], axis=1)
+    return _Sampled(inputs, outputs, period)
+
+
+def _n_rows(sampled: _Sampled, order: int, n_block_rows: int) -> int:
+    """Return how many block rows a record can fill, 0 when the order needs more."""
+    width = sampled.inputs.shape[1] + sampled.outputs.shape[1]
+    most = int(len(sampled.outputs) / (2.0 + 2.0 * width * _COLUMNS_PER_ROW))
+    rows = min(n_block_rows, most)
+    return rows if (rows - 1) * sampled.outputs.shape[1] >= order else 0
+
+
+def _strides(sampled: _Sampled, order: int, window_s: float | None, n_block_rows: int) -> list[int]:
+    """Return the decimations that are worth a try."""
+    if window_s is not None:
+        return [max(1, round(window_s / (n_block_rows * sampled.period_s)))]
+    strides = [_WINDOW_STEP**k for k in range(_N_WINDOWS)]
+    return [
+        s for s in strides if s == 1 or _n_rows(sampled.decimated(s), order, n_block_rows) == n_block_rows
+    ]
+
+
+def _estimate(
+    sampled: _Sampled, order: int, n_block_rows: int
+) -> tuple[ComplexArray, FloatArray, float] | None:
+    """Return the continuous-time poles, the singular values and the window [s]."""
+    rows = _n_rows(sampled, order, n_block_rows)
+    if rows == 0:
+        return None
+    n_columns = len(sampled.outputs) - 2 * rows + 1
+    at = np.arange(0, n_columns, max(1, n_columns // _MAX_COLUMNS))
+    n_inputs, n_outputs = sampled.inputs.shape[1], sampled.outputs.shape[1]
+    # A constant and a ramp in the outputs are two more rows that only the future shares.
+    ramp = at / max(n_columns, 1) - 0.5
+    inputs = sampled.inputs / np.maximum(np.std(sampled.inputs, axis=0), 1e-300)
+    outputs = sampled.outputs / np.maximum(np.std(sampled.outputs, axis=0), 1e-300)
+    stacked = np.concatenate(
+        [
+            np.ones((1, len(at))),
+            ramp[None],
+            _hankel(inputs, rows, at + rows),
+            _hankel(inputs, rows, at),
+            _hankel(outputs, rows, at),
+            _hankel(outputs, rows, at + rows),
+        ]
+    )
+    triangle = qr(stacked.T, mode="r", check_finite=False)[0]
+    n_future_inputs = 2 + rows * n_inputs
+    n_past = rows * (n_inputs + n_outputs)
+    projected = triangle[n_future_inputs : n_future_inputs + n_past, n_future_inputs + n_past :].T
+    left, values, _ = svd(projected, full_matrices=False, check_finite=False)
+    observability = left[:, :order] * np.sqrt(values[:order])
+    transition = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=None)[0]
+    poles = _continuous(np.linalg.eigvals(transition), sampled.period_s)
+    return poles, values, rows * sampled.period_s
+
+
+def _hankel(values: FloatArray, rows: int, at: NDArray[np.intp]) -> FloatArray:
+    """Return the blocks values[at], values[at + 1] .. as rows."""
+    return np.concatenate([values[at + i].T for i in range(rows)])
+
+
+def _continuous(discrete: NDArray[np.generic], period_s: float) -> ComplexArray:
+    """Return continuous-time poles, the unstable ones mirrored, as a set closed under conjugation.
+
+    A negative real pole has no continuous counterpart of its own order; its real decay stands for it.
+    """
+    complex_ones = np.asarray(discrete, dtype=np.complex128)
+    upper = complex_ones[complex_ones.imag > 0.0]
+    real = complex_ones[complex_ones.imag == 0.0]
+    poles = np.concatenate(
+        [
+            np.log(upper),
+            np.conj(np.log(upper)),
+            np.log(np.maximum(np.abs(real), 1e-12)).astype(np.complex128),
+        ]
+    )
+    poles = poles / period_s
+    least = _LEAST_DAMPING * np.maximum(np.abs(poles), 1e-9 / period_s)
+    return np.asarray(-np.maximum(np.abs(poles.real), least) + 1j * poles.imag)
+
+
+def _numerators(record: TimeRecord, poles: ComplexArray) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the numerators that fit best under given poles, and the residuals of every output."""
+    order = len(poles)
+    scale = float(np.exp(np.mean(np.log(np.abs(poles)))))
+    upper = upper_roots(np.real(np.poly(poles / scale)))
+    first = max(drive.span_s[0] for drive in record.inputs)
+    last = min(drive.span_s[1] for drive in record.inputs)
+    numerators = np.zeros((len(record.outputs), len(record.inputs), order + 1))
+    residuals = []
+    for j, output in enumerate(record.outputs):
+        keep = output.is_valid & (output.times_s >= first) & (output.times_s <= last)
+        times = output.times_s[keep]
+        columns = []
+        for drive in record.inputs:
+            signal = drive.signal(margin_s=output.exposure_s, from_rest=True)
+            instants = Instants.on(signal, times, output.exposure_s)
+            response = RationalResponse(
+                upper, scale, signal, signal.antiderivative(), instants, squares=False
+            )
+            columns += [response.over(power) for power in range(order, -1, -1)]
+        columns += [np.ones_like(times), times - times.mean()]
+        matrix = np.stack(columns, axis=1)
+        found = LinearSolution.of(matrix).coefficients(output.values[keep])
+        residuals.append(output.values[keep] - matrix @ found)
+        units = scale ** np.arange(order + 1)  # in units of the scale, s^p / A carries scale^(n - p)
+        numerators[j] = found[:-2].reshape(len(record.inputs), order + 1) * units
+    return numerators, residuals
