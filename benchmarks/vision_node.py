@@ -1,0 +1,310 @@
+"""Frames a second that the node `tracker` takes from a topic, and how late its displacements are.
+
+    python -m benchmarks.vision_node [--seconds S] [--sizes vga hd] [--rates HZ ...] [--transports udp shared]
+                                     [--best-effort] [--json FILE]
+
+Three real processes on a domain of their own that does not leave the machine: the tracker on one processor core, and
+on the other a camera, which publishes rendered frames as ready-made CDR, and this process, which counts what comes
+back. A rate of 0 sends as fast as the camera's process can. The latency runs from the frame's stamp, which the camera
+takes as it hands the frame to DDS, to the moment at which the tracker hands its displacement to DDS. Processor times
+are those that the kernel counts for a process with all its threads, so that the process that is busy for all of the
+time is the limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beam_ros import messages
+from beam_ros.environment import child_environment
+from beam_ros.executables import command
+from beam_ros.interfaces import TOPICS, QualityOfService
+from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
+from beam_ros.rig import Rig
+
+SIZES = {
+    "vga": {"camera.width": 640, "camera.height": 480},
+    "hd": {
+        "camera.width": 1920,
+        "camera.height": 1080,
+        "camera.pixels_per_metre": 3300.0,
+        "camera.origin_u": 960.0,
+        "camera.origin_v": 1050.0,
+        "markers.diameter": 12.0 / 3300.0,
+    },
+}
+RATES = {"vga": (100, 400, 600, 0), "hd": (50, 100, 150, 0)}
+# No exposure: the stamps of a frame and of its displacements are then the same instant.
+COMMON = {"camera.stamp": "start", "camera.exposure": 0.0}
+TRANSPORTS = {"udp": "UDPv4", "shared": "DEFAULT"}
+DISTINCT_FRAMES = 40
+DEPTH = 5
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """One rate: frames sent and answered, latency and processor time.
+
+    Attributes
+    ----------
+    asked_hz, sent_hz, answered_hz : float -- frames a second asked for (0: as many as go), sent, answered
+    lost : int -- frames sent and not answered
+    latency_ms : (float, float, float) -- median, 99th percentile and largest
+    tracker_load, camera_load : float -- processor time per time, 1 is a core
+    tracker_ms : float -- processor time of the tracker per frame that it answered [ms]
+    """
+
+    size: str
+    transport: str
+    is_reliable: bool
+    asked_hz: float
+    sent_hz: float
+    answered_hz: float
+    lost: int
+    latency_ms: tuple[float, float, float]
+    tracker_load: float
+    camera_load: float
+    tracker_ms: float
+
+
+def rig_of(size: str) -> Rig:
+    """The packaged rig with a camera of this size."""
+    return Rig.from_file().with_values({**COMMON, **SIZES[size]})
+
+
+def frames_of(rig: Rig) -> list[bytes]:
+    """Rendered frames as CDR, a moving beam, stamps left at zero."""
+    from rclpy.serialization import serialize_message
+
+    from beam_ros.vision.rendering import SceneRenderer
+
+    renderer = SceneRenderer(rig.camera_parameters(), rig.numbers("markers.heights"))
+    rng = np.random.default_rng(1)
+    types = messages.RosTypes()
+    frames = []
+    for k in range(DISTINCT_FRAMES):
+        x = 2e-3 * np.sin(2 * np.pi * k / DISTINCT_FRAMES + np.arange(3))
+        frames.append(bytes(serialize_message(messages.image(types, 0, renderer.render(x, rng)))))
+    return frames
+
+
+def publish_frames(size: str, rate: float, seconds: float, *, is_reliable: bool) -> None:
+    """The camera's process: wait for the tracker, publish, say how it went."""
+    import rclpy
+    from rclpy.node import Node
+
+    from beam_ros.nodes.shell import qos_profile
+
+    frames = frames_of(rig_of(size))
+    rclpy.init(args=[])
+    node = Node("camera")
+    row = TOPICS["camera/image_raw"]
+    publisher = node.create_publisher(
+        messages.RosTypes().message_class(row.type_name),
+        row.name,
+        qos_profile(QualityOfService(DEPTH, is_reliable)),
+    )
+    deadline = time.monotonic() + 20.0
+    while publisher.get_subscription_count() == 0:
+        if time.monotonic() > deadline:
+            raise SystemExit("the tracker did not subscribe within 20 s")
+        time.sleep(0.05)
+    time.sleep(1.0)
+
+    def send(k: int) -> None:
+        seconds_part, nanoseconds = divmod(time.time_ns(), messages.SECOND_NS)
+        frame = frames[k % len(frames)]
+        publisher.publish(frame[:4] + struct.pack("<iI", seconds_part, nanoseconds) + frame[12:])
+
+    # The markers are found, memory is at hand: what follows is steady.
+    for k in range(30):
+        send(k)
+        time.sleep(0.02)
+    cpu_before, start = time.process_time(), time.monotonic()
+    count = 0
+    first_ns = time.time_ns()
+    while (now := time.monotonic()) - start < seconds:
+        if rate and now - start < count / rate:
+            time.sleep(max(0.0, count / rate - (now - start)))
+            continue
+        send(count)
+        count += 1
+    elapsed = time.monotonic() - start
+    load = (time.process_time() - cpu_before) / elapsed
+    print(json.dumps({"first_ns": first_ns, "count": count, "elapsed": elapsed, "load": load}), flush=True)
+    time.sleep(1.0)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _processor_seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _core(number: int) -> Any:
+    """Function for a child before exec that keeps it on one processor core."""
+    cores = sorted(os.sched_getaffinity(0))
+    return lambda: os.sched_setaffinity(0, {cores[number % len(cores)]})
+
+
+class Answers:
+    """Listens to `beam/displacement` as bytes: stamps and the times at which they were sent."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.node import Node
+
+        from beam_ros.nodes.shell import qos_profile
+
+        rclpy.init(args=[])
+        self._node = Node("listener")
+        row = TOPICS["beam/displacement"]
+        self.seen: list[tuple[int, int]] = []
+        self._node.create_subscription(
+            messages.RosTypes().message_class(row.type_name),
+            row.name,
+            self._note,
+            qos_profile(row.qos),
+            raw=True,
+        )
+
+    def _note(self, data: bytes, info: dict[str, int]) -> None:
+        seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+        self.seen.append((seconds * messages.SECOND_NS + nanoseconds, info["source_timestamp"]))
+
+    def spin(self, seconds: float) -> None:
+        """Listen for a while."""
+        import rclpy
+
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            rclpy.spin_once(self._node, timeout_sec=0.01)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        import rclpy
+
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def measure(
+    answers: Answers, size: str, transport: str, rate: float, seconds: float, *, is_reliable: bool
+) -> Throughput:
+    """One rate with fresh processes."""
+    words = [f"{name}:={value}" for name, value in {**COMMON, **SIZES[size]}.items()]
+    environment = child_environment({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
+    with ExitStack() as stack, tempfile.TemporaryFile() as log:
+
+        def start(arguments: Sequence[str], core: int, output: Any) -> subprocess.Popen[bytes]:
+            process = subprocess.Popen(
+                arguments, env=environment, stdout=output, stderr=log, preexec_fn=_core(core)
+            )
+            stack.callback(process.wait, 15.0)
+            stack.callback(process.send_signal, signal.SIGINT)
+            return process
+
+        tracker = start(
+            [*command("vision_tracker"), "--ros-args", *[word for w in words for word in ("-p", w)]], 0, log
+        )
+        options = ["--camera", size, str(rate), str(seconds), *([] if is_reliable else ["--best-effort"])]
+        camera = start([sys.executable, "-m", "benchmarks.vision_node", *options], 1, subprocess.PIPE)
+        answers.seen.clear()
+        limit = time.monotonic() + seconds + 60.0
+        while not answers.seen and time.monotonic() < limit and camera.poll() is None:
+            answers.spin(0.1)
+        # The camera's 30 frames of introduction take longer than this.
+        answers.spin(0.6)
+        before, begun = _processor_seconds(tracker.pid), time.monotonic()
+        while camera.poll() is None and time.monotonic() - begun < seconds:
+            answers.spin(0.05)
+        spent = (_processor_seconds(tracker.pid) - before) / (time.monotonic() - begun)
+        while camera.poll() is None and time.monotonic() < limit:
+            answers.spin(0.1)
+        assert camera.stdout is not None
+        said = camera.stdout.read()
+        if camera.poll() != 0 or not said:
+            log.seek(0)
+            raise SystemExit(f"the camera's process ended with {camera.poll()}:\n{log.read().decode()}")
+    report = json.loads(said)
+    answered = [(stamp, sent) for stamp, sent in answers.seen if stamp >= report["first_ns"]]
+    latency = np.array([sent - stamp for stamp, sent in answered]) * 1e-6
+    rate_answered = len(answered) / report["elapsed"]
+    return Throughput(
+        size,
+        transport,
+        is_reliable,
+        rate,
+        report["count"] / report["elapsed"],
+        rate_answered,
+        report["count"] - len(answered),
+        tuple(float(np.round(value, 3)) for value in (*np.percentile(latency, (50, 99)), latency.max())),
+        spent,
+        report["load"],
+        1e3 * spent / rate_answered,
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure every rate and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--camera", nargs=3, metavar=("SIZE", "HZ", "SECONDS"), help=argparse.SUPPRESS)
+    parser.add_argument("--seconds", type=float, default=5.0, help="of each rate")
+    parser.add_argument("--sizes", nargs="+", default=list(SIZES), choices=SIZES)
+    parser.add_argument("--rates", nargs="+", type=float, help="frames a second; 0: as many as go")
+    parser.add_argument("--transports", nargs="+", default=["udp"], choices=TRANSPORTS)
+    parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args(argv)
+    if options.camera:
+        size, rate, seconds = options.camera
+        publish_frames(size, float(rate), float(seconds), is_reliable=not options.best_effort)
+        return 0
+    results = []
+    print(
+        "size transport   asked     sent  answered  lost  latency ms: median    p99    max  tracker  camera  ms/frame"
+    )
+    domain = PrivateDomain()
+    for transport in options.transports:
+        with tempfile.TemporaryDirectory() as folder:
+            stay_on_this_machine(os.environ, domain.number, Path(folder))
+            os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = TRANSPORTS[transport]
+            answers = Answers()
+            _core(1)()
+            for size in options.sizes:
+                for rate in options.rates or RATES[size]:
+                    r = measure(
+                        answers, size, transport, rate, options.seconds, is_reliable=not options.best_effort
+                    )
+                    results.append(r)
+                    print(
+                        f"{r.size:4} {r.transport:9} {r.asked_hz:7.0f}  {r.sent_hz:7.1f}  {r.answered_hz:8.1f}"
+                        f"  {r.lost:4d}              {r.latency_ms[0]:6.2f} {r.latency_ms[1]:6.2f}"
+                        f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}  {r.tracker_ms:8.2f}",
+                        flush=True,
+                    )
+            answers.close()
+    domain.release()
+    if options.json:
+        options.json.write_text(json.dumps([asdict(result) for result in results], indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
