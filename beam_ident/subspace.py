@@ -207,7 +207,7 @@ def _on_one_grid(
     end = min(float(t[-1]) for t, _ in signals)
     grid = start + period * np.arange(max(int((end - start) / period + 1e-6) + 1, 0))
     outputs = np.stack([np.interp(grid, t, y) for t, y in signals], axis=1)
-    edges = start + period * np.arange(len(grid) + 1)
+    edges = np.asarray(start + period * np.arange(len(grid) + 1), dtype=np.float64)
     inputs = np.stack([np.diff(drive.antiderivative()(edges)) / period for drive in drives], axis=1)
     return _Sampled(inputs, outputs, period)
 
