@@ -1,16 +1,22 @@
-"""Figures of an identification, drawn from its result objects.
-
-Every function returns a :class:`matplotlib.figure.Figure` made without pyplot, so that
-nothing global is touched; matplotlib is imported only when a figure is asked for.
-"""
+"""Figures of an identification: record, fit, spectra, model response, modes and residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beam_ident.figures.canvas import (
+    COLOURS,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    axes_grid,
+    readable,
+    stacked_axes,
+    thinned,
+)
 from beam_ident.identification import IdentificationResult, OutputFit
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
@@ -18,47 +24,15 @@ from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MEASURED = "#7a8794"
-_MODEL = "#c2410c"
-_REFERENCE = "#0f766e"
-_COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce", "#a16207", "#be185d")
-
-_MAX_POINTS = 4000
-
-
-def _figure(rows: int, height: float, share_x: bool = True) -> tuple[Figure, list[Any]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, height), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=share_x, squeeze=False)[:, 0]
-    for axis in axes:
-        axis.grid(True, color="#e5e7eb", linewidth=0.6)
-        axis.set_axisbelow(True)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
-    return figure, list(axes)
-
-
-def _readable(values: FloatArray, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which values of a length read well."""
-    if unit != "m":
-        return 1.0, unit
-    size = float(np.nanmax(np.abs(values), initial=0.0))
-    return (1e3, "mm") if size >= 1e-4 else (1e6, "um")
-
-
-def _thin(n: int) -> slice:
-    return slice(None, None, max(1, n // _MAX_POINTS))
-
 
 def time_figure(record: TimeRecord) -> Figure:
     """Draw every signal of a record over time."""
     signals: list[InputSignal | OutputSignal] = [*record.inputs, *record.outputs]
-    figure, axes = _figure(len(signals), 1.5 * len(signals) + 0.6)
+    figure, axes = stacked_axes(len(signals), 1.5 * len(signals) + 0.6)
     for number, (axis, signal) in enumerate(zip(axes, signals, strict=True)):
-        factor, unit = _readable(signal.values, signal.unit)
-        keep = _thin(len(signal.values))
-        colour = _MEASURED if number < len(record.inputs) else _COLOURS[0]
+        factor, unit = readable(signal.values, signal.unit)
+        keep = thinned(len(signal.values))
+        colour = MEASURED if number < len(record.inputs) else COLOURS[0]
         axis.plot(signal.times_s[keep], factor * signal.values[keep], color=colour, linewidth=0.7)
         axis.set_ylabel(f"{signal.name} [{unit}]")
     axes[-1].set_xlabel("time [s]")
@@ -68,13 +42,13 @@ def time_figure(record: TimeRecord) -> Figure:
 def fit_figure(result: IdentificationResult, deflection: bool = True) -> Figure:
     """Draw the measured and the modelled outputs, or their deflections, over time."""
     outputs = result.outputs
-    figure, axes = _figure(len(outputs), 1.8 * len(outputs) + 0.6)
+    figure, axes = stacked_axes(len(outputs), 1.8 * len(outputs) + 0.6)
     for axis, output in zip(axes, outputs, strict=True):
         measured = output.deflection if deflection else output.measured
         modelled = measured - output.residuals
-        factor, unit = _readable(measured, output.unit)
-        axis.plot(output.times_s, factor * measured, color=_MEASURED, linewidth=1.4, label="measured")
-        axis.plot(output.times_s, factor * modelled, color=_MODEL, linewidth=0.6, label="model")
+        factor, unit = readable(measured, output.unit)
+        axis.plot(output.times_s, factor * measured, color=MEASURED, linewidth=1.4, label="measured")
+        axis.plot(output.times_s, factor * modelled, color=MODEL, linewidth=0.6, label="model")
         axis.set_ylabel(f"{'w ' if deflection else ''}{output.name} [{unit}]")
         scores = output.deflection_scores if deflection else output.scores
         axis.set_title(f"FIT {scores.fit_percent:.2f} %, R² {scores.r_squared:.6f}", fontsize=9, loc="left")
@@ -95,24 +69,24 @@ def _density(output: OutputFit, values: FloatArray) -> tuple[FloatArray, FloatAr
 def spectrum_figure(result: IdentificationResult) -> Figure:
     """Draw the spectra of the deflections and of the residuals, up to half the outputs' rate."""
     outputs = result.outputs
-    figure, axes = _figure(len(outputs), 1.8 * len(outputs) + 0.6)
+    figure, axes = stacked_axes(len(outputs), 1.8 * len(outputs) + 0.6)
     for axis, output in zip(axes, outputs, strict=True):
         for values, colour, label in (
-            (output.deflection, _MEASURED, "measured deflection"),
-            (output.residuals, _MODEL, "residual"),
+            (output.deflection, MEASURED, "measured deflection"),
+            (output.residuals, MODEL, "residual"),
         ):
             frequencies, density = _density(output, values)
             axis.semilogy(frequencies, density, color=colour, linewidth=0.9, label=label)
         rate = 1.0 / float(np.median(np.abs(np.diff(output.times_s))))
         for number, hertz in enumerate(result.model.frequencies_hz):
             alias = abs(hertz - rate * round(hertz / rate))
-            axis.axvline(alias, color=_REFERENCE, linewidth=0.7, linestyle="-" if hertz < rate / 2 else ":")
+            axis.axvline(alias, color=REFERENCE, linewidth=0.7, linestyle="-" if hertz < rate / 2 else ":")
             axis.annotate(
                 f"{number + 1}",
                 (alias, 0.96),
                 xycoords=("data", "axes fraction"),
                 fontsize=7,
-                color=_REFERENCE,
+                color=REFERENCE,
             )
         axis.set_ylabel(f"{output.name} [{output.unit}/√Hz]")
     axes[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
@@ -132,9 +106,9 @@ def frequency_response_figure(result: IdentificationResult, n_points: int = 1500
     hertz = np.unique(np.concatenate([np.geomspace(low, high, n_points), *near]))
     hertz = hertz[hertz > 0.0]
     response = model.frequency_response(2.0 * np.pi * hertz)
-    figure, axes = _figure(2, 5.0)
+    figure, axes = stacked_axes(2, 5.0)
     for j, name in enumerate(model.output_names):
-        colour = _COLOURS[j % len(_COLOURS)]
+        colour = COLOURS[j % len(COLOURS)]
         size, spread = np.abs(response.response[:, j]), 1.96 * response.magnitude_sd[:, j]
         axes[0].loglog(hertz, size, color=colour, linewidth=1.0, label=name)
         axes[0].fill_between(
@@ -154,21 +128,21 @@ def pole_figure(
 ) -> Figure:
     """Draw damping ratio over frequency with 95 % intervals, and reference modes where given."""
     model = result.model
-    figure, (axis,) = _figure(1, 3.2)
+    figure, (axis,) = stacked_axes(1, 3.2)
     axis.errorbar(
         model.frequencies_hz,
         100.0 * model.damping_ratios,
         xerr=1.96 * model.natural_frequency_sd / (2.0 * np.pi),
         yerr=196.0 * model.damping_ratio_sd,
         fmt="o",
-        color=_MODEL,
+        color=MODEL,
         capsize=3,
         markersize=5,
         label="identified, 95 %",
     )
     for number, (name, omega, zeta) in enumerate(reference_modes or ()):
         label = "reference" if number == 0 else None
-        axis.plot(omega / (2.0 * np.pi), 100.0 * zeta, "x", color=_REFERENCE, markersize=8, label=label)
+        axis.plot(omega / (2.0 * np.pi), 100.0 * zeta, "x", color=REFERENCE, markersize=8, label=label)
         axis.annotate(
             name, (omega / (2.0 * np.pi), 100.0 * zeta), textcoords="offset points", xytext=(6, 6), fontsize=8
         )
@@ -182,19 +156,18 @@ def pole_figure(
 
 def residual_figure(result: IdentificationResult) -> Figure:
     """Draw the residuals over time beside their autocorrelation."""
-    from matplotlib.figure import Figure
-
     outputs = result.outputs
-    figure = Figure(figsize=(9.0, 1.8 * len(outputs) + 0.6), layout="constrained")
-    axes = figure.subplots(len(outputs), 2, squeeze=False, width_ratios=(2, 1), sharex="col")
+    figure, axes = axes_grid(
+        len(outputs), 2, (9.0, 1.8 * len(outputs) + 0.6), width_ratios=(2, 1), sharex="col"
+    )
     for (left, right), output in zip(axes, outputs, strict=True):
-        factor, unit = _readable(output.residuals, output.unit)
-        left.plot(output.times_s, factor * output.residuals, ".", color=_MODEL, markersize=1.5)
+        factor, unit = readable(output.residuals, output.unit)
+        left.plot(output.times_s, factor * output.residuals, ".", color=MODEL, markersize=1.5)
         left.set_ylabel(f"{output.name} [{unit}]")
         lags = np.arange(1, len(output.whiteness.autocorrelation) + 1)
-        right.bar(lags, output.whiteness.autocorrelation, color=_MEASURED, width=0.7)
+        right.bar(lags, output.whiteness.autocorrelation, color=MEASURED, width=0.7)
         for bound in (-output.whiteness.band, output.whiteness.band):
-            right.axhline(bound, color=_MODEL, linewidth=0.8, linestyle="--")
+            right.axhline(bound, color=MODEL, linewidth=0.8, linestyle="--")
     axes[-1][0].set_xlabel("time [s]")
     axes[-1][1].set_xlabel("lag [samples]")
     axes[0][0].set_title("residual", fontsize=9, loc="left")

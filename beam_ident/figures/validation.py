@@ -1,0 +1,41 @@
+"""Figure of a validation: prediction, residual and what the residual still holds of the input."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from beam_ident.cross_validation import ValidationResult
+from beam_ident.figures.canvas import MEASURED, MODEL, axes_grid, readable, thinned
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def validation_figure(result: ValidationResult) -> Figure:
+    """Draw every output's measurement under its prediction, and the residual's tests beside it."""
+    outputs = result.outputs
+    figure, axes = axes_grid(
+        len(outputs), 2, (9.0, 2.2 * len(outputs) + 0.6), width_ratios=(2, 1), sharex="col"
+    )
+    for (left, right), output in zip(axes, outputs, strict=True):
+        factor, unit = readable(output.measured, output.unit)
+        keep = thinned(len(output.times_s))
+        times = output.times_s[keep]
+        left.plot(times, factor * output.measured[keep], color=MEASURED, linewidth=1.4, label="measured")
+        left.plot(times, factor * output.simulated[keep], color=MODEL, linewidth=0.6, label="predicted")
+        left.set_ylabel(f"{output.name} [{unit}]")
+        left.set_title(
+            f"FIT {output.scores.fit_percent:.2f} %, of the deflection "
+            f"{output.deflection_scores.fit_percent:.2f} %; residuals {output.noise_ratio:.2f} times the noise",
+            fontsize=9,
+            loc="left",
+        )
+        correlation = output.input_correlation
+        right.bar(correlation.lags, correlation.correlation, color=MEASURED, width=0.7)
+        for bound in (-correlation.band, correlation.band):
+            right.axhline(bound, color=MODEL, linewidth=0.8, linestyle="--")
+    axes[0][0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
+    axes[0][1].set_title("residual with input, 99 % band", fontsize=9, loc="left")
+    axes[-1][0].set_xlabel("time [s]")
+    axes[-1][1].set_xlabel("lag [samples]")
+    return figure

@@ -1,0 +1,89 @@
+"""Figures hold what they claim to show; how they look is for eyes."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from beam_ident import EstimationError, estimate_transfer_function, figures, identify, validate
+from beam_ident.frequency_response import local_polynomial_response, welch_response
+from tests.beam_ident import rao_garnier
+from tests.beam_ident.truth import beam_record
+
+
+@pytest.fixture(scope="module")
+def modal():
+    record = beam_record(1)
+    return record, identify(record, n_modes=3)
+
+
+@pytest.fixture(scope="module")
+def rational():
+    record = rao_garnier.benchmark_record(1, 10.0)
+    return record, estimate_transfer_function(record, 4, 1).model
+
+
+def test_pole_ellipses_are_centred_on_the_poles(rational):
+    model = rational[1]
+    figure = figures.pole_zero_figure(model)
+    upper = sorted(p for p in model.poles if p.imag > 0.0)
+    left = figure.axes[0]
+    ellipses = [line for line in left.lines if len(line.get_xdata()) == 121]
+    # Two complex poles and one real zero.
+    assert len(ellipses) == 3
+    centres = [complex(np.mean(e.get_xdata()[:-1]), np.mean(e.get_ydata()[:-1])) for e in ellipses]
+    for pole in upper:
+        assert min(abs(c - pole) for c in centres) < 1e-9 * abs(pole)
+    assert len(figure.axes) == 3
+
+
+def test_modal_poles_have_ellipses_of_their_own_axes(modal):
+    model = modal[1].model
+    figure = figures.pole_zero_figure(model)
+    assert len(figure.axes) == 1 + model.n_modes
+    close = figure.axes[1]
+    width = max(close.lines[1].get_xdata()) - min(close.lines[1].get_xdata())
+    # 95 % of two dimensions is 2.448 sd; the real part is -zeta omega.
+    sd = model.natural_frequencies[0] * model.damping_ratio_sd[0]
+    assert width == pytest.approx(2 * 2.448 * sd, rel=0.05)
+
+
+def test_a_response_stands_as_points_over_the_model(rational):
+    record, model = rational
+    estimate = local_polynomial_response(record)
+    figure = figures.response_over_model_figure([estimate], model)
+    points = [line for line in figure.axes[0].lines if line.get_marker() == "."]
+    assert np.array_equal(points[0].get_ydata(), np.abs(estimate.response))
+
+
+def test_coherence_is_drawn_where_there_is_one_and_the_relative_sd_elsewhere(rational):
+    record = rational[0]
+    averaged = figures.coherence_figure([welch_response(record)])
+    single = figures.coherence_figure([local_polynomial_response(record)])
+    assert averaged.axes[2].get_ylabel() == "coherence"
+    assert single.axes[2].get_ylabel() == "relative sd"
+
+
+def test_a_validation_shows_every_output_with_its_scores(modal):
+    result = validate(modal[1].model, beam_record(2))
+    figure = figures.validation_figure(result)
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    for output in result.outputs:
+        assert any(f"FIT {output.scores.fit_percent:.2f} %" in title for title in titles)
+
+
+def test_estimates_of_other_signals_are_refused(rational, modal):
+    estimate = local_polynomial_response(rational[0])
+    with pytest.raises(EstimationError, match="own signals"):
+        figures.response_over_model_figure([estimate], modal[1].model)
+    with pytest.raises(EstimationError, match="at least one"):
+        figures.coherence_figure([])
+
+
+def test_no_figure_touches_pyplot(modal):
+    figures.time_figure(modal[0])
+    assert "matplotlib.pyplot" not in sys.modules
