@@ -75,7 +75,7 @@ def _weights(
     return weights, slopes
 
 
-def _recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> ComplexArray:
+def recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> ComplexArray:
     """Return the states of ``x[k+1] = factor[k] x[k] + drive[k]`` from ``initial`` on."""
     n = len(drive)
     states = np.empty(n + 1, dtype=np.complex128)
@@ -141,13 +141,13 @@ class PoleResponse:
         forcing = sum(
             (weights[m + 1] * drive.coefficients[:, m] for m in range(drive.degree + 1)), np.complex128(0)
         )
-        self.states = _recursion(weights[0], np.asarray(forcing), initial)
+        self.states = recursion(weights[0], np.asarray(forcing), initial)
         self.state_slopes: ComplexArray | None = None
         if gradients:
             forcing = slopes[0] * self.states[:-1]
             for m in range(drive.degree + 1):
                 forcing = forcing + slopes[m + 1] * drive.coefficients[:, m]
-            self.state_slopes = _recursion(weights[0], forcing, initial_slope)
+            self.state_slopes = recursion(weights[0], forcing, initial_slope)
 
     def at(self, index: NDArray[np.intp], offset: FloatArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Return the state and its derivative by the pole at places inside segments."""
