@@ -58,8 +58,12 @@ class FrameContinuity:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; the next frame is the first."""
+        """Forget everything, the counts too; the next frame is the first."""
         self.frames = self.missing = self.repeated = self.backwards = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Take the next frame as the first, because the camera or its clock began anew; the counts stay."""
         self._stamp_ns: int | None = None
         self._sequence: int | None = None
         self._period_ns = float(self._nominal_ns)

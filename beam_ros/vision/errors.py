@@ -27,3 +27,7 @@ class SynchronisationError(VisionError, ValueError):
 
 class VideoError(VisionError, OSError):
     """A video file cannot be opened or read, or says nothing about its times."""
+
+
+class CaptureError(VisionError, OSError):
+    """A camera cannot be opened, or gives no more frames."""

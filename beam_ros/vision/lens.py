@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +84,43 @@ class Lens:
         k1, k2, p1, p2, k3 = coefficients
         return cls((matrix[0], matrix[4]), (matrix[2], matrix[5]), (k1, k2, p1, p2, k3))
 
+    @classmethod
+    def from_dict(cls, data: Any) -> Lens | None:
+        """Read what `lens_to_dict` wrote.
+
+        Raises
+        ------
+        CalibrationError -- it is neither None nor a lens
+        """
+        if data is None:
+            return None
+        try:
+            fx, fy = (float(value) for value in data["focal_px"])
+            cx, cy = (float(value) for value in data["centre_px"])
+            k1, k2, p1, p2, k3 = (float(value) for value in data["distortion"])
+        except (KeyError, TypeError, ValueError) as err:
+            raise CalibrationError(
+                f"lens of the calibration is {data!r}: expected focal_px, centre_px and five numbers of "
+                "distortion; calibrate again"
+            ) from err
+        return cls((fx, fy), (cx, cy), (k1, k2, p1, p2, k3))
+
+    def seen_through(self, offset_px: tuple[int, int], binning: tuple[int, int]) -> Lens:
+        """Return the lens in the coordinates of an image that is a part of the sensor, or binned.
+
+        Parameters
+        ----------
+        offset_px : (int, int) -- first column and row of the part that is read out [px of the full sensor]
+        binning : (int, int) -- columns and rows of the sensor that make one pixel
+        """
+        (bx, by), (x, y) = binning, offset_px
+        return Lens(
+            (self.focal_px[0] / bx, self.focal_px[1] / by),
+            # Integer coordinates lie at pixel centres: the middle of a group of b pixels is at (b - 1) / 2.
+            ((self.centre_px[0] - x - (bx - 1) / 2) / bx, (self.centre_px[1] - y - (by - 1) / 2) / by),
+            self.distortion,
+        )
+
     def distort(self, u: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Where the lens images what a perfect lens would image at (u, v), any shape [px]."""
         x = (np.asarray(u, dtype=np.float64) - self.centre_px[0]) / self.focal_px[0]
@@ -129,3 +167,14 @@ class Lens:
         dx = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         dy = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.asarray(dx), np.asarray(dy)
+
+
+def lens_to_dict(lens: Lens | None) -> dict[str, list[float]] | None:
+    """Plain dictionary of a lens for a file; None for a camera without distortion."""
+    if lens is None:
+        return None
+    return {
+        "focal_px": list(lens.focal_px),
+        "centre_px": list(lens.centre_px),
+        "distortion": list(lens.distortion),
+    }
