@@ -1,5 +1,6 @@
 """Continuous-time identification of vibrating structures from sampled records."""
 
+from beam_ident.closed_loop import ClosedLoopResult, SampledController, estimate_in_closed_loop
 from beam_ident.comparison import ModelComparison, compare_models
 from beam_ident.cross_validation import OutputValidation, ValidationResult, validate
 from beam_ident.errors import (
@@ -23,6 +24,7 @@ from beam_ident.validation import InputCorrelation, Scores, Whiteness
 
 __all__ = [
     "AxisLimits",
+    "ClosedLoopResult",
     "EstimationError",
     "ExcitationError",
     "ExcitationLimitError",
@@ -44,6 +46,7 @@ __all__ = [
     "Prior",
     "Recipe",
     "RecordError",
+    "SampledController",
     "SampledExcitation",
     "Scores",
     "Step",
@@ -54,6 +57,7 @@ __all__ = [
     "ValidationResult",
     "Whiteness",
     "compare_models",
+    "estimate_in_closed_loop",
     "estimate_transfer_function",
     "identify",
     "subspace_model",
