@@ -248,7 +248,7 @@ class TrackerParameters:
     shape_tolerance: float = 0.03
     brightness_tolerance: float = 0.30
     noise_grey: float | None = None
-    sigma_floor_px: float = 0.0015
+    sigma_floor_px: float = 0.0003
     expected_rows_px: tuple[float, ...] | None = None
     expected_row_tolerance_px: float = 15.0
     refinement: Refinement = "none"

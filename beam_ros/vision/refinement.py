@@ -129,7 +129,7 @@ def fit_disc(
             slope = contrast * np.exp(-0.5 * depth * depth) / (edge * 2.5066282746 * count)
             jacobian[:, 0] += slope * dx / distance
             jacobian[:, 1] += slope * dy / distance
-            jacobian[:, 2] += _cumulative(depth) / count
+            jacobian[:, 2] += cumulative_normal(depth) / count
             jacobian[:, 4] += slope
             jacobian[:, 5] -= slope * depth
         residual = grey - background - contrast * jacobian[:, 2]
@@ -149,7 +149,7 @@ def fit_disc(
     return None
 
 
-def _cumulative(t: Floats) -> Floats:
+def cumulative_normal(t: Floats) -> Floats:
     """Cumulative normal distribution to 1.5e-4 (a logistic function of a cubic)."""
     clipped = np.clip(t, -6.0, 6.0)
     return np.asarray(1.0 / (1.0 + np.exp(-(1.5976 + 0.07056 * clipped * clipped) * clipped)))

@@ -1,23 +1,25 @@
-"""One spot in a small region: its centre, its uncertainty, and whether it still looks as it did.
+"""One spot in a small region: whether it still looks as it did, then its centre and its uncertainty.
 
 The background plus a twentieth of the contrast (more where the noise asks for it) is subtracted with
 saturation, which silences the background without the error of a hard threshold. Zeroth to third moments of
-what remains give the centre of gravity, which is the mean position over the exposure however far the marker
-moved, and with it area, second moments and asymmetry: a spot that is partly covered, merged with another one
-or lit from beside changes them long before the centre has moved far. Tolerances are a floor for what real
-markers do plus five standard deviations of what the image noise does.
+what remains give place, area, second moments and asymmetry: a spot that is partly covered, merged with another
+one or lit from beside changes them long before its centre has moved far. Tolerances are a floor for what real
+markers do plus five standard deviations of what the image noise does. Where a spot that passes is centred is
+then measured in an aperture (`beam_ros.vision.aperture`), which has no bias by the pixel grid and gives the mean
+position over the exposure however far the marker moved.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from beam_ros.vision.aperture import aperture_at
+from beam_ros.vision.appearance import QUANTISATION_VARIANCE, Appearance, Light
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.refinement import fit_disc, radial_symmetry_centre
 
@@ -54,17 +56,10 @@ _SIDE_PX = 2
 """Width of the columns at either side of the region in which the background is measured [px]."""
 _CLEAR_PX = 3
 """Room between the longest smear of a marker and these columns [px]."""
-_NOISE_LEVEL = 2.5
-"""The subtracted level lies at least this many noise standard deviations above the background."""
-_QUANTISATION_VARIANCE = 1.0 / 12.0
 _SIGNIFICANT = 5.0
 """Standard deviations of the image noise that a gate leaves room for."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
-_SETTLING_FRAMES = 32
-"""Frames over which a marker's own appearance is averaged."""
-_SLOW = 0.15
-"""Weight of a new value in the slow averages of brightness, background and noise."""
 
 
 class Spot(NamedTuple):
@@ -102,88 +97,6 @@ class Sides(NamedTuple):
     variance: float
 
 
-class Light:
-    """Brightness about one marker and the levels that follow from it.
-
-    Attributes
-    ----------
-    background, contrast, noise : float -- [grey levels]
-    level : float -- what is subtracted (for dark markers: subtracted from), a whole grey level
-    above : float -- distance of this level from the background
-    speck : float -- mean grey level that noise alone leaves beyond the level
-    speck_variance : float -- its variance
-    """
-
-    def __init__(
-        self, parameters: TrackerParameters, background: float, contrast: float, noise: float
-    ) -> None:
-        self._fraction = parameters.level_fraction
-        self._is_dark = parameters.polarity == "dark"
-        self._fixed_noise = parameters.noise_grey
-        self.background = background
-        self.contrast = contrast
-        self.noise = noise
-        self.settle()
-
-    def settle(self) -> None:
-        """Derive the levels from the present averages."""
-        if self._fixed_noise is not None:
-            self.noise = self._fixed_noise
-        above = max(self._fraction * self.contrast, _NOISE_LEVEL * self.noise, 1.0)
-        if self._is_dark:
-            self.level = float(math.floor(self.background - above))
-            self.above = self.background - self.level
-        else:
-            self.level = float(math.ceil(self.background + above))
-            self.above = self.level - self.background
-        self.speck = self.speck_variance = 0.0
-        depth = self.above / self.noise if self.noise > 0 else math.inf
-        if depth < 4.0:
-            density = math.exp(-depth * depth / 2) / math.sqrt(2 * math.pi)
-            tail = 0.5 * math.erfc(depth / math.sqrt(2))
-            self.speck = self.noise * (density - depth * tail)
-            self.speck_variance = (
-                self.noise**2 * ((1 + depth * depth) * tail - depth * density) - self.speck**2
-            )
-
-    def absorb(self, spot: Spot, sides: Sides) -> None:
-        """Carry a valid spot and its surroundings into the slow averages."""
-        # An object beside the marker is no background: the side that changed less counts.
-        at_left, at_right = abs(sides.left - self.background), abs(sides.right - self.background)
-        side = sides.left if at_left < at_right else sides.right
-        if abs(at_left - at_right) < self.noise:
-            side = 0.5 * (sides.left + sides.right)
-        self.background += _SLOW * (side - self.background)
-        self.contrast += _SLOW * (abs(spot.plateau - self.background) - self.contrast)
-        average = self.noise**2 + _SLOW * (sides.variance - self.noise**2)
-        self.noise = math.sqrt(max(average, _QUANTISATION_VARIANCE))
-        self.settle()
-
-
-@dataclass
-class Appearance:
-    """A marker as it was acquired: what later frames are compared with.
-
-    Attributes
-    ----------
-    area : float -- [px^2]
-    variance_u, variance_v : float -- second moments without smear [px^2]
-    skew_u, skew_v : float -- asymmetry
-    row : float -- v [px]
-    support : float -- second moment of the pixels that carry weight over that of the weights
-    frames : int -- frames averaged
-    """
-
-    area: float
-    variance_u: float
-    variance_v: float
-    skew_u: float
-    skew_v: float
-    row: float
-    support: float
-    frames: int = 1
-
-
 Bounds = tuple[float, float]
 
 
@@ -216,14 +129,6 @@ class SpotMeter:
     Parameters
     ----------
     parameters : TrackerParameters
-
-    Notes
-    -----
-    The standard deviation of the centre of gravity sum(s u) / sum(s) of the remaining grey levels s is, for
-    noise of variance sigma_n^2 in every pixel with s > 0 (the support) and its rectified rest sigma_r^2
-    elsewhere,
-
-        sigma_u^2 = [ sigma_n^2 sum_support (u - u_c)^2 + sigma_r^2 sum_rest (u - u_c)^2 ] / (sum s)^2
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -313,42 +218,50 @@ class SpotMeter:
         mean_right, at_right = cv2.meanStdDev(image[top:bottom, right - _SIDE_PX : right])
         count = _SIDE_PX * (bottom - top)
         variance = 0.5 * (float(at_left.item()) ** 2 + float(at_right.item()) ** 2) * count / (count - 1)
-        return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, _QUANTISATION_VARIANCE))
+        return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, QUANTISATION_VARIANCE))
 
-    def support(self, image: Image, spot: Spot, light: Light) -> float:
-        """Second moment of the pixels that carry weight, over that of the weights themselves."""
-        left, top, right, bottom = spot.region
-        beyond = max(light.above, 4.0 * light.noise)
-        level = float(
-            math.floor(light.background - beyond) if self._is_dark else math.ceil(light.background + beyond)
-        )
+    def centre(
+        self, image: Image, spot: Spot, light: Light, appearance: Appearance
+    ) -> tuple[float, float, float] | None:
+        """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
+
+        Returns
+        -------
+        u, v, sigma_u : float -- [px]; or None where the edge of the image cuts the aperture
+        """
+        excess = spot.variance_u - appearance.variance_v
+        smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
+        aperture, column, row, u, v = aperture_at(spot.u, spot.v, appearance.disc, smear)
+        left, top = column + aperture.left, row + aperture.top
+        right, bottom = left + aperture.width, top + aperture.height
+        if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+            return None
         region = image[top:bottom, left:right]
-        moments = cv2.moments(
-            cv2.subtract(level, region) if self._is_dark else cv2.subtract(region, level), True
+        grey = cv2.subtract(light.floor, region) if self._is_dark else cv2.subtract(region, light.floor)
+        mass, first_u, first_v = aperture.weights.dot(grey.ravel().astype(np.float32)).tolist()
+        base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
+        mass -= base * sum_w
+        if mass < self._least_area * light.contrast:
+            return None
+        floor = self.parameters.sigma_floor_px
+        return (
+            u + (first_u - base * sum_u) / (mass * aperture.gain_u),
+            v + (first_v - base * sum_v) / (mass * aperture.gain_v),
+            math.sqrt((light.noise * aperture.noise / mass) ** 2 + floor * floor),
         )
-        return float(moments["mu20"] / (spot.area * spot.variance_u))
-
-    def sigma(self, spot: Spot, light: Light, support: float) -> float:
-        """Standard deviation of the centre along u [px]."""
-        second_moment = support * spot.area * spot.variance_u
-        variance = light.noise * light.noise * second_moment
-        if light.speck_variance > 0.0:
-            left, top, right, bottom = spot.region
-            width = right - left
-            rest = (bottom - top) * width * (width * width - 1) / 12.0 - second_moment
-            variance += light.speck_variance * max(rest, 0.0)
-        return math.sqrt(variance / (spot.mass * spot.mass) + self.parameters.sigma_floor_px**2)
 
     def refine(
         self, image: Image, spot: Spot, light: Light, appearance: Appearance
-    ) -> tuple[float, float, float]:
+    ) -> tuple[float, float, float] | None:
         """Centre and standard deviation by the refinement that the parameters ask for.
 
         Returns
         -------
-        u, v, sigma_u : float -- the centre of gravity's own where the refinement fails [px]
+        u, v, sigma_u : float -- those of `centre` where the refinement fails [px]; or None as there
         """
-        sigma = self.sigma(spot, light, appearance.support)
+        centre = self.centre(image, spot, light, appearance)
+        if centre is None:
+            return None
         smear = math.sqrt(12.0 * max(0.0, spot.variance_u - appearance.variance_u))
         reach = self.radius + _REFINED_PX
         left = max(math.floor(spot.u - reach - smear / 2), spot.region[0])
@@ -358,22 +271,21 @@ class SpotMeter:
         region = image[top:bottom, left:right]
         u, v = spot.u - left, spot.v - top
         if self.parameters.refinement == "radial_symmetry":
-            centre = radial_symmetry_centre(region, u, v, reach + smear / 2, light.noise)
-            return (spot.u, spot.v, sigma) if centre is None else (left + centre[0], top + centre[1], sigma)
-        radius = math.sqrt(appearance.area / math.pi)
+            crossing = radial_symmetry_centre(region, u, v, reach + smear / 2, light.noise)
+            return centre if crossing is None else (left + crossing[0], top + crossing[1], centre[2])
         disc = fit_disc(
             region,
             u,
             v,
-            radius=radius,
-            edge=math.sqrt(max(appearance.variance_v - radius * radius / 4, 0.25)),
+            radius=appearance.radius,
+            edge=appearance.edge,
             background=light.background,
             contrast=-light.contrast if self._is_dark else light.contrast,
             noise=light.noise,
             smear=smear,
         )
         if disc is None:
-            return spot.u, spot.v, sigma
+            return centre
         floor = self.parameters.sigma_floor_px
         return left + disc.u, top + disc.v, math.sqrt(disc.sigma_u**2 + floor * floor)
 
@@ -456,11 +368,8 @@ class SpotMeter:
         appearance.skew_u += share * (spot.skew_u - appearance.skew_u)
         appearance.skew_v += share * (spot.skew_v - appearance.skew_v)
         appearance.row += share * (spot.v - appearance.row)
-
-    @staticmethod
-    def is_settled(appearance: Appearance) -> bool:
-        """True once the appearance is averaged over enough frames."""
-        return appearance.frames >= _SETTLING_FRAMES
+        appearance.level += share * (light.above / light.contrast - appearance.level)
+        appearance.derive()
 
     # -- whole images --------------------------------------------------------------------------------------
 
@@ -577,7 +486,7 @@ class SpotMeter:
         )
         return (spot, light) if is_marker else None
 
-    def appearance(self, image: Image, spot: Spot, light: Light) -> Appearance:
+    def appearance(self, spot: Spot, light: Light) -> Appearance:
         """Appearance of a marker that has just been acquired."""
         return Appearance(
             area=self._whole_area(spot, spot.variance_v, self._submersion(light)),
@@ -586,5 +495,5 @@ class SpotMeter:
             skew_u=spot.skew_u,
             skew_v=spot.skew_v,
             row=spot.v,
-            support=self.support(image, spot, light),
+            level=light.above / light.contrast,
         )

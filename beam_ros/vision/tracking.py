@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from beam_ros.vision.appearance import Appearance, Light
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.spots import Appearance, Gates, Light, Reason, Spot, SpotMeter
+from beam_ros.vision.spots import Gates, Reason, Spot, SpotMeter
 from beam_ros.vision.timing import FrameTiming
 
 _ACQUISITION_THRESHOLDS = (0.5, 0.3, 0.7)
@@ -38,7 +39,7 @@ _LONELY_FRAMES = 25
 _RIVAL_MEMORY_FRAMES = 10
 """A rival that has gone from view while the marker is seen is remembered for so many frames."""
 _CHORES_EVERY_FRAMES = 8
-"""Noise, levels and support are measured anew, and rivals looked for, once in so many frames."""
+"""Noise and levels are measured anew, and rivals looked for, once in so many frames."""
 
 
 class MarkerMeasurement(NamedTuple):
@@ -205,7 +206,7 @@ class MarkerTracker:
             missing = self._acquire(image)
         measurements = []
         for k, marker in enumerate(self._markers):
-            if k in missing:
+            if missing and k in missing:
                 measurements.append(self._invalid(marker, missing[k], stamp_ns, math.nan))
             else:
                 measurements.append(self._follow(image, marker, stamp_ns, k))
@@ -256,6 +257,12 @@ class MarkerTracker:
                 reason = "ambiguous"
         if spot is None or reason != "ok":
             return self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
+        if parameters.refinement == "none":
+            centre = meter.centre(image, spot, light, appearance)
+        else:
+            centre = meter.refine(image, spot, light, appearance)
+        if centre is None:
+            return self._invalid(marker, "border", stamp_ns, spot.area)
         self._remember(marker, light, appearance, spot, is_fresh=is_fresh)
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
         if is_due or is_fresh or marker.rivals:
@@ -264,14 +271,8 @@ class MarkerTracker:
                 marker.rivals = _continued(marker.rivals, others, self._frame, parameters.max_gate_px)
         if is_due and not marker.rivals:
             self._adapt(image, marker, light, appearance, spot)
-        if parameters.refinement == "none":
-            u, v, sigma = spot.u, spot.v, meter.sigma(spot, light, appearance.support)
-        else:
-            u, v, sigma = meter.refine(image, spot, light, appearance)
         return MarkerMeasurement(
-            u,
-            v,
-            sigma,
+            *centre,
             True,
             "ok",
             self._stamp(stamp_ns, spot.v),
@@ -327,7 +328,7 @@ class MarkerTracker:
         marker.u, marker.v = spot.u, spot.v
         marker.centre += 0.01 * (spot.u - marker.centre)
         marker.swing = max(0.99 * marker.swing, abs(spot.u - marker.centre))
-        if not self._meter.is_settled(appearance):
+        if not appearance.is_settled:
             self._meter.settle(spot, light, appearance)
             marker.gates = self._meter.gates(light, appearance)
 
@@ -336,8 +337,7 @@ class MarkerTracker:
     ) -> None:
         """Measure what changes slowly: light, noise, and what follows from them."""
         meter = self._meter
-        light.absorb(spot, meter.sides(image, spot))
-        appearance.support += 0.1 * (meter.support(image, spot, light) - appearance.support)
+        light.absorb(spot.plateau, *meter.sides(image, spot))
         marker.gates = meter.gates(light, appearance)
 
     # -- looking for a lost marker -------------------------------------------------------------------------
@@ -512,7 +512,7 @@ class MarkerTracker:
         """Start to follow a spot as this marker."""
         marker.light = light
         if marker.appearance is None:
-            marker.appearance = self._meter.appearance(image, spot, light)
+            marker.appearance = self._meter.appearance(spot, light)
         marker.gates = self._meter.gates(light, marker.appearance)
         marker.known_row = marker.appearance.row
         marker.u, marker.v, marker.centre = spot.u, spot.v, spot.u
