@@ -59,6 +59,7 @@ class Topic:
     meaning : str -- one line with units
     is_command : bool -- moves an axis when somebody publishes on it; never replayed unasked
     is_image : bool -- large; recorded on request only
+    is_drawing : bool -- made from other topics for people to look at; never recorded
     """
 
     name: str
@@ -67,6 +68,7 @@ class Topic:
     meaning: str
     is_command: bool = False
     is_image: bool = False
+    is_drawing: bool = False
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,21 @@ TOPICS: dict[str, Topic] = {
             "every marker in the frame: x, y, z [m], u, v [px], x_m, sigma_m [m], id, valid",
         ),
         Topic(
+            "beam/shape",
+            "visualization_msgs/msg/Marker",
+            QualityOfService(1),
+            "the deflected beam as a line, as far as the markers tell [m]; only while somebody listens",
+            is_drawing=True,
+        ),
+        Topic(
+            "tracker/debug_image",
+            "sensor_msgs/msg/Image",
+            QualityOfService(1),
+            "the camera's frame with what was measured drawn into it; only while somebody listens",
+            is_image=True,
+            is_drawing=True,
+        ),
+        Topic(
             "excitation/info",
             STRING,
             _LATCHED,
@@ -254,7 +271,7 @@ NODES: dict[str, Node] = {
         Node(
             "vision_tracker",
             "tracker",
-            ("beam/displacement", "beam/markers", "/diagnostics"),
+            ("beam/displacement", "beam/markers", "beam/shape", "tracker/debug_image", "/diagnostics"),
             (*_CAMERA, "hub/state"),
             ("tracker/reset", "tracker/capture_point", "tracker/fit_calibration", "tracker/tare"),
             "sub-pixel positions of the markers in the camera's frames",

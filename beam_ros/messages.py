@@ -179,7 +179,8 @@ def _time(types: MessageTypes, time_ns: int, type_name: str = _TIME) -> Any:
     return types.make(type_name, sec=seconds, nanosec=nanoseconds)
 
 
-def _header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
+def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
+    """Build a std_msgs/Header."""
     return types.make(_HEADER, stamp=_time(types, stamp_ns), frame_id=frame_id)
 
 
@@ -283,7 +284,7 @@ def _joint_state(
 ) -> Any:
     return types.make(
         interfaces.JOINT_STATE,
-        header=_header(types, stamp_ns, interfaces.RIG_FRAME),
+        header=header(types, stamp_ns, interfaces.RIG_FRAME),
         name=list(names),
         position=types.floats(positions),
         velocity=types.floats(velocities),
@@ -521,9 +522,9 @@ def _trajectory(
         )
         for k, offset in enumerate(offsets_ns)
     ]
-    header = _header(types, stamp_ns, frame_id)
+    stamped = header(types, stamp_ns, frame_id)
     joints = [interfaces.HUB_JOINT]
-    return types.make(interfaces.JOINT_TRAJECTORY, header=header, joint_names=joints, points=points)
+    return types.make(interfaces.JOINT_TRAJECTORY, header=stamped, joint_names=joints, points=points)
 
 
 def _point_columns(message: Any) -> tuple[dict[str, FloatArray], NDArray[np.int64]]:
@@ -553,7 +554,7 @@ def clock_sync(types: MessageTypes, sync: ClockSync) -> Any:
     """Build the TimeReference of `hub/clock_sync`."""
     return types.make(
         "sensor_msgs/msg/TimeReference",
-        header=_header(types, sync.host_ns, ""),
+        header=header(types, sync.host_ns, ""),
         time_ref=_time(types, sync.device_ns),
         source=f"epoch={sync.epoch} rtt_ns={sync.rtt_ns}",
     )
@@ -649,7 +650,7 @@ def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:
         rows[name] = cloud.rows[name]
     return types.make(
         "sensor_msgs/msg/PointCloud2",
-        header=_header(types, cloud.stamp_ns, interfaces.RIG_FRAME),
+        header=header(types, cloud.stamp_ns, interfaces.RIG_FRAME),
         height=1,
         width=len(rows),
         fields=fields,
@@ -701,16 +702,16 @@ def read_marker_cloud(message: Any) -> MarkerCloud:
 
 
 def image(types: MessageTypes, stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
-    """Build the mono8 Image of `camera/image_raw` from pixels, shape (height, width)."""
-    height, width = pixels.shape
+    """Build an Image from pixels: mono8 of shape (height, width), bgr8 of shape (height, width, 3)."""
+    height, width = pixels.shape[:2]
     return types.make(
         "sensor_msgs/msg/Image",
-        header=_header(types, stamp_ns, interfaces.CAMERA_FRAME),
+        header=header(types, stamp_ns, interfaces.CAMERA_FRAME),
         height=height,
         width=width,
-        encoding="mono8",
+        encoding="mono8" if pixels.ndim == 2 else "bgr8",
         is_bigendian=0,
-        step=width,
+        step=pixels.nbytes // height,
         data=types.octets(pixels.tobytes()),
     )
 
@@ -719,7 +720,7 @@ def camera_info(types: MessageTypes, stamp_ns: int, width: int, height: int) -> 
     """Build the CameraInfo of an uncalibrated camera: size and, by convention, a K of zeros."""
     return types.make(
         "sensor_msgs/msg/CameraInfo",
-        header=_header(types, stamp_ns, interfaces.CAMERA_FRAME),
+        header=header(types, stamp_ns, interfaces.CAMERA_FRAME),
         height=height,
         width=width,
         distortion_model="plumb_bob",
@@ -755,7 +756,7 @@ def diagnostics(types: MessageTypes, stamp_ns: int, statuses: Iterable[Health]) 
     """Build the DiagnosticArray of `/diagnostics`."""
     return types.make(
         "diagnostic_msgs/msg/DiagnosticArray",
-        header=_header(types, stamp_ns, ""),
+        header=header(types, stamp_ns, ""),
         status=[
             types.make(
                 "diagnostic_msgs/msg/DiagnosticStatus",

@@ -20,6 +20,7 @@ from beam_ros.errors import ParameterFileError
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
     from beam_ros.hub.parameters import HubParameters
+    from beam_ros.vision.capture import DeviceSettings
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -256,4 +257,32 @@ class Rig:
             marker_diameter_px=camera.marker_diameter_px,
             polarity=self.text("tracker.polarity"),  # type: ignore[arg-type]
             expected_rows_px=tuple(float(row) for row in camera.rows(self.numbers("markers.heights"))),
+            refinement=self.text("tracker.refinement"),  # type: ignore[arg-type]
+            sigma_floor_px=max(self.number("tracker.sigma_floor"), TrackerParameters.sigma_floor_px),
+            min_contrast_grey=self.number("tracker.min_contrast"),
+        )
+
+    def device_settings(self) -> DeviceSettings:
+        """What is asked of the camera that the tracker reads itself.
+
+        Raises
+        ------
+        ParameterFileError
+            The pixel format is none.
+        """
+        from beam_ros.vision.capture import DeviceSettings
+
+        pixel_format = self.text("tracker.device_format")
+        if pixel_format and not (pixel_format.isascii() and len(pixel_format) == 4):
+            raise ParameterFileError(
+                f"tracker.device_format is {pixel_format!r}: expected four characters such as GREY or MJPG, or "
+                "nothing; `v4l2-ctl --list-formats` shows what the camera gives"
+            )
+        return DeviceSettings(
+            self.text("tracker.device"),
+            int(self.number("camera.width")),
+            int(self.number("camera.height")),
+            self.number("camera.rate"),
+            pixel_format,
+            self.number("camera.exposure") if self.values["tracker.sets_exposure"] else None,
         )

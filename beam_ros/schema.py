@@ -219,10 +219,43 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter("background", "float", "level of the background", "grey levels", 0.0, 254.0),
             Parameter("blur", "float", "standard deviation of the optics", "px", 0.0, 20.0),
             Parameter("noise", "float", "standard deviation of a pixel", "grey levels", 0.0, 100.0),
+            Parameter("name", "str", "camera and lens setting, which calibrations keep; empty: any"),
         ),
         *_group(
             "tracker",
             Parameter("polarity", "str", "markers against ground", choices=("bright", "dark")),
+            Parameter("source", "str", "where frames come from", choices=("topic", "device", "file")),
+            Parameter("device", "str", "path, number or address of the camera, for source device"),
+            Parameter(
+                "device_format", "str", "four characters such as GREY, YUYV, MJPG; empty: the driver's choice"
+            ),
+            Parameter("sets_exposure", "bool", "set the device to camera.exposure"),
+            Parameter("retry_period", "float", "until a device that failed is opened again", "s", 0.05, 60.0),
+            Parameter("video", "str", "video file, for source file"),
+            Parameter("video_rate", "float", "of the video; 0: as the file says", "Hz", 0.0, 1e6),
+            Parameter(
+                "refinement",
+                "str",
+                "what is made of the centre of gravity",
+                choices=("none", "radial_symmetry", "disc_model"),
+            ),
+            Parameter(
+                "sigma_floor",
+                "float",
+                "of a position: what the dots show at rest; 0: perfect discs",
+                "px",
+                0.0,
+                10.0,
+            ),
+            Parameter(
+                "min_contrast", "float", "below which nothing is a marker", "grey levels", 1.0, 65535.0
+            ),
+            Parameter(
+                "averaged_frames", "int", "of a tare or a calibration point", "", 2, 100_000, is_live=True
+            ),
+            Parameter(
+                "drawing_rate", "float", "of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3, is_live=True
+            ),
             Parameter("calibration", "str", "calibration file; empty: the nominal scale"),
             Parameter("save_calibration", "str", "file for tracker/fit_calibration to write", is_live=True),
         ),

@@ -128,7 +128,9 @@ class BagRecorder(RigNode):
         path = Path(str(self.rig["recorder.path"]) or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
         self._recording = Recording(path)
         with_images = bool(self.rig["recorder.images"])
-        topics = [t for t in interfaces.TOPICS.values() if with_images or not t.is_image]
+        topics = [
+            t for t in interfaces.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing
+        ]
         self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
         self.get_logger().info(f"recording to {path}")
 
