@@ -27,6 +27,9 @@ TEST = [
     "setuptools<80",
 ]
 
+# A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
+DASK = ["distributed>=2024.1"]
+
 DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3"]
 
 EXECUTABLES = [
@@ -64,6 +67,6 @@ setup(
         "ruamel.yaml>=0.17.21",
         "tqdm>=4.60",
     ],
-    extras_require={"report": REPORT, "rig": RIG, "ros": ROS, "test": TEST, "dev": DEV},
+    extras_require={"report": REPORT, "rig": RIG, "ros": ROS, "test": TEST, "dask": DASK, "dev": DEV},
     entry_points={"console_scripts": [f"{name} = {PACKAGE}.executables:{name}" for name in EXECUTABLES]},
 )

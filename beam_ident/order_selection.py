@@ -11,19 +11,17 @@ orders that are too low, and decides nothing here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from beam_ident.batches import Progress, map_records
 from beam_ident.errors import EstimationError
 from beam_ident.records import TimeRecord
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
-
-Progress = Callable[[str, float], None]
 
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
@@ -75,6 +73,7 @@ def select_transfer_function(
     n_zeros: Iterable[int] | None = None,
     n_workers: int = 1,
     progress: Progress | None = None,
+    scheduler: str | None = None,
     **options: Any,
 ) -> OrderSelection:
     """Estimate all structures of a range and choose one.
@@ -87,13 +86,14 @@ def select_transfer_function(
         Degrees of the numerator; None takes all below the denominator's.
     n_workers : int -- processes to spread the estimates over; 1 stays in this one
     progress : callable or None -- called with a phrase and the share done
+    scheduler : str or None -- address of a Dask cluster that does the work instead; see :func:`map_records`
     **options
         Handed to :func:`estimate_transfer_function`, such as ``has_offset``.
 
     Raises
     ------
     EstimationError
-        An empty range, or no structure that passes the gates.
+        An empty range, no structure that passes the gates, or no cluster where one was named.
     """
     zeros = None if n_zeros is None else list(n_zeros)
     structures = [(n, m) for n in n_poles for m in (range(n) if zeros is None else zeros) if 0 <= m <= n]
@@ -102,16 +102,7 @@ def select_transfer_function(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
     jobs = [(record, n, m, options) for n, m in structures]
-    results: list[TransferFunctionResult | str] = []
-    if n_workers > 1:
-        with ProcessPoolExecutor(n_workers) as pool:
-            for done, outcome in enumerate(pool.map(_attempt, jobs)):
-                results.append(outcome)
-                _tell(progress, structures[done], done, len(jobs))
-    else:
-        for done, job in enumerate(jobs):
-            results.append(_attempt(job))
-            _tell(progress, structures[done], done, len(jobs))
+    results = map_records(_attempt, jobs, n_workers, scheduler, progress)
     entries = [_entry(n, m, outcome) for (n, m), outcome in zip(structures, results, strict=True)]
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
     if not passed:
@@ -125,11 +116,6 @@ def select_transfer_function(
     assert isinstance(chosen, TransferFunctionResult)
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
-
-
-def _tell(progress: Progress | None, structure: tuple[int, int], done: int, total: int) -> None:
-    if progress is not None:
-        progress(f"{structure[0]} poles, {structure[1]} zeros", (done + 1) / total)
 
 
 def _attempt(job: tuple[TimeRecord, int, int, dict[str, Any]]) -> TransferFunctionResult | str:
