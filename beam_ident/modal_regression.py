@@ -19,7 +19,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.input_noise import Smoothing
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
-from beam_ident.pole_response import PoleResponse
+from beam_ident.pole_response import PoleResponses
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
@@ -81,15 +81,26 @@ class _Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class _Sampling:
+    """Everything at one grid that depends on the clock alone."""
+
+    clock: ClockState
+    instants: Instants
+    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time
+    direct: tuple[FloatArray, FloatArray]
+    elapsed: FloatArray  # since the first stamp, on the input's clock
+    latency_factor: FloatArray
+    rate_factor: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class _GridColumns:
     """All columns at one grid; derivatives by (log omega, zeta, time) where asked for."""
 
-    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time
-    forced: list[tuple[FloatArray, ...]]  # value[, by log omega, by zeta, by time]
-    free: list[tuple[NDArray[np.complex128], ...]]
+    sampling: _Sampling
+    forced: tuple[FloatArray, ...]  # value[, by log omega, by zeta, by time], each (n_modes, n)
+    free: tuple[NDArray[np.complex128], ...]
     ramp: FloatArray
-    latency_factor: FloatArray
-    rate_factor: FloatArray
 
 
 class _PreparedRecord:
@@ -143,64 +154,104 @@ class _PreparedRecord:
         self.length = max(float(np.max(stamps) - np.min(stamps)), 1e-12)
         self.values = {output.name: output.values for output in record.outputs}
 
-    def columns(
-        self,
-        grid: _Grid,
-        omegas: FloatArray,
-        zetas: FloatArray,
-        clock: ClockState,
-        gradients: bool,
-        responses: list[PoleResponse],
-    ) -> _GridColumns:
-        """Return every column at one grid of stamps."""
-        structure = self.structure
+        self._responses: PoleResponses | None = None
+        self._samplings: dict[int, _Sampling] = {}
+
+    def responses(self, poles: NDArray[np.complex128], gradients: bool) -> PoleResponses:
+        """Return the poles' responses at the knots of the input; the latest ones are kept."""
+        known = self._responses
+        if known is None or known.gradients < gradients or not np.array_equal(known.poles, poles):
+            known = self._responses = PoleResponses(poles, self.drive, gradients)
+        return known
+
+    def _sampling(self, number: int, clock: ClockState) -> _Sampling:
+        known = self._samplings.get(number)
+        if known is not None and known.clock == clock:
+            return known
+        grid, structure = self.grids[number], self.structure
         stretch = 1.0 / (1.0 + clock.rate)
         late = grid.times - clock.latency - self.middle
         times = self.middle + late * stretch
         instants = Instants.on(self.drive, times, grid.exposure_s)
-        fixed: list[tuple[FloatArray, FloatArray]] = []
-        direct, direct_rate = instants.mean(self.position, self.position_integral)
+        fixed = []
+        direct = instants.mean(self.position, self.position_integral)
         if structure.has_direct:
-            fixed.append((direct, direct_rate))
+            fixed.append(direct)
         if structure.has_residual:
             value, rate = instants.mean(*self.residual)
             fixed.append((structure.sign * value, structure.sign * rate))
-        forced: list[tuple[FloatArray, ...]] = []
-        free: list[tuple[NDArray[np.complex128], ...]] = []
-        power = structure.differentiations
-        for omega, zeta, response in zip(omegas, zetas, responses, strict=True):
-            pole = response.pole
-            sampled = response.sample(instants, self.drive_integral)
-            factor = pole**power * structure.sign / pole.imag
-            value = np.imag(factor * sampled.values)
-            if power == 2:
-                value = value + structure.sign * (direct - self.rest)
-            elapsed = times - self.start
-            half = 0.5 * pole * grid.exposure_s
-            shape = np.sinh(half) / half if abs(half) > 1e-6 else 1.0 + half**2 / 6.0
-            decay = np.exp(pole * elapsed) * shape
-            if not gradients or sampled.pole_slopes is None or sampled.time_slopes is None:
-                forced.append((value,))
-                free.append((decay,))
-                continue
-            root = np.sqrt(1.0 - zeta**2)
-            pole_by = (pole, omega * complex(-1.0, -zeta / root))
-            slope = sampled.pole_slopes
+        known = _Sampling(
+            clock,
+            instants,
+            fixed,
+            direct,
+            times - self.start,
+            np.full_like(times, -stretch),
+            -late * stretch**2,
+        )
+        self._samplings[number] = known
+        return known
+
+    def columns(
+        self, number: int, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> _GridColumns:
+        """Return every column at one grid of stamps."""
+        structure, grid = self.structure, self.grids[number]
+        poles = modal_poles(omegas, zetas)
+        sampling = self._sampling(number, clock)
+        sampled = self.responses(poles, gradients).sample(sampling.instants, self.drive_integral, gradients)
+        power, column = structure.differentiations, poles[:, None]
+        factor = column**power * structure.sign / column.imag
+        values = np.ascontiguousarray(np.imag(factor * sampled.values))
+        forced: tuple[FloatArray, ...] = (values,)
+        by_log_omega, by_zeta = (
+            column,
+            omegas[:, None] * (-1.0 - 1j * (zetas / np.sqrt(1.0 - zetas**2))[:, None]),
+        )
+        if sampled.pole_slopes is not None and sampled.time_slopes is not None:
+            slopes = sampled.pole_slopes
             if power:
-                slope = slope + power / pole * sampled.values
-            oscillation = np.imag(factor * sampled.values)
-            by_pole = [np.imag(factor * slope * d) - oscillation * (d.imag / pole.imag) for d in pole_by]
+                slopes = slopes + power / column * sampled.values
+            by_pole = [
+                np.imag(factor * d * slopes) - values * (d.imag / column.imag)
+                for d in (by_log_omega, by_zeta)
+            ]
             by_time = np.imag(factor * sampled.time_slopes)
             if power == 2:
-                by_time = by_time + structure.sign * direct_rate
-            forced.append((value, by_pole[0], by_pole[1], by_time))
-            log_shape = (
-                0.5 * grid.exposure_s * (1.0 / np.tanh(half) - 1.0 / half if abs(half) > 1e-4 else half / 3.0)
+                by_time += structure.sign * sampling.direct[1]
+            forced = (values, *by_pole, by_time)
+        if power == 2:
+            values += structure.sign * (sampling.direct[0] - self.rest)
+        free: tuple[NDArray[np.complex128], ...] = ()
+        if structure.has_free_response:
+            free = _free_response(
+                column, sampling.elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
             )
-            decay_slope = decay * (elapsed + log_shape)
-            free.append((decay, decay_slope * pole_by[0], decay_slope * pole_by[1], pole * decay))
-        ramp = (grid.times - self.middle) / self.length
-        return _GridColumns(fixed, forced, free, ramp, np.full_like(times, -stretch), -late * stretch**2)
+        return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length)
+
+
+def _free_response(
+    poles: NDArray[np.complex128],
+    elapsed: FloatArray,
+    exposure_s: float,
+    pole_slopes: tuple[NDArray[np.complex128], ...],
+) -> tuple[NDArray[np.complex128], ...]:
+    """Return decays averaged over the exposure, and their derivatives by what moves the poles and by time."""
+    half = 0.5 * poles * exposure_s
+    is_small = np.abs(half) < 1e-4
+    safe = np.where(is_small, 1.0, half)
+    shape = np.where(is_small, 1.0 + half**2 / 6.0, np.sinh(safe) / safe)
+    decay = np.exp(poles * elapsed) * shape
+    if not pole_slopes:
+        return (decay,)
+    log_shape = 0.5 * exposure_s * np.where(is_small, half / 3.0, 1.0 / np.tanh(safe) - 1.0 / safe)
+    slope = decay * (elapsed + log_shape)
+    return (decay, *(slope * d for d in pole_slopes), poles * decay)
+
+
+def modal_poles(omegas: FloatArray, zetas: FloatArray) -> NDArray[np.complex128]:
+    """Return the upper pole of every mode [rad/s]."""
+    return np.asarray(omegas * (-zetas + 1j * np.sqrt(1.0 - zetas**2)), dtype=np.complex128)
 
 
 class ModalRegression:
@@ -311,13 +362,12 @@ class ModalRegression:
         then for each record offset, ramp, and the real and imaginary free response of
         each mode.
         """
-        poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
-        cache: dict[tuple[int, int], _GridColumns] = {}
-        for index, prepared in enumerate(self._prepared):
-            responses = [PoleResponse(p, prepared.drive, gradients=gradients) for p in poles]
-            for number, grid in enumerate(prepared.grids):
-                cache[index, number] = prepared.columns(grid, omegas, zetas, clock, gradients, responses)
-        return [self._assemble(parts, cache, len(poles), gradients) for parts in self._block_keys]
+        cache = {
+            (index, number): prepared.columns(number, omegas, zetas, clock, gradients)
+            for index, prepared in enumerate(self._prepared)
+            for number in range(len(prepared.grids))
+        }
+        return [self._assemble(parts, cache, len(omegas), gradients) for parts in self._block_keys]
 
     def input_noise(
         self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, coefficients: Sequence[FloatArray]
@@ -332,7 +382,6 @@ class ModalRegression:
         if not any(drive.sigma > 0.0 for drive in self.drives):
             return None
         n_shared = self.n_shared_fixed + len(omegas)
-        poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
         drawn = [np.empty((len(values), _NOISE_DRAWS)) for values in self.values]
         rng = np.random.default_rng(0)
         for draw in range(_NOISE_DRAWS):
@@ -343,11 +392,10 @@ class ModalRegression:
                 if self._smoothing is not None:
                     disturbed = self._smoothing.of(disturbed)
                 prepared = _PreparedRecord(record, disturbed, self.structure)
-                responses = [PoleResponse(pole, prepared.drive, gradients=False) for pole in poles]
-                for number, grid in enumerate(prepared.grids):
-                    source = prepared.columns(grid, omegas, zetas, clock, False, responses)
+                for number in range(len(prepared.grids)):
+                    source = prepared.columns(number, omegas, zetas, clock, gradients=False)
                     shared[index, number] = np.column_stack(
-                        [value for value, _ in source.fixed] + [mode[0] for mode in source.forced]
+                        [value for value, _ in source.sampling.fixed] + list(source.forced[0])
                     )
             for output, parts in enumerate(self._parts):
                 disturbance = [
@@ -370,7 +418,7 @@ class ModalRegression:
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
         n_free = 2 * len(parts) if structure.has_free_response else 0
-        touched = [np.zeros((2, n_rows, 1 + n_free)) for _ in range(n_modes)] if gradients else []
+        touched = [np.zeros((2, 1 + n_free, n_rows)) for _ in range(n_modes)] if gradients else []
         indices = [np.zeros(1 + n_free, dtype=np.intp) for _ in range(n_modes)]
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first = 0
@@ -379,9 +427,9 @@ class ModalRegression:
             here = slice(first, first + length)
             first += length
             source = cache[part[0], part[1]]
-            latency_factor[here] = source.latency_factor[rows]
-            rate_factor[here] = source.rate_factor[rows]
-            for column, (value, rate) in enumerate(source.fixed):
+            latency_factor[here] = source.sampling.latency_factor[rows]
+            rate_factor[here] = source.sampling.rate_factor[rows]
+            for column, (value, rate) in enumerate(source.sampling.fixed):
                 matrix[here, column] = value[rows]
                 if by_time is not None:
                     by_time[here, column] = rate[rows]
@@ -394,28 +442,28 @@ class ModalRegression:
                 own += 1
             for mode in range(n_modes):
                 column = n_fixed + mode
-                matrix[here, column] = source.forced[mode][0][rows]
+                matrix[here, column] = source.forced[0][mode][rows]
                 indices[mode][0] = column
                 if by_time is not None:
-                    by_time[here, column] = source.forced[mode][3][rows]
-                    touched[mode][0, here, 0] = source.forced[mode][1][rows]
-                    touched[mode][1, here, 0] = source.forced[mode][2][rows]
+                    touched[mode][0, 0, here] = source.forced[1][mode][rows]
+                    touched[mode][1, 0, here] = source.forced[2][mode][rows]
+                    by_time[here, column] = source.forced[3][mode][rows]
                 if not structure.has_free_response:
                     continue
                 pair = slice(own + 2 * mode, own + 2 * mode + 2)
-                matrix[here, pair] = _real_pair(source.free[mode][0][rows])
+                matrix[here, pair] = _real_pair(source.free[0][mode][rows]).T
                 place = slice(1 + 2 * number, 3 + 2 * number)
                 indices[mode][place] = np.arange(pair.start, pair.stop)
                 if by_time is not None:
-                    by_time[here, pair] = _real_pair(source.free[mode][3][rows])
-                    touched[mode][0, here, place] = _real_pair(source.free[mode][1][rows])
-                    touched[mode][1, here, place] = _real_pair(source.free[mode][2][rows])
-        modes = tuple(ModeColumns(i, t[0], t[1]) for i, t in zip(indices, touched, strict=False))
+                    touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
+                    touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
+                    by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
+        modes = tuple(ModeColumns(i, t[0].T, t[1].T) for i, t in zip(indices, touched, strict=False))
         return ColumnBlock(matrix, modes, by_time, latency_factor, rate_factor)
 
 
 def _real_pair(values: NDArray[np.complex128]) -> FloatArray:
-    return np.stack([values.real, values.imag], axis=1)
+    return np.stack([values.real, values.imag])
 
 
 def forced_columns(
@@ -437,7 +485,5 @@ def forced_columns(
         )
     output = OutputSignal("instants", "", times_s, np.zeros(len(times_s)), exposure_s)
     prepared = _PreparedRecord(TimeRecord((drive,), (output,)), drive, structure)
-    poles = [complex(-z * w, w * np.sqrt(1.0 - z * z)) for w, z in zip(omegas, zetas, strict=True)]
-    responses = [PoleResponse(pole, prepared.drive, gradients=False) for pole in poles]
-    columns = prepared.columns(prepared.grids[0], omegas, zetas, ClockState(), False, responses)
-    return np.column_stack([value for value, _ in columns.fixed] + [mode[0] for mode in columns.forced])
+    columns = prepared.columns(0, omegas, zetas, ClockState(), gradients=False)
+    return np.column_stack([value for value, _ in columns.sampling.fixed] + list(columns.forced[0]))

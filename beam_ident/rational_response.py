@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from beam_ident.chain_response import chain_impulse_response, chain_response
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
-from beam_ident.pole_response import PoleResponse
+from beam_ident.pole_response import PoleResponses
 
 ComplexArray = NDArray[np.complex128]
 
@@ -155,13 +155,10 @@ class RationalResponse:
             states = chain_response(self._form.chain, scale, drive, integral, instants)
             self._rows = _Fractions.rows([states])
             return
-        values, slopes = [], []
-        for pole in upper:
-            sampled = PoleResponse(pole * scale, drive, gradients=squares).sample(instants, integral)
-            values.append(scale * sampled.values)
-            if sampled.pole_slopes is not None:
-                slopes.append(scale**2 * sampled.pole_slopes)
-        parts = [np.array(values), np.array(slopes)] if squares else [np.array(values)]
+        sampled = PoleResponses(upper * scale, drive, gradients=squares).sample(instants, integral)
+        parts = [scale * sampled.values]
+        if sampled.pole_slopes is not None:
+            parts.append(scale**2 * sampled.pole_slopes)
         self._rows = _Fractions.rows(parts)
 
     @classmethod

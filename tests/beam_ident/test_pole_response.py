@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from beam_ident.piecewise import Instants, PiecewisePolynomial
-from beam_ident.pole_response import PoleResponse, phi_functions
+from beam_ident.pole_response import PoleResponses, phi_functions
 
 POLE = complex(-1.5, 180.0)
 HOLDS = ["zoh", "linear", "cubic"]
@@ -55,10 +55,10 @@ def test_the_state_solves_the_differential_equation(hold, irregular):
             return POLE * x + np.polyval(coefficients[::-1], t - first)
 
         state = solve_ivp(slope, (first, last), [state], rtol=1e-11, atol=1e-15).y[0, -1]
-    found = PoleResponse(POLE, signal).sample(
+    found = PoleResponses(np.array([POLE]), signal).sample(
         Instants.on(signal, np.array([end]), 0.0), signal.antiderivative()
     )
-    assert found.values[0] == pytest.approx(state, rel=1e-7)  # the ODE solver's own error
+    assert found.values[0, 0] == pytest.approx(state, rel=1e-7)  # the ODE solver's own error
 
 
 @pytest.mark.parametrize("irregular", [False, True])
@@ -66,7 +66,7 @@ def test_the_state_solves_the_differential_equation(hold, irregular):
 def test_box_averages_are_exact(hold, irregular):
     signal = make_signal(hold, irregular)
     integral = signal.antiderivative()
-    response = PoleResponse(POLE, signal)
+    response = PoleResponses(np.array([POLE]), signal)
     centre, exposure = 0.2004, 5e-3
     edges = np.concatenate(
         [
@@ -80,9 +80,9 @@ def test_box_averages_are_exact(hold, irregular):
     for first, last in itertools.pairwise(edges):
         times = 0.5 * (first + last) + 0.5 * (last - first) * nodes
         total = total + 0.5 * (last - first) * np.sum(
-            weights * response.sample(Instants.on(signal, times, 0.0), integral).values
+            weights * response.sample(Instants.on(signal, times, 0.0), integral).values[0]
         )
-    found = response.sample(Instants.on(signal, np.array([centre]), exposure), integral).values[0]
+    found = response.sample(Instants.on(signal, np.array([centre]), exposure), integral).values[0, 0]
     assert found == pytest.approx(total / exposure, rel=1e-10)
 
 
@@ -94,7 +94,8 @@ def test_derivatives_are_exact(hold, exposure):
     times = np.linspace(0.05, 0.35, 50)
 
     def values(pole, shift):
-        return PoleResponse(pole, signal).sample(Instants.on(signal, times + shift, exposure), integral)
+        instants = Instants.on(signal, times + shift, exposure)
+        return PoleResponses(np.array([pole]), signal).sample(instants, integral)
 
     found = values(POLE, 0.0)
     step = 1e-4
