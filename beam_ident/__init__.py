@@ -1,5 +1,6 @@
 """Continuous-time identification of vibrating structures from sampled records."""
 
+from beam_ident.batches import map_records
 from beam_ident.closed_loop import ClosedLoopResult, SampledController, estimate_in_closed_loop
 from beam_ident.comparison import ModelComparison, compare_models
 from beam_ident.cross_validation import OutputValidation, ValidationResult, validate
@@ -11,11 +12,31 @@ from beam_ident.errors import (
     ModelFormatError,
     RecordError,
 )
-from beam_ident.excitation import AxisLimits, LogChirp, Multisine, Recipe, SampledExcitation, Step
+from beam_ident.excitation import (
+    AxisLimits,
+    BandLimitedNoise,
+    Doublet,
+    ExcitationReport,
+    HeldInput,
+    LinearChirp,
+    LogChirp,
+    Multisine,
+    PointToPoint,
+    Prbs,
+    Pulse,
+    Recipe,
+    SampledExcitation,
+    Sine,
+    Step,
+    SteppedSine,
+    excitation_report,
+    predict_amplitudes,
+)
 from beam_ident.identification import IdentificationResult, OrderEntry, OutputFit, identify
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
+from beam_ident.order_selection import OrderSelection, StructureEntry, select_transfer_function
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.subspace import SubspaceModel, subspace_model
 from beam_ident.transfer_function import TransferFunctionModel
@@ -24,14 +45,19 @@ from beam_ident.validation import InputCorrelation, Scores, Whiteness
 
 __all__ = [
     "AxisLimits",
+    "BandLimitedNoise",
     "ClosedLoopResult",
+    "Doublet",
     "EstimationError",
     "ExcitationError",
     "ExcitationLimitError",
+    "ExcitationReport",
+    "HeldInput",
     "IdentificationError",
     "IdentificationResult",
     "InputCorrelation",
     "InputSignal",
+    "LinearChirp",
     "LogChirp",
     "ModalFrequencyResponse",
     "ModalModel",
@@ -40,16 +66,23 @@ __all__ = [
     "ModelFormatError",
     "Multisine",
     "OrderEntry",
+    "OrderSelection",
     "OutputFit",
     "OutputSignal",
     "OutputValidation",
+    "PointToPoint",
+    "Prbs",
     "Prior",
+    "Pulse",
     "Recipe",
     "RecordError",
     "SampledController",
     "SampledExcitation",
     "Scores",
+    "Sine",
     "Step",
+    "SteppedSine",
+    "StructureEntry",
     "SubspaceModel",
     "TimeRecord",
     "TransferFunctionModel",
@@ -59,7 +92,11 @@ __all__ = [
     "compare_models",
     "estimate_in_closed_loop",
     "estimate_transfer_function",
+    "excitation_report",
     "identify",
+    "map_records",
+    "predict_amplitudes",
+    "select_transfer_function",
     "subspace_model",
     "validate",
 ]

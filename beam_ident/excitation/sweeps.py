@@ -1,0 +1,134 @@
+"""Chirps: one sine whose frequency sweeps over the band.
+
+A sweep has the lowest crest factor of all broadband signals, tells the eye what happens when,
+and drives one mode after the other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from beam_ident.excitation.recipe import Recipe
+from beam_ident.excitation.windows import displacement_amplitude, window
+from beam_ident.piecewise import FloatArray
+
+
+@dataclass(frozen=True)
+class LogChirp(Recipe):
+    """Logarithmic chirp of constant acceleration under a ceiling of displacement.
+
+    Parameters
+    ----------
+    start_hz, end_hz : float -- first and last frequency [Hz]
+    sweep_s : float -- length of the sweep [s]
+    acceleration : float -- amplitude of the acceleration [m/s^2]
+    displacement_ceiling : float -- largest amplitude of the displacement [m]
+    still_s : float -- stretch of a still hub after the sweep [s]
+    fade_in_s, fade_out_s : float -- smooth ramps at both ends of the sweep [s]
+    velocity_ceiling : float or None -- largest amplitude of the velocity [m/s]
+
+    Notes
+    -----
+    ``alpha0(f) = min(ceiling, acceleration / (2 pi f)^2)``, the corner rounded; phase
+    ``2 pi f0 L (e^(t/L) - 1)`` with ``L = sweep / ln(f1/f0)``.
+    """
+
+    kind: ClassVar[str] = "log_chirp"
+
+    start_hz: float = 1.0
+    end_hz: float = 95.0
+    sweep_s: float = 20.0
+    acceleration: float = 0.7
+    displacement_ceiling: float = 0.005
+    still_s: float = 10.0
+    fade_in_s: float = 1.0
+    fade_out_s: float = 0.25
+    velocity_ceiling: float | None = None
+
+    def _check(self) -> None:
+        _check_sweep(self)
+        self._require(self.end_hz > self.start_hz, "end_hz", self.end_hz, f"above start_hz = {self.start_hz}")
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s], the still stretch included."""
+        return self.sweep_s + self.still_s
+
+    def displacement(self, times_s: FloatArray) -> FloatArray:
+        """Return the displacement [m] at any times [s]."""
+        times = np.clip(times_s, 0.0, self.sweep_s)
+        growth = self.sweep_s / math.log(self.end_hz / self.start_hz)
+        frequency = self.start_hz * np.exp(times / growth)
+        phase = 2.0 * np.pi * growth * (frequency - self.start_hz)
+        return _swept(self, times, frequency, phase)
+
+
+@dataclass(frozen=True)
+class LinearChirp(Recipe):
+    """Linear chirp of constant acceleration under a ceiling of displacement.
+
+    Parameters
+    ----------
+    start_hz, end_hz : float -- first and last frequency [Hz]; downwards too
+    sweep_s, acceleration, displacement_ceiling, still_s, fade_in_s, fade_out_s, velocity_ceiling
+        As in :class:`LogChirp`.
+
+    Notes
+    -----
+    Phase ``2 pi (f0 t + (f1 - f0) t^2 / (2 sweep))``: equal time for every hertz, where the
+    logarithmic chirp gives equal time to every octave.
+    """
+
+    kind: ClassVar[str] = "linear_chirp"
+
+    start_hz: float = 1.0
+    end_hz: float = 95.0
+    sweep_s: float = 20.0
+    acceleration: float = 0.7
+    displacement_ceiling: float = 0.005
+    still_s: float = 10.0
+    fade_in_s: float = 1.0
+    fade_out_s: float = 0.25
+    velocity_ceiling: float | None = None
+
+    def _check(self) -> None:
+        _check_sweep(self)
+        self._require(
+            self.end_hz != self.start_hz, "end_hz", self.end_hz, f"other than start_hz = {self.start_hz}"
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s], the still stretch included."""
+        return self.sweep_s + self.still_s
+
+    def displacement(self, times_s: FloatArray) -> FloatArray:
+        """Return the displacement [m] at any times [s]."""
+        times = np.clip(times_s, 0.0, self.sweep_s)
+        slope = (self.end_hz - self.start_hz) / self.sweep_s
+        phase = 2.0 * np.pi * times * (self.start_hz + 0.5 * slope * times)
+        return _swept(self, times, self.start_hz + slope * times, phase)
+
+
+def _check_sweep(chirp: LogChirp | LinearChirp) -> None:
+    chirp._positive(
+        "start_hz", "end_hz", "sweep_s", "acceleration", "displacement_ceiling", "velocity_ceiling"
+    )
+    chirp._not_negative("still_s")
+    for name in ("fade_in_s", "fade_out_s"):
+        value = getattr(chirp, name)
+        chirp._require(0.0 < value <= chirp.sweep_s / 2, name, value, "between 0 and half of sweep_s")
+
+
+def _swept(
+    chirp: LogChirp | LinearChirp, times: FloatArray, frequency: FloatArray, phase: FloatArray
+) -> FloatArray:
+    amplitude = displacement_amplitude(
+        2.0 * np.pi * frequency, chirp.acceleration, chirp.velocity_ceiling, chirp.displacement_ceiling
+    )
+    shape = window(times, chirp.sweep_s, chirp.fade_in_s, chirp.fade_out_s)
+    return np.asarray(shape * amplitude * np.sin(phase))

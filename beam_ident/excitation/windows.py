@@ -1,0 +1,98 @@
+"""Smooth ramps, windows and the rounded corner between two limits of amplitude.
+
+All of them have three continuous derivatives, so that a windowed displacement has a
+continuous jerk and excites nothing above its band.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beam_ident.piecewise import FloatArray
+
+
+def smooth_rise(fraction: ArrayLike) -> FloatArray:
+    """Return the septic 0 -> 1 whose first three derivatives vanish at both ends.
+
+    Notes
+    -----
+    Its slope peaks at 35/16, its second derivative at 7.513 and its third at 52.5 (in the middle, downwards).
+    """
+    s = np.clip(fraction, 0.0, 1.0)
+    return np.asarray(s**4 * (35.0 - s * (84.0 - s * (70.0 - 20.0 * s))))
+
+
+def smooth_rise_integral(fraction: ArrayLike) -> FloatArray:
+    """Return the integral of :func:`smooth_rise` from 0, which goes on with slope 1 after 1."""
+    s = np.clip(fraction, 0.0, 1.0)
+    inside = s**5 * (7.0 - s * (14.0 - s * (10.0 - 2.5 * s)))
+    return np.asarray(inside + np.maximum(np.asarray(fraction, dtype=np.float64) - 1.0, 0.0))
+
+
+def window(times_s: FloatArray, duration_s: float, fade_in_s: float, fade_out_s: float) -> FloatArray:
+    """Return the window that rises over ``fade_in_s``, stays at 1 and falls over ``fade_out_s``.
+
+    Parameters
+    ----------
+    times_s : ndarray -- any times [s]; the window is 0 outside 0 to ``duration_s``
+    duration_s, fade_in_s, fade_out_s : float -- [s], fades above 0
+    """
+    rise = smooth_rise(times_s / fade_in_s)
+    fall = smooth_rise((duration_s - times_s) / fade_out_s)
+    return np.asarray(rise * fall)
+
+
+def soft_minimum(first: FloatArray | float, second: FloatArray) -> FloatArray:
+    """Return a smooth function just below the smaller of two positive ones."""
+    return np.asarray((np.power(first, -8.0) + np.power(second, -8.0)) ** -0.125)
+
+
+def displacement_amplitude(
+    omega: FloatArray,
+    acceleration: float,
+    velocity_ceiling: float | None,
+    displacement_ceiling: float | FloatArray,
+) -> FloatArray:
+    """Return the amplitude of displacement of constant acceleration under ceilings [m].
+
+    Parameters
+    ----------
+    omega : ndarray -- [rad/s]
+    acceleration : float -- amplitude of the acceleration [m/s^2]
+    velocity_ceiling : float or None -- largest amplitude of the velocity [m/s]
+    displacement_ceiling : float or ndarray -- largest amplitude of the displacement [m]
+
+    Notes
+    -----
+    ``min(displacement, velocity / omega, acceleration / omega^2)``, the corners rounded: flat in
+    acceleration above, in velocity between, in displacement below.
+    """
+    amplitude = soft_minimum(displacement_ceiling, acceleration / omega**2)
+    return amplitude if velocity_ceiling is None else soft_minimum(velocity_ceiling / omega, amplitude)
+
+
+def sum_of_sines(
+    times_s: FloatArray,
+    amplitudes: FloatArray,
+    omegas: FloatArray,
+    phases: FloatArray,
+    active_s: float,
+    fade_s: float,
+) -> FloatArray:
+    """Return a windowed sum of sines, computed only where the window is open.
+
+    Parameters
+    ----------
+    times_s : ndarray -- any times [s]
+    amplitudes, omegas, phases : ndarray, shape (n_lines,) -- omegas in rad/s, phases in rad
+    active_s, fade_s : float -- length of the window and of each of its ramps [s]
+    """
+    total = np.zeros(np.shape(times_s))
+    is_open = (times_s > 0.0) & (times_s < active_s)
+    times = np.asarray(times_s)[is_open]
+    inside = np.zeros_like(times)
+    for amplitude, omega, phase in zip(amplitudes, omegas, phases, strict=True):
+        inside += amplitude * np.sin(omega * times + phase)
+    total[is_open] = window(times, active_s, fade_s, fade_s) * inside
+    return total
