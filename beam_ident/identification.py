@@ -28,6 +28,7 @@ from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.validation import Scores, Whiteness
+from beam_ident.weighted_fit import WeightedFit
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
@@ -37,7 +38,8 @@ Progress = Callable[[str, float], None]
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
-_VISIBLE_SHARE = 0.01  # of an output's noise variance: below this noise on the input is not looked at
+_NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
+_VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on a reader is told
 _MAX_LATENCY_S = 0.2
 _ITERATIONS = 40
 _TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
@@ -342,7 +344,6 @@ class _Search:
                 excluded.append(candidate.omega)
             if not found:
                 break
-        self.progress("done", 1.0)
 
     def _affords(self, n_modes: int) -> bool:
         columns = self.regression.n_shared_fixed + n_modes + self.regression.n_nuisance(n_modes)
@@ -391,22 +392,19 @@ class _Search:
                 "ask for a "
                 "number of modes to see the best candidate"
             )
+        self.progress("weighing by the noise as it is", 0.97)
         model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
-        if max(_noise_share(model, drive) for drive in regression.drives) > _VISIBLE_SHARE:
-            self.progress("weighing the noise on the input", 0.97)
+        smoothing = None
+        if max(_noise_share(model, drive) for drive in regression.drives) > _NEGLIGIBLE_SHARE:
+            smoothing = Smoothing(self.band.high_hz)
             regression = self.regression = ModalRegression(
-                self.records, regression.structure, self.input_name, Smoothing(self.band.high_hz)
+                self.records, regression.structure, self.input_name, smoothing
             )
-            fit = self.chosen = fit_modes(
-                regression,
-                fit.omegas,
-                fit.zetas,
-                fit.clock,
-                self.latency,
-                self.clock_rate,
-                with_input_noise=True,
-            )
-            model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+            fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
+        weighted = WeightedFit(self.records, regression, fit, self.latency, self.clock_rate, smoothing)
+        fit = self.chosen = weighted.result()
+        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         outputs = tuple(
             self._output_fit(j, blocks[regression.block_of[j]].matrix) for j in range(regression.n_outputs)
@@ -484,17 +482,16 @@ class _Search:
             warnings.append(
                 f"Noise on the input makes up {shares[worst]:.0%} of the noise variance of "
                 f"{outputs[worst].name}. "
-                "The standard deviations of the poles include it; residues of modes that ring briefly keep "
-                "a bias "
-                "towards zero of up to that share."
+                "Inputs and outputs were weighed together; the standard deviations include it as far as the "
+                "input's sigma is right."
             )
         else:
             coloured = [output.name for output in outputs if not output.whiteness.is_white]
             if coloured:
                 warnings.append(
-                    f"The residuals of {', '.join(coloured)} are not white. The stated standard deviations "
-                    "include their "
-                    "autocorrelation; if it is unmodelled dynamics rather than noise, a bias remains."
+                    f"The residuals of {', '.join(coloured)} are not white. The fit is weighed by their "
+                    "autocorrelation and the standard deviations include it; if it is unmodelled dynamics rather "
+                    "than noise, a bias remains."
                 )
         return warnings
 

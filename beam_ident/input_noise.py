@@ -22,7 +22,9 @@ from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal
 
 _PASS, _STOP = 1.15, 1.6  # edges of the low-pass, in multiples of the excited band's end
-_ATTENUATION_DB = 80.0
+_ATTENUATION_DB = (
+    120.0  # its ripple in the pass band is an error of the input, and must stay below the gains' 1e-5
+)
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,10 @@ class Smoothing:
     """
 
     high_hz: float
+
+    def cutoff_hz(self, period_s: float) -> float:
+        """Return where the noise of an input of this period ends."""
+        return min(0.5 * (_PASS + _STOP) * self.high_hz, 0.5 / period_s)
 
     def of(self, drive: InputSignal) -> InputSignal:
         """Return the input without its noise above the band; an irregular or slow one as it is."""

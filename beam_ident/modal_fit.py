@@ -71,8 +71,8 @@ class ModalFit:
     cost : float -- concentrated negative log-likelihood (up to a constant)
     covariance : ndarray
         Of (log omega.., zeta.., free clock parameters.., linear parameters of output 1, ..).
-        Under the noise as it is: autocorrelated where the residuals are, and with the
-        share that noise on the input contributes.
+        Under the noise as it is: autocorrelated where the residuals are, and after
+        :class:`~beam_ident.weighted_fit.WeightedFit` with what noise on the input contributes.
     information_condition : float
         Condition of the scaled information matrix of poles and clock.
     input_noise_shares : ndarray, shape (n_outputs,)
@@ -228,7 +228,6 @@ def fit_modes(
     latency: Prior,
     clock_rate: Prior,
     max_iterations: int = 40,
-    with_input_noise: bool = False,
 ) -> ModalFit:
     """Fit all parameters of the modal model from a starting point.
 
@@ -239,8 +238,6 @@ def fit_modes(
     clock : ClockState -- where to start
     latency, clock_rate : Prior
     max_iterations : int -- bound on the accepted steps
-    with_input_noise : bool
-        Whether the covariance shall include noise on the input (a hundred simulations).
 
     Returns
     -------
@@ -255,7 +252,7 @@ def fit_modes(
     if clock_rate.is_free:
         start.append(np.array([clock.rate]))
     first = problem.state(problem.clipped(np.concatenate(start)))
-    return _finish(problem, minimise(problem, first, max_iterations), with_input_noise)
+    return _finish(problem, minimise(problem, first, max_iterations))
 
 
 def profiled_cost(
@@ -271,47 +268,30 @@ def profiled_cost(
     return cost
 
 
-def _under_real_noise(
-    problem: _Problem, state: _State, variances: FloatArray, covariance: FloatArray, with_input_noise: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance with coloured output noise and noise on the input taken into account.
+def _under_coloured_noise(
+    problem: _Problem, state: _State, variances: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return the covariance with the autocorrelation of the residuals taken into account.
 
     ``H^-1 S H^-1 = H^-1 + H^-1 (S - H) H^-1``, S the covariance of the score.
     """
     regression, n_theta = problem.regression, problem.n_theta
-    n = problem.n_modes
-    shares = np.zeros(regression.n_outputs)
-    drawn = None
-    if with_input_noise:
-        omegas, zetas = np.exp(state.theta[:n]), state.theta[n : 2 * n]
-        drawn = regression.input_noise(omegas, zetas, problem.clock(state.theta), state.coefficients)
-    if drawn is not None:
-        powers = np.array([float(np.mean(np.square(d))) for d in drawn])
-        shares = np.minimum(powers / np.maximum(variances, 1e-300), 1.0)
-    n_draws = 0 if drawn is None else drawn[0].shape[1]
-    scores = np.zeros((len(covariance), n_draws))
     excess = np.zeros_like(covariance)
     place = n_theta
     for output, residuals in enumerate(state.residuals):
         matrix = state.blocks[regression.block_of[output]].matrix
         here = np.concatenate([np.arange(n_theta), np.arange(place, place + matrix.shape[1])])
         place += matrix.shape[1]
-        if drawn is None and len(autoregression(residuals)) == 1:
+        if len(autoregression(residuals)) == 1:
             continue
         design = np.concatenate([problem.jacobian(state, output), matrix], axis=1)
-        if drawn is None:
-            difference = score_covariance(design, autocorrelation(residuals)) - design.T @ design
-        else:
-            scores[here] += design.T @ drawn[output] / variances[output]
-            difference = -shares[output] * (design.T @ design)
+        difference = score_covariance(design, autocorrelation(residuals)) - design.T @ design
         excess[np.ix_(here, here)] += difference / variances[output]
-    if n_draws:
-        excess += scores @ scores.T / n_draws
     result = covariance + covariance @ excess @ covariance
-    return np.asarray(0.5 * (result + result.T)), shares
+    return np.asarray(0.5 * (result + result.T))
 
 
-def _finish(problem: _Problem, minimum: Minimum[_State], with_input_noise: bool) -> ModalFit:
+def _finish(problem: _Problem, minimum: Minimum[_State]) -> ModalFit:
     state, converged, reason = minimum.state, minimum.converged, minimum.reason
     regression, n, n_theta = problem.regression, problem.n_modes, problem.n_theta
     order = np.argsort(state.theta[:n])
@@ -337,7 +317,7 @@ def _finish(problem: _Problem, minimum: Minimum[_State], with_input_noise: bool)
         covariance[here, here] = variances[output] * solution.inverse_gram()
         place += sizes[output]
     covariance += sensitivity @ theta_covariance @ sensitivity.T
-    covariance, shares = _under_real_noise(problem, state, variances, covariance, with_input_noise)
+    covariance = _under_coloured_noise(problem, state, variances, covariance)
     # Put the modes in order of frequency, in the parameters and in every linear block.
     n_fixed = regression.n_shared_fixed
     permutation = np.arange(len(covariance))
@@ -371,7 +351,7 @@ def _finish(problem: _Problem, minimum: Minimum[_State], with_input_noise: bool)
         cost=state.cost,
         covariance=covariance[np.ix_(permutation, permutation)],
         information_condition=condition,
-        input_noise_shares=shares,
+        input_noise_shares=np.zeros(regression.n_outputs),
         rank_deficient=deficient,
         converged=converged,
         reason=reason,

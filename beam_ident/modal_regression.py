@@ -25,7 +25,6 @@ from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
 
 _MIN_SAMPLES = 20
-_NOISE_DRAWS = 100  # the standard deviations that follow from them scatter by 7 %
 
 
 @dataclass(frozen=True)
@@ -292,8 +291,6 @@ class ModalRegression:
                     f"record {record.name!r} has the inputs {available}; say which with input_name"
                 )
             self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
-        self._records = list(records)
-        self._smoothing = smoothing
         smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
         self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, smooth, strict=True)]
         names = list(dict.fromkeys(name for record in records for name in record.output_names))
@@ -305,8 +302,10 @@ class ModalRegression:
         self.times: list[FloatArray] = []
         self._parts: list[tuple[tuple[int, int, bytes], ...]] = []
         self._rows: dict[tuple[int, int, bytes], NDArray[np.intp]] = {}
+        self.segments: list[list[tuple[int, slice]]] = []  # of every output: record and its rows
         for name in names:
             parts, values, times = [], [], []
+            segments, n_rows = [], 0
             for index, prepared in enumerate(self._prepared):
                 if name not in prepared.rows_of:
                     continue
@@ -314,9 +313,12 @@ class ModalRegression:
                 key = (index, prepared.grid_of[name], rows.tobytes())
                 self._rows[key] = rows
                 parts.append(key)
+                segments.append((index, slice(n_rows, n_rows + len(rows))))
+                n_rows += len(rows)
                 values.append(prepared.values[name][rows])
                 times.append(prepared.grids[prepared.grid_of[name]].times[rows])
             self._parts.append(tuple(parts))
+            self.segments.append(segments)
             self.values.append(np.concatenate(values))
             self.times.append(np.concatenate(times))
             if len(self.values[-1]) < _MIN_SAMPLES:
@@ -368,41 +370,6 @@ class ModalRegression:
             for number in range(len(prepared.grids))
         }
         return [self._assemble(parts, cache, len(omegas), gradients) for parts in self._block_keys]
-
-    def input_noise(
-        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, coefficients: Sequence[FloatArray]
-    ) -> list[FloatArray] | None:
-        """Return draws of what noise on the input adds to every output, or None where there is none.
-
-        Returns
-        -------
-        list of ndarray, each of shape (n_samples of the output, n_draws)
-            From seeded draws of white noise of the input's ``sigma``.
-        """
-        if not any(drive.sigma > 0.0 for drive in self.drives):
-            return None
-        n_shared = self.n_shared_fixed + len(omegas)
-        drawn = [np.empty((len(values), _NOISE_DRAWS)) for values in self.values]
-        rng = np.random.default_rng(0)
-        for draw in range(_NOISE_DRAWS):
-            shared: dict[tuple[int, int], FloatArray] = {}
-            for index, (record, drive) in enumerate(zip(self._records, self.drives, strict=True)):
-                noise = drive.sigma * rng.standard_normal(len(drive.values))
-                disturbed = InputSignal(drive.name, drive.unit, drive.times_s, noise, drive.hold)
-                if self._smoothing is not None:
-                    disturbed = self._smoothing.of(disturbed)
-                prepared = _PreparedRecord(record, disturbed, self.structure)
-                for number in range(len(prepared.grids)):
-                    source = prepared.columns(number, omegas, zetas, clock, gradients=False)
-                    shared[index, number] = np.column_stack(
-                        [value for value, _ in source.sampling.fixed] + list(source.forced[0])
-                    )
-            for output, parts in enumerate(self._parts):
-                disturbance = [
-                    shared[p[0], p[1]][self._rows[p]] @ coefficients[output][:n_shared] for p in parts
-                ]
-                drawn[output][:, draw] = np.concatenate(disturbance)
-        return drawn
 
     def _assemble(
         self,
