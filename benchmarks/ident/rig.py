@@ -57,19 +57,22 @@ class Rig:
             [self.full.natural_frequencies[:3], np.full(3, 0.005), residues[:, :3].ravel()]
         )
 
-    def record(self, seed: int, quiet: float, encoder: float, colour: float) -> TimeRecord:
-        """Return a record with camera noise of 5 um, an encoder's noise [m] and a colour of AR(1)."""
+    def record(
+        self, seed: int, *, quantum: float = 1e-7, encoder_sd: float = 0.0, colour: float = 0.0
+    ) -> TimeRecord:
+        """Return a record with camera noise of 5 um of an AR(1) colour.
+
+        The encoder counts quanta [m] from a zero of its own and adds noise [m].
+        """
         rng = np.random.default_rng(seed)
-        positions = self.excitation.positions
-        if encoder > 2e-7:
-            positions = positions + encoder * rng.standard_normal(len(positions))
-        else:
-            positions = encoder * np.round(positions / encoder + rng.uniform(-0.5, 0.5))
-        sigma = encoder if encoder > 2e-7 else encoder / np.sqrt(12.0)
+        zero = quantum * rng.uniform(-0.5, 0.5)
+        positions = quantum * np.round((self.excitation.positions - zero) / quantum) + zero
+        positions = positions + encoder_sd * rng.standard_normal(len(positions))
+        sigma = np.hypot(encoder_sd, quantum / np.sqrt(12.0))
         drive = InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic", sigma)
         white = rng.standard_normal((self.clean.shape[0] + 200, 3))
         noise = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], white, axis=0)[200:]
-        values = self.clean + 5e-6 * quiet * noise
+        values = self.clean + 5e-6 * noise
         outputs = [
             OutputSignal(n, "m", self.stamps, values[:, j], self.exposure) for j, n in enumerate(self.names)
         ]
@@ -84,17 +87,17 @@ def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 class RigCase(AgainstBound):
-    """Everything of three modes; the bound is that of white noise and an exact hub."""
+    """Everything of three modes; the bound is that of the noise as it is, on input and outputs."""
 
-    def __init__(self, encoder: float, colour: float) -> None:
+    def __init__(self, encoder_sd: float = 0.0, colour: float = 0.0) -> None:
         self.rig = Rig()
-        self.encoder, self.colour = encoder, colour
+        self.noise = {"encoder_sd": encoder_sd, "colour": colour}
         self.truth = self.rig.truth
-        self.bound = flat(identify(self.rig.record(10**6, 1.0, 1e-7, 0.0), n_modes=3).model)[1]
+        self.bound = flat(identify(self.rig.record(10**6, **self.noise), n_modes=3).model)[1]
 
     def run(self, seed: int) -> Outcome:
         """Identify one record; another number of modes is a failure."""
-        record = self.rig.record(seed, 1.0, self.encoder, self.colour)
+        record = self.rig.record(seed, **self.noise)
         start = time.perf_counter()
         model = identify(record).model
         seconds = time.perf_counter() - start
@@ -102,7 +105,7 @@ class RigCase(AgainstBound):
 
 
 STUDIES = {
-    "rig": Study("rig, 0.1 um encoder, white camera noise", 400, lambda: RigCase(1e-7, 0.0)),
-    "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(1e-7, 0.7)),
-    "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(1e-6, 0.0)),
+    "rig": Study("rig, 0.1 um encoder, white camera noise", 400, RigCase),
+    "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(colour=0.7)),
+    "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(encoder_sd=1e-6)),
 }

@@ -57,17 +57,19 @@ class AgainstBound:
     bound: np.ndarray
 
     def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
-        """Return failures, efficiency of every parameter, coverage, the largest score and the median time."""
+        """Return failures, efficiency and bias in standard deviations of every parameter, coverage, largest |z|."""
         good = [o for o in outcomes if self.is_near(o)]
         figures: dict[str, Any] = {"failures": len(outcomes) - len(good)}
         if good:
             errors = np.array([o.estimate - self.truth for o in good])
-            scores = np.abs(errors / np.array([o.sd for o in good]))
+            signed = errors / np.array([o.sd for o in good])
+            scores = np.abs(signed)
             efficiency = self.bound**2 / np.mean(errors**2, axis=0)
             figures |= {
                 "efficiency": [round(float(e), 3) for e in efficiency],
                 "coverage": round(float(np.mean(scores < 1.96)), 4),
                 "worst coverage": round(float(np.min(np.mean(scores < 1.96, axis=0))), 4),
+                "mean z": [round(float(z), 2) for z in np.mean(signed, axis=0)],
                 "max |z|": round(float(np.max(scores)), 2),
             }
         return figures
