@@ -33,7 +33,7 @@ class Exposure:
     ----------
     stamp_ns : int -- the frame's stamp, in the camera's meaning [ns, UNIX]
     markers : ndarray, shape (n_instants, n_markers) -- displacement u during the exposure [m]
-    strip : ndarray, shape (n_strip,) -- displacement of the strip in the middle of the exposure [m]
+    strip : ndarray, shape (n_strip,) -- mean displacement of the strip over the exposure of its rows [m]
     """
 
     stamp_ns: int
@@ -66,6 +66,7 @@ class Film:
         self._heights = rig.numbers("markers.heights")
         self._markers = BeamPoints(model, self._heights)
         self._strip = BeamPoints(model, self.strip_heights.tolist())
+        self._between_markers = _interpolation(self.strip_heights, np.array(self._heights))
         self._snapshots = snapshots
         self._period_ns = round(1e9 / self.camera.rate_hz)
         self._start_ns = start_ns
@@ -91,17 +92,18 @@ class Film:
     def _expose(self, stamp_ns: int) -> Exposure:
         instants = self.timing.exposure_instants(stamp_ns, self._heights)
         n_instants, n_markers = instants.shape
-        middle_ns = int(instants.mean())
+        weights = exposure_weights(n_instants)
         if self.camera.readout_s == 0.0:
-            snapshots = self._snapshots([*instants[:, 0].tolist(), middle_ns])
-            u = self._markers.displacements(snapshots)
-            markers = u[:n_instants]
-        else:
-            snapshots = self._snapshots([*instants.ravel().tolist(), middle_ns])
-            u = self._markers.displacements(snapshots)
-            columns = np.arange(n_markers)
-            markers = u[:-1].reshape(n_instants, n_markers, n_markers)[:, columns, columns]
-        return Exposure(stamp_ns, markers, self._strip.displacements(snapshots)[-1])
+            snapshots = self._snapshots(instants[:, 0].tolist())
+            markers = self._markers.displacements(snapshots)
+            return Exposure(stamp_ns, markers, weights @ self._strip.displacements(snapshots))
+        snapshots = self._snapshots(instants.ravel().tolist())
+        columns = np.arange(n_markers)
+        u = self._markers.displacements(snapshots).reshape(n_instants, n_markers, n_markers)
+        # Rows between the markers' are exposed between the markers' times.
+        strip = self._strip.displacements(snapshots).reshape(n_instants, n_markers, -1)
+        means = np.einsum("i,imk->km", weights, strip)
+        return Exposure(stamp_ns, u[:, columns, columns], np.sum(self._between_markers * means, axis=1))
 
     def marker_stamps(self, exposure: Exposure) -> tuple[int, ...]:
         """Return the middle of each marker's exposure [ns, UNIX], shape (n_markers,)."""
@@ -112,3 +114,15 @@ class Film:
     def mean_displacement(self, exposure: Exposure) -> FloatArray:
         """Return the mean of u over each marker's exposure, shape (n_markers,) [m]."""
         return np.asarray(exposure_weights(len(exposure.markers)) @ exposure.markers)
+
+
+def _interpolation(heights: FloatArray, nodes: FloatArray) -> FloatArray:
+    """Weights of values at nodes for piecewise straight lines through them, shape (n_heights, n_nodes)."""
+    weights = np.zeros((len(heights), len(nodes)))
+    if len(nodes) == 1:
+        return weights + 1.0
+    lower = np.clip(np.searchsorted(nodes, heights) - 1, 0, len(nodes) - 2)
+    share = (heights - nodes[lower]) / (nodes[lower + 1] - nodes[lower])
+    every = np.arange(len(heights))
+    weights[every, lower], weights[every, lower + 1] = 1.0 - share, share
+    return weights

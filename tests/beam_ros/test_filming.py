@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from beam_ros.filming import Film
 from beam_ros.hub.axis import Snapshots
@@ -44,6 +45,19 @@ def test_a_rolling_shutter_exposes_every_marker_at_its_own_time() -> None:
     assert np.all(np.diff(stamps) < 0)  # higher markers are higher in the image, read out earlier
     truth = 1e-3 * np.sinc(10.0 * 0.002) * np.sin(2 * np.pi * 10.0 * (stamps - START) * 1e-9)
     assert np.max(np.abs(film.mean_displacement(exposure) - truth)) < 2e-10
+
+
+@pytest.mark.parametrize("readout", [0.0, 0.008])
+def test_the_strip_is_where_the_markers_are_in_every_row(readout) -> None:
+    """The beam of this test is straight, so that strip and markers move as one: each row at its own time."""
+    rig = Rig.from_file().with_values({"camera.readout": readout, "camera.exposure": 0.002})
+    film = Film(rig, rig.beam_model(), _moving(rig, 10.0), START)
+    exposure = list(film.due(START + 100_000_000))[3]
+    rows = film.camera.rows(film.strip_heights)
+    stamps = np.array([film.timing.row_middle(exposure.stamp_ns, float(row)) for row in rows])
+    truth = 1e-3 * np.sinc(10.0 * 0.002) * np.sin(2 * np.pi * 10.0 * (stamps - START) * 1e-9)
+    # Straight lines over the 5.7 ms between two markers: a (5.7 ms)^2 / 8 at 4 m/s^2.
+    assert np.max(np.abs(exposure.strip - truth)) < 2e-5
 
 
 def test_nothing_is_shown_before_its_exposure_has_ended_and_nothing_twice() -> None:
