@@ -188,8 +188,8 @@ class RationalResponse:
                 states = chain_impulse_response(chain, scale, elapsed)
             response._rows = _Fractions.rows([states])
             return response
-        values = np.exp(upper[:, None] * (scale * elapsed))
-        slopes = scale * elapsed * values
+        values: ComplexArray = np.exp(upper[:, None] * (scale * elapsed))
+        slopes: ComplexArray = scale * elapsed * values
         if half > 0.0:
             z = (half * scale * upper)[:, None]
             near = np.abs(z) < 1e-3
@@ -202,7 +202,7 @@ class RationalResponse:
         return response
 
     def _prepare(self, upper: ComplexArray, scale: float, squares: bool) -> None:
-        self.poles, self.scale = upper, scale
+        self.poles, self.scale, self.has_squares = upper, scale, squares
         full = full_roots(upper)
         self.order = len(full)
         self._denominator = np.real(np.poly(full))

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError, ModelFormatError
+from beam_ident.linear_solution import LinearSolution
 from beam_ident.piecewise import FloatArray, Instants
-from beam_ident.rational_response import RationalResponse, upper_roots
-from beam_ident.records import InputSignal
+from beam_ident.rational_response import RationalResponse, poles_keep_apart, upper_roots
+from beam_ident.records import InputSignal, TimeRecord
 
 SCHEMA = 1
 
@@ -24,7 +25,8 @@ class TransferFunctionModel:
     Attributes
     ----------
     numerator : ndarray, shape (n_zeros + 1,) -- b_0 .. b_m, descending powers of s
-    denominator : ndarray, shape (n_poles + 1,) -- 1, a_1 .. a_n, descending powers of s
+    denominator : ndarray, shape (n_poles + 1,) -- 1, a_1 .. a_n, descending powers of s; coefficients at its
+        end that are exactly zero are known integrators
     delay : float -- pure delay T [s]
     covariance : ndarray -- of (a_1 .. a_n, b_0 .. b_m, T)
     noise_sd : float -- of the residuals
@@ -75,6 +77,11 @@ class TransferFunctionModel:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
+    def n_integrators(self) -> int:
+        """Number of poles that are exactly zero."""
+        return self.n_poles - int(np.max(np.flatnonzero(self.denominator)))
+
+    @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles [rad/s]."""
         return np.asarray(np.roots(self.denominator), dtype=np.complex128)
@@ -84,11 +91,64 @@ class TransferFunctionModel:
         """Zeros [rad/s]."""
         return np.asarray(np.roots(self.numerator), dtype=np.complex128)
 
+    def zpk(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
+        """Return zeros [rad/s], poles [rad/s] and the gain of the highest power."""
+        leading = self.numerator[np.flatnonzero(self.numerator)] if np.any(self.numerator) else np.zeros(1)
+        return self.zeros, self.poles, float(leading[0])
+
+    def residues(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], FloatArray]:
+        """Return residues, poles [rad/s] and the polynomial part (descending powers) of the partial fractions.
+
+        Raises
+        ------
+        EstimationError
+            Poles that coincide, two integrators among them: there are no simple fractions then.
+        """
+        poles = self.poles
+        if self.n_integrators > 1 or not poles_keep_apart(poles):
+            raise EstimationError(
+                "poles of this transfer function coincide, so that it has no simple fractions; use state_space()"
+            )
+        direct, rest = np.polydiv(self.numerator, self.denominator)
+        residues = np.polyval(rest, poles) / np.polyval(np.polyder(self.denominator), poles)
+        return residues, poles, np.trim_zeros(np.atleast_1d(direct), "f")
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A (n, n), B (n, 1), C (1, n) and D (1, 1) of ``x' = A x + B u(t - T), y = C x + D u(t - T)``.
+
+        Notes
+        -----
+        The controllable form, its states scaled by powers of the mean modulus of the poles so
+        that the matrices keep their digits.
+        """
+        n, scale = self.n_poles, self._scale
+        if len(self.numerator) > n + 1:
+            raise EstimationError(
+                f"{len(self.numerator) - 1} zeros and {n} poles: an improper model has no state space"
+            )
+        a = self.denominator[1:] / scale ** np.arange(1, n + 1)
+        b = np.concatenate([np.zeros(n + 1 - len(self.numerator)), self.numerator])
+        b = b / scale ** np.arange(0, n + 1)
+        transition = scale * np.eye(n, k=-1)
+        transition[0] = -scale * a
+        entry = np.zeros((n, 1))
+        entry[0, 0] = scale
+        return transition, entry, (b[1:] - b[0] * a)[None], np.array([[b[0]]])
+
+    @property
+    def _scale(self) -> float:
+        """Unit of frequency in which the coefficients are of like size [rad/s]."""
+        size = np.abs(self.poles)
+        size = size[size > 0.0]
+        return float(np.exp(np.mean(np.log(size)))) if len(size) else 1.0
+
     def pole_sensitivities(self, poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Return d pole / d a_i, shape (n_given, n_poles)."""
+        """Return d pole / d a_i, shape (n_given, n_poles); zero for known integrators."""
         slope = np.polyval(np.polyder(self.denominator), poles)
         powers = np.arange(self.n_poles - 1, -1, -1)
-        return np.asarray(-(poles[:, None] ** powers) / slope[:, None])
+        is_known = poles == 0.0
+        result = -(poles[:, None] ** powers) / np.where(is_known, 1.0, slope)[:, None]
+        return np.asarray(np.where(is_known[:, None], 0.0, result))
 
     def modes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return natural frequencies [rad/s], damping ratios and the standard deviations of both.
@@ -118,32 +178,102 @@ class TransferFunctionModel:
         times_s : ndarray, shape (n_times,) -- inside the input's span [s]
         exposure_s : float -- box average centred on each instant [s]
         """
-        first, last = drive.span_s
+        response = self._response(drive, np.asarray(times_s, dtype=np.float64), exposure_s, squares=False)
+        return response.combined(self._scaled_numerator()[None])[:, 0]
+
+    def simulation_sd(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
+        """Return the standard deviation of :meth:`simulate` that the parameters' covariance causes, (n_times,)."""
         times = np.asarray(times_s, dtype=np.float64)
-        if len(times) and (
-            times.min() - exposure_s / 2 < first - 1e-9 or times.max() + exposure_s / 2 > last + 1e-9
-        ):
+        response = self._response(drive, times, exposure_s, squares=True)
+        scale, n, ascending = self._scale, response.order, self._scaled_numerator()
+        gradient = np.zeros((len(times), len(self.parameters)))
+        products = np.zeros((n, n - 1 + len(ascending)))
+        for i in range(n):
+            products[i, n - 1 - i : n - 1 - i + len(ascending)] = -ascending
+        gradient[:, :n] = response.combined(products, squared=True) / scale ** np.arange(1, n + 1)
+        m = len(ascending) - 1
+        powers = response.combined(np.eye(m + 1)[::-1])
+        gradient[:, self.n_poles : self.n_poles + m + 1] = powers * scale ** (np.arange(m, -1, -1.0) - n)
+        by_time = response.combined(np.concatenate([[0.0], ascending])[None])[:, 0]
+        gradient[:, -1] = -scale * by_time
+        variance = np.einsum("ta,ab,tb->t", gradient, self.covariance, gradient, optimize=True)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def _scaled_numerator(self) -> FloatArray:
+        """Return the numerator over powers of s / scale, ascending, for the denominator without integrators."""
+        n = self.n_poles - self.n_integrators
+        ascending = self.numerator[::-1]
+        return ascending * self._scale ** (np.arange(len(ascending)) - float(n))
+
+    def _response(
+        self, drive: InputSignal, times: FloatArray, exposure_s: float, squares: bool
+    ) -> RationalResponse:
+        first, last = drive.span_s
+        half = 0.5 * exposure_s
+        if len(times) and (times.min() - half < first - 1e-9 or times.max() + half > last + 1e-9):
             raise EstimationError(
                 f"instants from {times.min():.6f} to {times.max():.6f} s are asked for; input "
-                f"{drive.name!r} is known "
-                f"from {first:.6f} to {last:.6f} s"
+                f"{drive.name!r} is known from {first:.6f} to {last:.6f} s"
             )
-        signal = drive.signal(margin_s=max(self.delay, 0.0) + exposure_s, from_rest=True)
-        integral = signal.antiderivative()
-        instants = Instants.on(signal, times - self.delay, exposure_s)
-        scale = max(float(np.exp(np.mean(np.log(np.maximum(np.abs(self.poles), 1e-9))))), 1e-9)
-        scaled = self.denominator / scale ** np.arange(self.n_poles + 1)
-        response = RationalResponse(upper_roots(scaled), scale, signal, integral, instants, squares=False)
-        total = np.zeros(len(times))
-        for power, coefficient in enumerate(self.numerator[::-1]):
-            total += coefficient * scale ** (power - self.n_poles) * response.over(power)
-        return total
+        signal = drive.signal(margin_s=max(abs(self.delay) + exposure_s, 1e-12), from_rest=True)
+        for _ in range(self.n_integrators):
+            signal = signal.antiderivative()
+        instants = Instants.on(signal, np.maximum(times - self.delay, signal.knots[0] + half), exposure_s)
+        n = self.n_poles - self.n_integrators
+        scaled = self.denominator[: n + 1] / self._scale ** np.arange(n + 1)
+        return RationalResponse(
+            upper_roots(scaled), self._scale, signal, signal.antiderivative(), instants, squares
+        )
+
+    def predict(self, record: TimeRecord) -> FloatArray:
+        """Return the output that the model predicts at an output's stamps, shape (n_samples,).
+
+        Parameters
+        ----------
+        record : TimeRecord -- with the model's input and output under their names
+
+        Notes
+        -----
+        The simulation, plus what belongs to the record and not to the model: an offset and the
+        motion that was already there at its beginning, both fitted to the record.  Output
+        noise is taken as white, so that past residuals predict nothing.  NaN where the input
+        is not known.
+        """
+        drive, output = record.input(self.input_name), record.output(self.output_name)
+        first, last = drive.span_s
+        half = 0.5 * output.exposure_s
+        inside = (output.times_s - half >= first) & (output.times_s + half <= last)
+        predicted = np.full(len(output.times_s), np.nan)
+        times = output.times_s[inside]
+        if not len(times):
+            return predicted
+        simulated = self.simulate(drive, times, output.exposure_s)
+        own = self._free_motions(times - times[0] + half, output.exposure_s)
+        seen = np.isfinite(output.values[inside])
+        found = LinearSolution.of(own[seen]).coefficients((output.values[inside] - simulated)[seen])
+        predicted[inside] = simulated + own @ found
+        return predicted
+
+    def _free_motions(self, elapsed: FloatArray, exposure_s: float) -> FloatArray:
+        """Return an offset, what integrators do on their own, and the free motions, as columns."""
+        n = self.n_poles - self.n_integrators
+        scaled = self.denominator[: n + 1] / self._scale ** np.arange(n + 1)
+        free = RationalResponse.to_impulse(
+            upper_roots(scaled), self._scale, elapsed, exposure_s, squares=False
+        )
+        span = max(float(np.max(elapsed, initial=0.0)), 1e-300)
+        drifts = (elapsed[:, None] / span) ** np.arange(max(self.n_integrators, 1))
+        return np.concatenate([drifts, free.combined(np.eye(n))], axis=1)
 
     def step_response(self, times_s: FloatArray) -> FloatArray:
         """Return the response to a unit step at 0 s, shape (n_times,)."""
         times = np.asarray(times_s, dtype=np.float64)
-        end = max(float(np.max(times, initial=0.0)), 1e-9)
-        return self.simulate(InputSignal("step", "", np.array([0.0, end]), np.ones(2), "zoh"), times)
+        return self.simulate(_unit_step(times), times)
+
+    def step_response_sd(self, times_s: FloatArray) -> FloatArray:
+        """Return the standard deviation of :meth:`step_response`, shape (n_times,)."""
+        times = np.asarray(times_s, dtype=np.float64)
+        return self.simulation_sd(_unit_step(times), times)
 
     def frequency_response(self, omegas: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
         """Return the response and the standard deviation of its magnitude, both shape (n_frequencies,).
@@ -238,3 +368,8 @@ class TransferFunctionModel:
             )
         except KeyError as err:
             raise ModelFormatError(f"transfer function: the entry {err} is missing") from err
+
+
+def _unit_step(times: FloatArray) -> InputSignal:
+    end = max(float(np.max(times, initial=0.0)), 1e-9)
+    return InputSignal("step", "", np.array([0.0, end]), np.ones(2), "zoh")

@@ -1,0 +1,234 @@
+"""From no start at all to the output-error optimum of one denominator.
+
+State-variable-filter least squares (LSSVF) over a portfolio of cut-offs, instrumental
+variables behind the best of them (IVSVF), the simplified refined instrumental variable
+(SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt on the output error with the same exact
+gradients to finish.  Where the residuals then still look like anything but noise, the optimum may
+be a local one, and the other starts have their turn, a subspace estimate (PO-MOESP) among them.
+
+Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
+that SRIVC's fixed point is the stationary point of the output-error cost; the
+interpolation of the *measured* output inside the filters only affects the way there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from beam_ident.delay_search import delay_candidates
+from beam_ident.errors import EstimationError
+from beam_ident.levenberg_marquardt import minimise
+from beam_ident.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.piecewise import FloatArray, PiecewisePolynomial
+from beam_ident.rational_response import RationalResponse
+from beam_ident.state_variable_filter import (
+    filter_coefficients,
+    instrumental_step,
+    least_squares_step,
+    stable_coefficients,
+)
+from beam_ident.subspace import subspace_poles
+from beam_ident.validation import Whiteness
+
+Method = Literal["auto", "srivc", "output_error", "ivsvf", "lssvf"]
+METHODS: tuple[Method, ...] = ("auto", "srivc", "output_error", "ivsvf", "lssvf")
+
+_SRIVC_ITERATIONS = 20
+_LM_ITERATIONS = 50
+_PORTFOLIO = 7
+_INSTRUMENTED = 3  # cut-offs behind which instrumental variables are tried
+_FINALISTS = 3
+_WHITE = 0.01
+_NO_START = (
+    "no state-variable filter gave a stable start; give another cutoff, other degrees, or a longer record"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Where an estimator ended, and why.
+
+    Attributes
+    ----------
+    state : OutputErrorState
+    converged : bool
+    reason : str
+    iterations : int
+    """
+
+    state: OutputErrorState
+    converged: bool
+    reason: str
+    iterations: int
+
+
+def portfolio(problem: OutputErrorProblem) -> list[float]:
+    """Return cut-offs of the state-variable filter [rad/s] that span what the record can show."""
+    low = 4.0 * np.pi / problem.length
+    return [float(w) for w in np.geomspace(low, 0.5 * problem.nyquist, _PORTFOLIO)]
+
+
+def estimate_denominator(
+    problem: OutputErrorProblem, method: Method, cutoff: float | None = None
+) -> tuple[OutputErrorProblem, Optimum]:
+    """Estimate a problem of one denominator without a start.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    method : str -- which estimator to stop at; "auto" and "output_error" go to the optimum
+    cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
+
+    Returns
+    -------
+    problem, optimum
+        The problem as it was solved: with an unknown past and a delay found, without the
+        samples that depend on that past.
+
+    Raises
+    ------
+    EstimationError
+        No filter gives a stable start.
+    """
+    cutoffs = [cutoff] if cutoff is not None else portfolio(problem)
+    delays = [np.array([problem.paths[k].delay.mean for k in problem.free_delays])]
+    if problem.free_delays:
+        delays = delay_candidates(problem, cutoffs)
+        if problem.nuisances.has_free_response:
+            known = problem.times[0] + max(float(np.max(d)) for d in delays) + 1.5 * problem.period
+            problem = problem.from_stamp(known)
+    return problem, _Chain(problem, method, cutoffs, delays).run()
+
+
+class _Chain:
+    """The chain of estimators, from filters to the optimum."""
+
+    def __init__(
+        self, problem: OutputErrorProblem, method: Method, cutoffs: list[float], delays: list[FloatArray]
+    ) -> None:
+        self.problem, self.method, self.cutoffs, self.delays = problem, method, cutoffs, delays
+
+    def run(self) -> Optimum:
+        starts = self._filtered_starts()
+        if self.method in ("lssvf", "ivsvf"):
+            if not starts:
+                raise EstimationError(_NO_START)
+            return Optimum(starts[0], False, f"{self.method.upper()} takes one step", 1)
+        best: Optimum | None = None
+        for start in self._in_turn(starts):
+            found = self._refined(start)
+            if best is None or found.state.cost < best.state.cost:
+                best = found
+            if found.converged and Whiteness.of(best.state.residuals).p_value > _WHITE:
+                break
+        if best is None:
+            raise EstimationError(_NO_START)
+        return best
+
+    def _in_turn(self, starts: list[OutputErrorState]) -> Iterator[OutputErrorState]:
+        """Yield starts in the order in which they are worth the work of refining them."""
+        for k, start in enumerate(starts[:_FINALISTS]):
+            yield start
+            if k == 0:
+                others = sorted(self._subspace_starts(), key=lambda state: state.cost)
+                yield from others[:1]
+
+    def _filtered_starts(self) -> list[OutputErrorState]:
+        """Return least-squares and instrumental estimates behind filters, the best by simulation first."""
+        plain = []
+        for delays in self.delays:
+            for cutoff in self.cutoffs:
+                behind, found = self._least_squares(cutoff, delays)
+                if math.isfinite(found.cost):
+                    plain.append((behind, found))
+        plain.sort(key=lambda pair: pair[1].cost)
+        if self.method == "lssvf":
+            return [found for _, found in plain]
+        instrumental = [self._instrumental(behind, found) for behind, found in plain[:_INSTRUMENTED]]
+        instrumental = [state for state in instrumental if math.isfinite(state.cost)]
+        everything = instrumental if self.method == "ivsvf" else instrumental + [s for _, s in plain]
+        return sorted(everything, key=lambda state: state.cost)
+
+    def _least_squares(self, cutoff: float, delays: FloatArray) -> tuple[OutputErrorState, OutputErrorState]:
+        problem = self.problem
+        problem.scale = cutoff
+        theta = np.concatenate([filter_coefficients(problem.n_a), delays])
+        behind = problem.state(theta, slopes=False)
+        if not math.isfinite(behind.cost):
+            return behind, behind
+        return behind, problem.state(least_squares_step(problem, behind), slopes=False)
+
+    def _instrumental(self, behind: OutputErrorState, found: OutputErrorState) -> OutputErrorState:
+        problem = self.problem
+        problem.scale = behind.scale
+        simulated = PiecewisePolynomial.from_samples(
+            problem.times, problem.values - found.residuals, "linear"
+        )
+        filtered = RationalResponse(
+            behind.uppers[0],
+            problem.scale,
+            simulated,
+            simulated.antiderivative(),
+            problem.at_stamps,
+            squares=False,
+        )
+        instruments = -filtered.combined(np.eye(problem.n_a)[::-1])
+        return problem.state(instrumental_step(problem, behind, instruments), slopes=False)
+
+    def _subspace_starts(self) -> list[OutputErrorState]:
+        problem = self.problem
+        delays = self.delays[0]
+        every = problem.delays(np.concatenate([np.zeros(problem.n_a), delays]))
+        drives = [
+            PiecewisePolynomial(path.signal.knots + delay, path.signal.coefficients, path.signal.period)
+            for path, delay in zip(problem.paths, every, strict=True)
+        ]
+        states = []
+        for poles in subspace_poles(drives, problem.times, problem.values[:, None], problem.n_a):
+            problem.scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(poles), 1e-9 * problem.nyquist)))))
+            coefficients = stable_coefficients(np.real(np.poly(poles / problem.scale))[1:])
+            states.append(problem.state(np.concatenate([coefficients, delays]), slopes=False))
+        return [state for state in states if math.isfinite(state.cost)]
+
+    def _refined(self, start: OutputErrorState) -> Optimum:
+        """Refine a start to the method's end: SRIVC's fixed point, or the output-error optimum."""
+        problem = self.problem
+        size = float(np.exp(np.mean(np.log(np.abs(start.responses[0].poles))))) * start.scale
+        theta = problem.converted(start, size)
+        problem.scale = size
+        state = problem.state(theta)
+        iterations, converged = 0, False
+        if self.method != "output_error":
+            state, converged, iterations = self._srivc(state)
+        if self.method == "srivc":
+            still = f"SRIVC still moved after {iterations} iterations"
+            return Optimum(
+                state, converged, "SRIVC reached its fixed point" if converged else still, iterations
+            )
+        minimum = minimise(problem, state, _LM_ITERATIONS)
+        return Optimum(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
+
+    def _srivc(self, start: OutputErrorState) -> tuple[OutputErrorState, bool, int]:
+        """Iterate the refined instrumental variable at given delays, and return the best point met."""
+        problem = self.problem
+        state, best = start, start
+        n = problem.n_a
+        for iteration in range(1, _SRIVC_ITERATIONS + 1):
+            jacobian = problem.jacobian(state)
+            theta = instrumental_step(problem, state, jacobian[:, :n])
+            following = problem.state(theta)
+            if not math.isfinite(following.cost):
+                return best, False, iteration
+            if following.cost < best.cost:
+                best = following
+            information, _ = problem.slope(following)
+            moved = (following.theta - state.theta)[:n]
+            state = following
+            if float(moved @ information[:n, :n] @ moved) < 1e-4 * n:
+                return best, True, iteration
+        return best, False, _SRIVC_ITERATIONS

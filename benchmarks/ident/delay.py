@@ -1,0 +1,98 @@
+"""Unknown delays: the forced beam behind 7.3 ms, and a double pole behind 8 s."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.signal import max_len_seq
+
+from beam_ident import InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
+from beam_ident.transfer_function import TransferFunctionModel
+from benchmarks.ident.study import AgainstBound, Outcome, Study
+
+_QUIET = 1e-3  # of the noise: what the covariance states there is the bound
+
+
+class DelayCase(AgainstBound):
+    """One input through a known system and an unknown delay; degrees given, nothing else.
+
+    The bound is the information at the truth, as an estimate with a thousandth of the noise states it.
+    """
+
+    truth_model: TransferFunctionModel
+    drive: InputSignal
+    stamps: np.ndarray
+    snr_db: float
+
+    def prepare(self) -> None:
+        """Compute the output without noise, and the bound."""
+        self.clean = self.truth_model.simulate(self.drive, self.stamps)
+        self.noise_sd = float(np.std(self.clean) / 10 ** (self.snr_db / 20))
+        self.n_poles = self.truth_model.n_poles
+        self.n_zeros = len(self.truth_model.numerator) - 1
+        self.truth = self.truth_model.parameters
+        self.bound = self.estimate(self.record(10**6, _QUIET)).standard_deviations / _QUIET
+
+    def record(self, seed: int, quiet: float = 1.0) -> TimeRecord:
+        """Return a noisy record; ``quiet`` scales the noise."""
+        noise = quiet * self.noise_sd * np.random.default_rng(seed).standard_normal(len(self.clean))
+        return TimeRecord((self.drive,), (OutputSignal("y", "", self.stamps, self.clean + noise),))
+
+    def estimate(self, record: TimeRecord) -> TransferFunctionModel:
+        """Estimate coefficients and delay."""
+        return estimate_transfer_function(record, self.n_poles, self.n_zeros, delay="estimate").model
+
+    def run(self, seed: int) -> Outcome:
+        """Estimate from one record."""
+        record = self.record(seed)
+        start = time.perf_counter()
+        model = self.estimate(record)
+        seconds = time.perf_counter() - start
+        return Outcome(seconds, model.parameters, model.standard_deviations)
+
+
+class DoublePole(DelayCase):
+    """CONTSID's demonstration: 12/(s^2 + 4 s + 4) e^(-8 s), PRBS, 0.1 s, 15 dB."""
+
+    snr_db = 15.0
+
+    def __init__(self) -> None:
+        self.truth_model = TransferFunctionModel(
+            np.array([12.0]), np.array([1.0, 4.0, 4.0]), 8.0, np.zeros((4, 4)), 0.0
+        )
+        steps = np.repeat(2.0 * max_len_seq(8)[0] - 1.0, 5)
+        self.drive = InputSignal("u", "", (0.0, 0.1), steps, "zoh")
+        self.stamps = 0.1 * np.arange(len(steps))
+        self.prepare()
+
+
+class DelayedBeam(DelayCase):
+    """The three-mode beam at its tip, 7.3 ms late: a fraction of a sample beside one, under a chirp."""
+
+    snr_db = 20.0
+    omegas = 2.0 * np.pi * np.array([2.3, 14.4, 40.0])
+    zetas = np.array([0.02, 0.01, 0.005])
+    gains = np.array([1.0, -0.25, 0.08])
+    period = 0.005
+    n = 10000
+
+    def __init__(self) -> None:
+        sections = [np.array([1.0, 2.0 * z * w, w * w]) for w, z in zip(self.omegas, self.zetas, strict=True)]
+        denominator = np.polymul(np.polymul(sections[0], sections[1]), sections[2])
+        numerator = np.zeros(5)
+        for k, (gain, w) in enumerate(zip(self.gains, self.omegas, strict=True)):
+            others = [section for j, section in enumerate(sections) if j != k]
+            numerator += gain * w * w * np.polymul(*others)
+        self.truth_model = TransferFunctionModel(numerator, denominator, 7.3e-3, np.zeros((12, 12)), 0.0)
+        times = self.period * np.arange(self.n)
+        phase = 2.0 * np.pi * (0.5 * times + 0.5 * 49.5 / times[-1] * times**2)
+        self.drive = InputSignal("force", "N", (0.0, self.period), np.sin(phase), "zoh")
+        self.stamps = times
+        self.prepare()
+
+
+STUDIES = {
+    "delay-beam": Study("beam 7.3 ms late, 20 dB", 400, DelayedBeam),
+    "delay-double-pole": Study("double pole 8 s late, 15 dB", 400, DoublePole),
+}
