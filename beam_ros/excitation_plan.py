@@ -16,66 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import IdentificationError
-from beam_ident.excitation import AxisLimits, LogChirp, Multisine, Recipe, SampledExcitation, Step
+from beam_ident.excitation import AxisLimits, Recipe, SampledExcitation
 from beam_model.experiment_advice import PredictedLoads, predict_loads
 from beam_ros.errors import UsageError
+from beam_ros.excitation_recipes import recipe_of_rig
 from beam_ros.rig import Rig
 
 FloatArray = NDArray[np.float64]
 
 _HOLD_OF_MODE = {"acceleration": "zoh", "velocity": "zoh", "position": "linear", "effort": "zoh"}
-
-
-def recipe_of_rig(rig: Rig) -> Recipe:
-    """Build the recipe that the rig's `excitation` parameters describe.
-
-    Raises
-    ------
-    UsageError
-        The parameters do not make a signal.
-    """
-    kind = rig.text("excitation.kind")
-    highest, nyquist = rig.number("excitation.end_frequency"), 0.5 / rig.number("hub.period")
-    if kind != "step" and highest > nyquist:
-        raise UsageError(
-            f"excitation.end_frequency is {highest:g} Hz: expected at most {nyquist:g} Hz, half the rate "
-            "of hub.period"
-        )
-    duration, still = rig.number("excitation.duration"), rig.number("excitation.still")
-    try:
-        if kind == "chirp":
-            return LogChirp(
-                start_hz=rig.number("excitation.start_frequency"),
-                end_hz=rig.number("excitation.end_frequency"),
-                sweep_s=duration,
-                acceleration=rig.number("excitation.acceleration"),
-                displacement_ceiling=rig.number("excitation.max_displacement"),
-                still_s=still,
-                fade_in_s=min(1.0, duration / 4),
-                fade_out_s=min(0.25, duration / 4),
-            )
-        if kind == "multisine":
-            n_periods = max(1, round(duration / 10.0))
-            return Multisine(
-                low_hz=rig.number("excitation.start_frequency"),
-                high_hz=rig.number("excitation.end_frequency"),
-                line_period_s=duration / n_periods,
-                n_periods=n_periods,
-                rms_acceleration=rig.number("excitation.acceleration"),
-                displacement_ceiling=rig.number("excitation.max_displacement"),
-                seed=int(rig.number("excitation.seed")),
-                still_s=still,
-                fade_s=min(0.5, duration / 4),
-            )
-        rise = rig.number("excitation.rise_time")
-        return Step(
-            distance=rig.number("excitation.step_size"),
-            rise_s=rise,
-            hold_s=max(0.0, duration - 2 * rise),
-            still_s=still,
-        )
-    except IdentificationError as err:
-        raise UsageError(f"excitation parameters: {err}") from err
 
 
 @dataclass(frozen=True)
@@ -124,6 +73,7 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         travel=rig.number("hub.travel") / 2,
         speed=rig.number("hub.max_speed"),
         acceleration=rig.number("hub.max_acceleration"),
+        jerk=rig.number("excitation.max_jerk") or math.inf,
     )
     try:
         sampled = recipe.sample(period_s, limits)

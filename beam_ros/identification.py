@@ -27,6 +27,7 @@ from beam_ident import (
     TimeRecord,
     identify,
 )
+from beam_ident.excitation import describe_recipe
 from beam_model import BeamModel
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag, Displacements, HubSamples
@@ -389,7 +390,7 @@ def _provenance(experiment: Experiment) -> dict[str, str]:
     recipe = experiment.info.get("recipe", {})
     return {
         "bag": str(experiment.path),
-        "excitation": ", ".join(f"{key} {value}" for key, value in recipe.items()),
+        "excitation": describe_recipe(recipe),
         "hub": f"commanded in {experiment.info.get('mode', rig['hub.command_mode'])}, "
         f"encoder {rig.number('hub.encoder_resolution') * 1e6:g} um",
         "camera": f"{rig.number('camera.rate'):g} frames/s, exposure {rig.number('camera.exposure') * 1e3:g} ms",

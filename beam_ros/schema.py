@@ -269,7 +269,25 @@ RIG_PARAMETERS: dict[str, Parameter] = {
         ),
         *_group(
             "excitation",
-            Parameter("kind", "str", "signal", choices=("chirp", "multisine", "step"), is_live=True),
+            Parameter(
+                "kind",
+                "str",
+                "signal",
+                choices=(
+                    "chirp",
+                    "linear_chirp",
+                    "multisine",
+                    "prbs",
+                    "step",
+                    "doublet",
+                    "pulse",
+                    "sine",
+                    "stepped_sine",
+                    "noise",
+                    "moves",
+                ),
+                is_live=True,
+            ),
             Parameter("acceleration", "float", "amplitude", "m/s^2", 1e-4, 1e3, is_live=True),
             Parameter(
                 "max_displacement", "float", "amplitude at low frequency", "m", 1e-6, 5.0, is_live=True
@@ -280,7 +298,67 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter("still", "float", "still hub afterwards", "s", 0.0, 3600.0, is_live=True),
             Parameter("step_size", "float", "displacement of the step", "m", -1.0, 1.0, is_live=True),
             Parameter("rise_time", "float", "of the step", "s", 1e-3, 60.0, is_live=True),
-            Parameter("seed", "int", "of the multisine's phases", "", 0, 2**31 - 1, is_live=True),
+            Parameter("seed", "int", "of random phases, lines and noise", "", 0, 2**31 - 1, is_live=True),
+            Parameter("max_velocity", "float", "amplitude; 0: no ceiling", "m/s", 0.0, 10.0, is_live=True),
+            Parameter("max_jerk", "float", "refused above; 0: no limit", "m/s^3", 0.0, 1e9, is_live=True),
+            Parameter(
+                "line_period",
+                "float",
+                "of the multisine; 0: near 10 s, a part of the duration",
+                "s",
+                0.0,
+                3600.0,
+                is_live=True,
+            ),
+            Parameter(
+                "lines", "str", "of the multisine", choices=("full", "odd", "random_odd"), is_live=True
+            ),
+            Parameter(
+                "detection_group",
+                "int",
+                "random_odd: one odd line left out of so many",
+                "",
+                2,
+                100,
+                is_live=True,
+            ),
+            Parameter(
+                "phases", "str", "of the multisine", choices=("random", "schroeder", "crest"), is_live=True
+            ),
+            Parameter(
+                "drive",
+                "str",
+                "quantity whose levels prbs, pulse and doublet set",
+                choices=("acceleration", "velocity", "position"),
+                is_live=True,
+            ),
+            Parameter(
+                "speed", "float", "level in velocity; largest of the moves", "m/s", 1e-6, 10.0, is_live=True
+            ),
+            Parameter(
+                "edge_time", "float", "smooth edges of prbs, pulse, doublet", "s", 0.0, 60.0, is_live=True
+            ),
+            Parameter("clock_period", "float", "of the prbs", "s", 1e-5, 60.0, is_live=True),
+            Parameter("order", "int", "of the prbs: 2^order - 1 clocks", "", 3, 18, is_live=True),
+            Parameter("inverse_repeat", "bool", "prbs: each period, then its negative", is_live=True),
+            Parameter(
+                "high_pass", "float", "prbs: content taken out below this", "Hz", 0.0, 1e3, is_live=True
+            ),
+            Parameter("width", "float", "of pulse and doublet", "s", 1e-4, 60.0, is_live=True),
+            Parameter("gap", "float", "between pulses and doublets of a train", "s", 0.0, 60.0, is_live=True),
+            Parameter("frequencies", "floats", "of the stepped sine, in turn", "Hz", 1e-3, 1e4, is_live=True),
+            Parameter("settle_cycles", "float", "of the stepped sine", "1", 0.0, 1e5, is_live=True),
+            Parameter("measure_cycles", "int", "of the stepped sine", "", 1, 100000, is_live=True),
+            Parameter("waypoints", "floats", "of the moves; the last is 0", "m", -1.0, 1.0, is_live=True),
+            Parameter(
+                "profile",
+                "str",
+                "of the moves",
+                choices=("bounded_jerk", "quintic", "cycloidal"),
+                is_live=True,
+            ),
+            Parameter("jerk", "float", "largest of the moves", "m/s^3", 1e-3, 1e6, is_live=True),
+            Parameter("dwell", "float", "rest at every way-point", "s", 0.0, 3600.0, is_live=True),
             Parameter(
                 "start_delay", "float", "between handing over and starting", "s", 0.5, 60.0, is_live=True
             ),

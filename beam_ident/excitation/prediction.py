@@ -166,8 +166,8 @@ class HalfPowerBand:
             return None
         need = self.width_hz / LINES_PER_BAND
         return (
-            f"mode at {self.frequency_hz:.4g} Hz: its half-power band is {self.width_hz:.3g} Hz wide, "
-            f"the lines {self.line_spacing_hz:.3g} Hz apart ({self.lines:.2g} in it, not {LINES_PER_BAND:g}); "
+            f"mode at {self.frequency_hz:.4g} Hz: its half-power band is {self.width_hz:.3g} Hz wide and the lines "
+            f"are {self.line_spacing_hz:.3g} Hz apart, {self.lines:.3g} in it where {LINES_PER_BAND:g} are needed; "
             f"a frequency response does not show its damping: lines every {need:.3g} Hz, from "
             f"{1.0 / need:.3g} s of record or period, would; a parametric fit of the time data needs less"
         )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 from typing import Any
 
-import numpy as np
-
+from beam_ident.excitation import describe_recipe, excitation_report, half_power_bands
 from beam_ros.cli.options import add_rig_file, read_rig
 from beam_ros.rig import Rig
 
@@ -39,56 +39,73 @@ def describe_design(rig: Rig) -> dict[str, Any]:
 
     plan = plan_excitation(rig)
     sampled, model = plan.sampled, rig.beam_model()
-    accelerations = sampled.accelerations
-    moving = accelerations[: np.flatnonzero(accelerations)[-1] + 1]
-    frequencies = model.natural_frequencies / (2.0 * math.pi)
+    report = excitation_report(sampled)
+    bands = half_power_bands(plan.recipe, model.natural_frequencies, model.damping_ratios)
+    low, high = report.band_hz
+    reached = [low <= band.frequency_hz <= high for band in bands]
+    peaks = sampled.peaks()
     return {
         "recipe": plan.recipe.to_dict(),
         "mode": plan.mode,
         "samples": len(plan.values),
         "duration": sampled.duration_s,
         "peaks": {
-            "travel": [float(np.max(np.abs(sampled.positions))), rig.number("hub.travel") / 2, "m"],
-            "speed": [float(np.max(np.abs(sampled.velocities))), rig.number("hub.max_speed"), "m/s"],
-            "acceleration": [
-                float(np.max(np.abs(accelerations))),
-                rig.number("hub.max_acceleration"),
-                "m/s^2",
-            ],
+            "travel": [peaks["travel"][0], rig.number("hub.travel") / 2, "m"],
+            "speed": [peaks["speed"][0], rig.number("hub.max_speed"), "m/s"],
+            "acceleration": [peaks["acceleration"][0], rig.number("hub.max_acceleration"), "m/s^2"],
+            "jerk": [peaks["jerk"][0], rig.number("excitation.max_jerk") or None, "m/s^3"],
             "tip deflection": [plan.prediction.tip_deflection, rig.number("hub.max_tip_deflection"), "m"],
             "root strain": [plan.prediction.root_strain, rig.number("beam.max_root_strain"), ""],
             "hub force": [plan.prediction.hub_force, rig.number("hub.max_effort"), "N"],
         },
-        "crest_factor": float(np.max(np.abs(moving)) / np.sqrt(np.mean(moving**2))),
+        "crest_factor": report.levels[0].crest_factor,
+        "levels": [dataclasses.asdict(level) for level in report.levels],
+        "band_hz": [low, high],
         "modes": [
             {
-                "frequency_hz": float(f),
-                "half_power_band_hz": float(2.0 * zeta * f),
-                "settling_s": float(5.0 / (2.0 * math.pi * zeta * f)),
+                "frequency_hz": band.frequency_hz,
+                "half_power_band_hz": band.width_hz,
+                "lines_in_band": band.lines,
+                "is_in_band": is_reached,
+                "settling_s": 5.0 / (math.pi * band.width_hz),
                 "tip_amplitude": float(amplitude),
             }
-            for f, zeta, amplitude in zip(
-                frequencies, model.damping_ratios, plan.prediction.modal_tip_deflections, strict=True
+            for band, is_reached, amplitude in zip(
+                bands, reached, plan.prediction.modal_tip_deflections, strict=True
             )
+        ],
+        "warnings": [
+            warning
+            for band, is_reached in zip(bands, reached, strict=True)
+            if is_reached and (warning := band.warning())
         ],
     }
 
 
 def _text(design: dict[str, Any]) -> str:
-    recipe = ", ".join(f"{key} {value}" for key, value in design["recipe"].items() if key != "schema")
+    crests = ", ".join(f"{level['quantity']} {level['crest_factor']:.2f}" for level in design["levels"])
+    low, high = design["band_hz"]
     lines = [
-        recipe,
-        f"{design['samples']} samples over {design['duration']:.3f} s, commanded in {design['mode']}, "
-        f"crest factor {design['crest_factor']:.2f}",
+        describe_recipe(design["recipe"]),
+        f"{design['samples']} samples over {design['duration']:.3f} s, commanded in {design['mode']}, from {low:.3g} "
+        f"to {high:.3g} Hz",
+        f"crest factors: {crests}",
         "",
         "quantity             peak       limit",
     ]
     for name, (peak, limit, unit) in design["peaks"].items():
-        lines.append(f"{name:<16} {peak:>9.4g}   {limit:>9.4g} {unit}")
-    lines += ["", "mode   frequency [Hz]   half-power band [Hz]   settling [s]   predicted tip [mm]"]
+        allowed = "none" if limit is None else f"{limit:.4g}"
+        lines.append(f"{name:<16} {peak:>9.4g}   {allowed:>9} {unit}")
+    lines += [
+        "",
+        "mode   frequency [Hz]   half-power band [Hz]   lines in it   settling [s]   predicted tip [mm]",
+    ]
     for k, mode in enumerate(design["modes"], 1):
+        seen = f"{mode['lines_in_band']:.2g}" if mode["is_in_band"] else "not driven"
         lines.append(
-            f"{k:>4}   {mode['frequency_hz']:>14.4f}   {mode['half_power_band_hz']:>20.4f}   "
+            f"{k:>4}   {mode['frequency_hz']:>14.4f}   {mode['half_power_band_hz']:>20.4f}   {seen:>11}   "
             f"{mode['settling_s']:>12.1f}   {mode['tip_amplitude'] * 1e3:>18.4g}"
         )
+    if design["warnings"]:
+        lines += ["", *design["warnings"]]
     return "\n".join(lines)

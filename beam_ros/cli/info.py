@@ -8,6 +8,7 @@ import math
 from datetime import datetime, timezone
 from pathlib import Path
 
+from beam_ident.excitation import describe_recipe
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import BagInfo, summarise
 
@@ -56,5 +57,5 @@ def _text(info: BagInfo) -> str:
     lines += [f"  sequence {sequence}" for sequence in info.sequences]
     if info.excitation:
         recipe = info.excitation.get("recipe", {})
-        lines.append("  excitation " + ", ".join(f"{key} {value}" for key, value in recipe.items()))
+        lines.append(f"  excitation {describe_recipe(recipe)}")
     return "\n".join(lines)

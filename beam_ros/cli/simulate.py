@@ -28,9 +28,10 @@ def run(arguments: argparse.Namespace) -> int:
     rig = Rig.from_file(arguments.plan).with_texts(arguments.parameters)
     if arguments.seed is not None:
         rig = rig.with_values({"simulation.seed": arguments.seed})
+    from beam_ros.excitation_recipes import recipe_of_rig
     from beam_ros.simulation import simulate
 
-    length_s = rig.number("excitation.duration") + rig.number("excitation.still")
+    length_s = recipe_of_rig(rig).duration_s
     with Progress("simulate", length_s, "s") as stage:
 
         def show(done_s: float, total_s: float) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from beam_ros.errors import RigUnavailableError
 from beam_ros.excitation_plan import plan_excitation
+from beam_ros.excitation_recipes import recipe_of_rig
 from beam_ros.folders import make_folder
 from beam_ros.interfaces import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.client import RigClient
@@ -162,7 +163,8 @@ def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[
                 f"the sequence ended as {client.sequence['state']}: {client.sequence['reason']}; expected done"
             )
         stage.finish(
-            f"{rig.number('excitation.duration'):g} s of excitation, then {rig.number('excitation.still'):g} s still"
+            f"{recipe_of_rig(rig).duration_s - rig.number('excitation.still'):g} s of excitation, then "
+            f"{rig.number('excitation.still'):g} s still"
         )
     with Progress("record", 1.0) as stage:
         recorded = client.call("recorder/stop")
