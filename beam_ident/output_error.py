@@ -191,12 +191,13 @@ class OutputErrorProblem:
             raise EstimationError(
                 f"the output is constant ({values[0]:g}); nothing can be identified from it. Check the sensor"
             )
-        self.measured = PiecewisePolynomial.from_samples(times, values, "linear")
+        self.period = float(np.median(np.diff(times)))
+        self.measured = self.joined(values)
         self.measured_integral = self.measured.antiderivative()
         self.at_stamps = Instants.on(self.measured, times, 0.0)
+        self.noise: FloatArray = np.ones(1)  # coefficients of the autoregression: white
         self.middle = 0.5 * (times[0] + times[-1])
         self.length = float(times[-1] - times[0])
-        self.period = float(np.median(np.diff(times)))
         self.nyquist = np.pi / self.period
         self.scale = float(np.sqrt(2.0 * np.pi / self.length * self.nyquist))
         self.floor = len(values) * (_NOISE_FLOOR * float(np.max(np.abs(values)))) ** 2
@@ -207,6 +208,12 @@ class OutputErrorProblem:
         """Number of columns beside the numerators."""
         terms = self.nuisances
         return terms.has_offset + terms.has_ramp + (sum(self.orders) if terms.has_free_response else 0)
+
+    def joined(self, values: FloatArray) -> PiecewisePolynomial:
+        """Return values at the stamps joined by straight lines, at rest before; every stamp is a knot."""
+        return PiecewisePolynomial.from_samples(
+            self.times, values, "linear", margin_s=1e-3 * self.period, lead="zero"
+        )
 
     def from_stamp(self, start_s: float) -> OutputErrorProblem:
         """Return the problem without the samples before an instant."""
@@ -238,8 +245,18 @@ class OutputErrorProblem:
         theta[: self.n_a] *= (state.scale / scale) ** powers
         return np.asarray(theta)
 
-    def state(self, theta: FloatArray, slopes: bool = True) -> OutputErrorState:
-        """Evaluate a point; without slopes it can be ranked but not improved."""
+    def point(self, theta: FloatArray, slopes: bool = True) -> OutputErrorState:
+        """Compute all columns of a point, without solving for the coefficients.
+
+        Parameters
+        ----------
+        theta : ndarray
+        slopes : bool -- whether the point is to be improved, not only ranked
+
+        Returns
+        -------
+        OutputErrorState -- of infinite cost; with no matrix where the point is not allowed
+        """
         refused = OutputErrorState(theta, self.scale, math.inf, ())
         if not np.all(np.isfinite(theta)):
             return refused
@@ -267,16 +284,22 @@ class OutputErrorProblem:
         matrix = np.concatenate(columns, axis=1)
         if not np.all(np.isfinite(matrix)):
             return refused
-        solution = LinearSolution.of(matrix)
+        return OutputErrorState(theta, self.scale, math.inf, uppers, responses, free, matrix=matrix)
+
+    def state(self, theta: FloatArray, slopes: bool = True) -> OutputErrorState:
+        """Evaluate a point; without slopes it can be ranked but not improved."""
+        point = self.point(theta, slopes)
+        if not point.matrix.size:
+            return point
+        solution = LinearSolution.of(point.matrix)
         coefficients = solution.coefficients(self.values)
-        residuals = self.values - matrix @ coefficients
+        residuals = self.values - point.matrix @ coefficients
         cost = 0.5 * len(self.values) * math.log(float(residuals @ residuals) + self.floor)
+        delays = self.delays(theta)
         for k in self.free_delays:
             prior = self.paths[k].delay
             cost += 0.5 * ((delays[k] - prior.mean) / prior.sd) ** 2
-        return OutputErrorState(
-            theta, self.scale, cost, uppers, responses, free, coefficients, residuals, matrix, solution
-        )
+        return replace(point, cost=cost, coefficients=coefficients, residuals=residuals, solution=solution)
 
     def drifts(self) -> list[FloatArray]:
         """Return the columns of offset and ramp."""

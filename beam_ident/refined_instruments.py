@@ -35,13 +35,13 @@ from beam_ident.state_variable_filter import (
 from beam_ident.subspace import subspace_poles
 from beam_ident.validation import Whiteness
 
-Method = Literal["auto", "srivc", "output_error", "ivsvf", "lssvf"]
-METHODS: tuple[Method, ...] = ("auto", "srivc", "output_error", "ivsvf", "lssvf")
+Method = Literal["auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf"]
+METHODS: tuple[Method, ...] = ("auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf")
 
 _SRIVC_ITERATIONS = 20
 _LM_ITERATIONS = 50
 _PORTFOLIO = 7
-_INSTRUMENTED = 3  # cut-offs behind which instrumental variables are tried
+_INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
 _FINALISTS = 3
 _WHITE = 0.01
 _NO_START = (
@@ -81,7 +81,7 @@ def estimate_denominator(
     Parameters
     ----------
     problem : OutputErrorProblem
-    method : str -- which estimator to stop at; "auto" and "output_error" go to the optimum
+    method : str -- which estimator to stop at; "auto", "rivc" and "output_error" go to the optimum
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
 
     Returns
@@ -158,17 +158,15 @@ class _Chain:
         problem = self.problem
         problem.scale = cutoff
         theta = np.concatenate([filter_coefficients(problem.n_a), delays])
-        behind = problem.state(theta, slopes=False)
-        if not math.isfinite(behind.cost):
+        behind = problem.point(theta, slopes=False)
+        if not behind.matrix.size:
             return behind, behind
         return behind, problem.state(least_squares_step(problem, behind), slopes=False)
 
     def _instrumental(self, behind: OutputErrorState, found: OutputErrorState) -> OutputErrorState:
         problem = self.problem
         problem.scale = behind.scale
-        simulated = PiecewisePolynomial.from_samples(
-            problem.times, problem.values - found.residuals, "linear"
-        )
+        simulated = problem.joined(problem.values - found.residuals)
         filtered = RationalResponse(
             behind.uppers[0],
             problem.scale,
