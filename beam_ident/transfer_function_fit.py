@@ -17,6 +17,7 @@ import numpy as np
 
 from beam_ident.additive_fit import estimate_additive
 from beam_ident.blas_threads import on_one_thread
+from beam_ident.coloured_noise import coloured_residuals, refine_with_noise_model
 from beam_ident.errors import EstimationError
 from beam_ident.modal_fit import Prior
 from beam_ident.multi_input_model import MultiInputModel
@@ -42,8 +43,10 @@ class TransferFunctionResult:
     model : TransferFunctionModel
     method : str -- which estimator the numbers come from
     times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+    noise_coefficients : ndarray
+        1, c_1 .. c_p of the noise's autoregression; 1 alone for all methods but "rivc".
     scores : Scores
-    whiteness : Whiteness
+    whiteness : Whiteness -- of the residuals, or of the innovations of their autoregression
     bic, yic : float
         Bayesian information criterion, and Young's information criterion
         ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
@@ -60,6 +63,7 @@ class TransferFunctionResult:
     measured: FloatArray
     modelled: FloatArray
     residuals: FloatArray
+    noise_coefficients: FloatArray
     scores: Scores
     whiteness: Whiteness
     bic: float
@@ -90,6 +94,7 @@ converged, reason, iterations, offset, ramp
     measured: FloatArray
     modelled: FloatArray
     residuals: FloatArray
+    noise_coefficients: FloatArray
     scores: Scores
     whiteness: Whiteness
     bic: float
@@ -161,8 +166,9 @@ def estimate_transfer_function(
         and a sequence gives every input a denominator of its own.
     n_zeros : int or sequence of int
         Degree of B, or one for each input of the record; no more than poles and integrators.
-    method : {"auto", "output_error", "srivc", "ivsvf", "lssvf"}
+    method : {"auto", "rivc", "output_error", "srivc", "ivsvf", "lssvf"}
         "auto" goes by SRIVC to the output-error optimum, "output_error" by Levenberg-Marquardt alone;
+        "rivc" goes on from there under an autoregression of the noise, whose order BIC chooses;
         the others stop at the estimator they name (LSSVF is biased under noise, IVSVF is
         not efficient).
     has_offset, has_ramp, has_free_response : bool
@@ -184,7 +190,8 @@ def estimate_transfer_function(
     Raises
     ------
     EstimationError
-        Impossible degrees, too few samples, a constant output, an input at rest.
+        Impossible degrees, too few samples, a constant output, an input at rest; irregular stamps
+        where the noise is to have a model ("rivc").
     """
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
@@ -238,6 +245,8 @@ def estimate_transfer_function(
     problem = OutputErrorProblem(paths, orders, times, values, output.exposure_s, nuisances)
     estimate = estimate_denominator if len(orders) == 1 else estimate_additive
     problem, optimum = estimate(problem, method, cutoff)
+    if method == "rivc":
+        problem, optimum = refine_with_noise_model(problem, optimum)
     return _result(problem, optimum, method, n_integrators, output.name, several)
 
 
@@ -280,7 +289,8 @@ def _result(
     joint = problem.covariance(state)
     if not joint.condition < 1e14:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
-    n_all = len(state.theta) + len(state.coefficients)
+    n_all = len(state.theta) + len(state.coefficients) + len(problem.noise) - 1
+    residuals = coloured_residuals(problem, state)
     place = sum(path.n_zeros + 1 for path in problem.paths)
     terms = problem.nuisances
     relative = np.diag(joint.values)[: problem.n_a] / np.maximum(state.theta[: problem.n_a] ** 2, 1e-300)
@@ -289,12 +299,13 @@ def _result(
         "method": method,
         "times_s": problem.times,
         "measured": problem.values,
-        "modelled": problem.values - state.residuals,
-        "residuals": state.residuals,
-        "scores": Scores.of(problem.values, state.residuals),
+        "modelled": problem.values - residuals,
+        "residuals": residuals,
+        "noise_coefficients": problem.noise,
+        "scores": Scores.of(problem.values, residuals),
         "whiteness": Whiteness.of(state.residuals),
         "bic": 2.0 * state.cost + n_all * math.log(len(problem.values)),
-        "yic": math.log(max(float(np.var(state.residuals)), 1e-300) / spread)
+        "yic": math.log(max(float(np.var(residuals)), 1e-300) / spread)
         + math.log(max(float(np.mean(relative)), 1e-300)),
         "condition": joint.condition,
         "converged": converged,
@@ -303,7 +314,7 @@ def _result(
         "offset": float(state.coefficients[place]) if terms.has_offset else 0.0,
         "ramp": float(state.coefficients[place + terms.has_offset]) if terms.has_ramp else 0.0,
     }
-    noise_sd = math.sqrt(joint.variance)
+    noise_sd = math.sqrt(joint.variance) if len(problem.noise) == 1 else float(np.std(residuals))
     model = _physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
     if several:
         return MultiInputResult(model=model, **figures)
