@@ -1,15 +1,14 @@
 """Non-parametric frequency responses: what the data say before any model.
 
-Three ways, each for its kind of record:
+Two ways for records that are not periodic (for those that are, see
+:mod:`beam_ident.periodic_response`):
 
-* ``welch_response``: averaged cross-spectra (H1, H2, Hv) with coherence, for long noise-like
-  records.  On a single chirp its segments see the modes ring long after the input
-  has left them, and the estimate is biased: look, do not fit.
+* ``welch_response``: averaged cross-spectra (H1, H2, Hv, or through a reference signal) with
+  coherence, for long noise-like records.  On a single chirp its segments see the modes ring
+  long after the input has left them, and the estimate is biased: look, do not fit.
 * ``local_polynomial_response``: one record, any excitation; the transient that leaks into
   every line is a smooth function of frequency and is estimated along (Pintelon and
   Schoukens 2012, ch. 7).
-* ``periodic_response``: steady periods of a multisine; the scatter between periods gives
-  the variance of every line, and unexcited lines show noise and distortion.
 
 The input is taken at the stamps of the output, through its hold and with the same
 exposure, so that both have the same sampling; the outputs are never interpolated
@@ -18,127 +17,109 @@ except over single missing samples.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
 from beam_ident.errors import EstimationError
+from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.piecewise import FloatArray, Instants, regular_period
-from beam_ident.records import TimeRecord
+from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
-SpectralMethod = Literal["h1", "h2", "hv"]
-
-ComplexArray = NDArray[np.complex128]
+SpectralMethod = Literal["h1", "h2", "hv", "reference"]
 
 _MOST_MISSING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyResponseEstimate:
-    """A frequency response at discrete lines.
+class _Pair:
+    """Input, output and perhaps a reference at common regular stamps."""
 
-    Attributes
-    ----------
-    omegas : ndarray, shape (n,) -- [rad/s]
-    response : complex ndarray, shape (n,)
-    sd : ndarray, shape (n,)
-        Standard deviation of the complex value (root of the sum of both parts' variances).
-    coherence : ndarray or None, shape (n,)
-    method : str
-    input_name, output_name : str
-    n_averages : float -- effective number of averages behind every line
-    """
+    period: float
+    drive: FloatArray
+    output: FloatArray
+    reference: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """A response of one output: lines [rad/s], complex values, variances, coherence."""
 
     omegas: FloatArray
     response: ComplexArray
-    sd: FloatArray
+    variance: FloatArray
     coherence: FloatArray | None
-    method: str
-    input_name: str
-    output_name: str
-    n_averages: float
-
-    @property
-    def frequencies_hz(self) -> FloatArray:
-        """Frequencies of the lines [Hz]."""
-        return np.asarray(self.omegas / (2.0 * np.pi))
+    freedom: float
 
 
-@dataclass(frozen=True, eq=False)
-class PeriodicResponseEstimate:
-    """A frequency response from periods, with noise and distortion on the other lines.
-
-    Attributes
-    ----------
-    excited : FrequencyResponseEstimate -- at the excited lines
-    noise_sd : ndarray, shape (n_excited,) -- scatter of the output's lines between periods
-    other_hz : ndarray -- lines of the period that were not excited [Hz]
-    other_amplitude : ndarray -- amplitude of the output there
-    other_noise_sd : ndarray
-        Scatter there between periods: an amplitude far above it is nonlinear distortion.
-    distortion_db : float
-        Output power on unexcited lines, less the noise's share, over that on excited ones.
-    """
-
-    excited: FrequencyResponseEstimate
-    noise_sd: FloatArray
-    other_hz: FloatArray
-    other_amplitude: FloatArray
-    other_noise_sd: FloatArray
-    distortion_db: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """Input and output at common regular stamps."""
-
-    period: float
-    start: float
-    drive: FloatArray
-    output: FloatArray
-    input_name: str
-    output_name: str
-
-
-def _common_samples(record: TimeRecord, output_name: str | None, input_name: str | None) -> _Pair:
-    if (output_name is None and len(record.outputs) > 1) or (input_name is None and len(record.inputs) > 1):
-        raise EstimationError(
-            f"record {record.name!r} has several signals; say which input and output by their names"
-        )
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
-    output = record.outputs[0] if output_name is None else record.output(output_name)
+def _pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> _Pair:
     half = 0.5 * output.exposure_s
     first, last = drive.span_s
+    if reference is not None:
+        first, last = max(first, reference.span_s[0]), min(last, reference.span_s[1])
     keep = (output.times_s - half >= first) & (output.times_s + half <= last)
     times, values = np.asarray(output.times_s[keep]), np.array(output.values[keep])
     period = regular_period(times)
     if period is None or len(times) < 32:
         raise EstimationError(
             f"output {output.name!r} has {len(times)} usable stamps, "
-            f"{'irregular ones' if period is None else 'too few'}; a non-parametric response needs at "
-            "least 32 on a "
-            "regular grid. Fit a model instead: identify() takes any stamps"
+            f"{'irregular ones' if period is None else 'too few'}; a non-parametric response needs at least 32 on "
+            "a regular grid. Fit a model instead: identify() takes any stamps"
         )
     missing = ~np.isfinite(values)
     if np.mean(missing) > _MOST_MISSING:
         raise EstimationError(
-            f"output {output.name!r}: {np.mean(missing):.1%} of the samples are missing; a non-parametric "
-            "response "
+            f"output {output.name!r}: {np.mean(missing):.1%} of the samples are missing; a non-parametric response "
             f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
         )
     values[missing] = np.interp(times[missing], times[~missing], values[~missing])
-    signal = drive.signal()
-    instants = Instants.on(signal, times, output.exposure_s)
-    return _Pair(
-        period,
-        float(times[0]),
-        instants.mean(signal, signal.antiderivative())[0],
-        values,
-        drive.name,
-        output.name,
+
+    def seen(source: InputSignal) -> FloatArray:
+        signal = source.signal()
+        return Instants.on(signal, times, output.exposure_s).mean(signal, signal.antiderivative())[0]
+
+    return _Pair(period, seen(drive), values, None if reference is None else seen(reference))
+
+
+def _for_every_output(
+    record: TimeRecord,
+    output_names: Sequence[str] | None,
+    input_name: str | None,
+    reference_name: str | None,
+    method: str,
+    estimate: Callable[[_Pair], _Estimate],
+) -> FrequencyRecord:
+    if input_name is None and len(record.inputs) > 1:
+        raise EstimationError(
+            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
+            "input_name"
+        )
+    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    reference = None if reference_name is None else record.input(reference_name)
+    outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
+    found = [estimate(_pair(drive, output, reference)) for output in outputs]
+    for output, one in zip(outputs, found, strict=True):
+        if not np.array_equal(one.omegas, found[0].omegas):
+            raise EstimationError(
+                f"outputs {outputs[0].name!r} and {output.name!r} have different stamps, and so different lines; "
+                "estimate them one at a time, with output_names"
+            )
+    coherences = [one.coherence for one in found if one.coherence is not None]
+    return FrequencyRecord(
+        omegas=found[0].omegas,
+        response=np.stack([one.response for one in found], axis=1),
+        variance=np.stack([one.variance for one in found], axis=1),
+        output_names=tuple(output.name for output in outputs),
+        input_names=(drive.name,),
+        output_units=tuple(output.unit for output in outputs),
+        input_units=(drive.unit,),
+        coherence=np.stack(coherences, axis=1) if coherences else None,
+        degrees_of_freedom=min(one.freedom for one in found),
+        method=method,
+        name=record.name,
     )
 
 
@@ -146,25 +127,50 @@ def welch_response(
     record: TimeRecord,
     method: SpectralMethod = "h1",
     segment_s: float | None = None,
-    output_name: str | None = None,
+    output_names: Sequence[str] | None = None,
     input_name: str | None = None,
-) -> FrequencyResponseEstimate:
+    reference_name: str | None = None,
+) -> FrequencyRecord:
     """Estimate a frequency response from averaged spectra.
 
     Parameters
     ----------
     record : TimeRecord
-    method : {"h1", "h2", "hv"}
+    method : {"h1", "h2", "hv", "reference"}
         H1 is unbiased by noise on the output, H2 by noise on the input, Hv assumes equal
-        shares of both.
+        shares of both.  "reference" is unbiased by noise on either, and in a closed loop:
+        ``S_yr / S_ur`` with a signal r that is known and depends on neither noise.
     segment_s : float or None
         Length of the Hann windows [s], overlapping by half; None takes an eighth of the
         record.
-    output_name, input_name : str or None -- which signals, where there are several
+    output_names : sequence of str or None -- None takes all, which then share their stamps
+    input_name : str or None -- which input, where there are several
+    reference_name : str or None -- the input of the record that is the reference
+
+    Raises
+    ------
+    EstimationError
+        Irregular stamps, too short a record, a method without its reference.
+
+    Notes
+    -----
+    With a reference, ``var H = S_ee S_rr / (n |S_ur|^2)`` with e = y - H u: the variance of an
+    instrumental variable (Soderstrom and Stoica 1989, eq. 8.30, line by line).
     """
-    if method not in ("h1", "h2", "hv"):
-        raise EstimationError(f"method is {method!r}; expected h1, h2 or hv")
-    pair = _common_samples(record, output_name, input_name)
+    if method not in ("h1", "h2", "hv", "reference"):
+        raise EstimationError(f"method is {method!r}; expected h1, h2, hv or reference")
+    if (method == "reference") != (reference_name is not None):
+        raise EstimationError(
+            f"method is {method!r} and reference_name {reference_name!r}; one needs the other"
+        )
+
+    def estimate(pair: _Pair) -> _Estimate:
+        return _welch(pair, method, segment_s)
+
+    return _for_every_output(record, output_names, input_name, reference_name, method, estimate)
+
+
+def _welch(pair: _Pair, method: SpectralMethod, segment_s: float | None) -> _Estimate:
     n = len(pair.output)
     length = n // 8 if segment_s is None else round(segment_s / pair.period)
     if not 16 <= length <= n:
@@ -173,36 +179,40 @@ def welch_response(
     frequencies, cross = csd(pair.drive, pair.output, **keywords)
     of_input = welch(pair.drive, **keywords)[1]
     of_output = welch(pair.output, **keywords)[1]
-    frequencies, cross, of_input, of_output = frequencies[1:], cross[1:], of_input[1:], of_output[1:]
+    last = len(frequencies) - (1 - length % 2)  # the line at half the rate is real
+    inner = slice(1, last)
+    frequencies, cross, of_input, of_output = (x[inner] for x in (frequencies, cross, of_input, of_output))
     floor = 1e-300
     coherence = np.clip(np.abs(cross) ** 2 / np.maximum(of_input * of_output, floor), 0.0, 1.0)
-    h1 = cross / np.maximum(of_input, floor)
-    h2 = of_output / np.where(np.abs(cross) > floor, np.conj(cross), floor)
-    response = {"h1": h1, "h2": h2, "hv": np.sqrt(np.abs(h1) * np.abs(h2)) * np.exp(1j * np.angle(cross))}[
-        method
-    ]
     # Overlapping Hann segments by half: 36 % fewer independent averages (Welch 1967).
     averages = max(1.0, (2.0 * n / length - 1.0) / 1.36)
-    sd = np.abs(response) * np.sqrt((1.0 - coherence) / np.maximum(coherence, 1e-12) / averages)
-    return FrequencyResponseEstimate(
-        2.0 * np.pi * frequencies,
-        response,
-        sd,
-        coherence,
-        method,
-        pair.input_name,
-        pair.output_name,
-        averages,
-    )
+    omegas = np.asarray(2.0 * np.pi * frequencies, dtype=np.float64)
+    if pair.reference is not None:
+        to_output = csd(pair.reference, pair.output, **keywords)[1][inner]
+        to_input = csd(pair.reference, pair.drive, **keywords)[1][inner]
+        of_reference = welch(pair.reference, **keywords)[1][inner]
+        strength = np.maximum(np.abs(to_input) ** 2, floor)
+        response = to_output * np.conj(to_input) / strength
+        left = of_output - 2.0 * np.real(np.conj(response) * cross) + np.abs(response) ** 2 * of_input
+        # One degree of freedom of every line went into the response.
+        variance = np.maximum(left, 0.0) * of_reference / strength / max(averages - 1.0, 1.0)
+        linked = np.clip(np.abs(to_output) ** 2 / np.maximum(of_reference * of_output, floor), 0.0, 1.0)
+        return _Estimate(omegas, response, variance, linked, averages)
+    h1 = cross / np.maximum(of_input, floor)
+    h2 = of_output / np.where(np.abs(cross) > floor, np.conj(cross), floor)
+    hv = np.sqrt(np.abs(h1) * np.abs(h2)) * np.exp(1j * np.angle(cross))
+    response = {"h1": h1, "h2": h2, "hv": hv}[method]
+    variance = np.abs(response) ** 2 * (1.0 - coherence) / np.maximum(coherence, 1e-12) / averages
+    return _Estimate(omegas, response, variance, coherence, averages)
 
 
 def local_polynomial_response(
     record: TimeRecord,
     degree: int = 2,
     half_width: int | None = None,
-    output_name: str | None = None,
+    output_names: Sequence[str] | None = None,
     input_name: str | None = None,
-) -> FrequencyResponseEstimate:
+) -> FrequencyRecord:
     """Estimate a frequency response and the leaking transient by local polynomials.
 
     Parameters
@@ -212,13 +222,20 @@ def local_polynomial_response(
     half_width : int or None
         Lines on either side; None takes the least that leaves as many degrees of freedom
         as there are unknowns.
-    output_name, input_name : str or None -- which signals, where there are several
+    output_names : sequence of str or None -- None takes all, which then share their stamps
+    input_name : str or None -- which input, where there are several
+
+    Raises
+    ------
+    EstimationError
+        Irregular stamps, a record too short for the polynomials.
 
     Notes
     -----
     The polynomials must be able to follow the resonances: at damping ratio zeta and
     frequency f the half-power band is 2 zeta f wide and should hold several lines
-    (line spacing is one over the length of the record).
+    (line spacing is one over the length of the record).  Neighbouring lines share data, so
+    that their errors depend on each other.
     """
     if degree < 0:
         raise EstimationError(f"degree is {degree}; expected 0 or more")
@@ -226,7 +243,15 @@ def local_polynomial_response(
     width = unknowns if half_width is None else half_width
     if 2 * width + 1 <= unknowns:
         raise EstimationError(f"half_width is {width}; degree {degree} needs at least {unknowns // 2 + 1}")
-    pair = _common_samples(record, output_name, input_name)
+
+    def estimate(pair: _Pair) -> _Estimate:
+        return _local_polynomial(pair, degree, width)
+
+    method = f"local polynomial of degree {degree} over {2 * width + 1} lines"
+    return _for_every_output(record, output_names, input_name, None, method, estimate)
+
+
+def _local_polynomial(pair: _Pair, degree: int, width: int) -> _Estimate:
     n = len(pair.output)
     of_input = np.fft.rfft(pair.drive - np.mean(pair.drive)) / np.sqrt(n)
     of_output = np.fft.rfft(pair.output - np.mean(pair.output)) / np.sqrt(n)
@@ -246,88 +271,14 @@ def local_polynomial_response(
     inverse = np.linalg.pinv(matrix, rcond=1e-10)
     found = np.einsum("kij,kj->ki", inverse, y)
     residual = y - np.einsum("kij,kj->ki", matrix, found)
-    freedom = 2 * width + 1 - unknowns
+    freedom = 2 * width + 1 - 2 * (degree + 1)
     variance = np.sum(np.abs(residual) ** 2, axis=1) / freedom
     scale = np.where(size[:, 0, 0] > 0.0, size[:, 0, 0], np.inf)
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
-    return FrequencyResponseEstimate(
+    return _Estimate(
         np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),
         found[:, 0] / scale,
-        np.sqrt(variance * gain) / scale,
+        variance * gain / scale**2,
         None,
-        f"local polynomial of degree {degree} over {2 * width + 1} lines",
-        pair.input_name,
-        pair.output_name,
-        float(freedom + 1),
-    )
-
-
-def periodic_response(
-    record: TimeRecord,
-    line_period_s: float,
-    excited_hz: FloatArray,
-    start_s: float,
-    end_s: float,
-    output_name: str | None = None,
-    input_name: str | None = None,
-) -> PeriodicResponseEstimate:
-    """Estimate a frequency response from the steady periods of a periodic excitation.
-
-    Parameters
-    ----------
-    record : TimeRecord
-    line_period_s : float -- period of the excitation [s], a whole number of output samples
-    excited_hz : ndarray -- its lines [Hz]
-    start_s, end_s : float -- the steady part [s], with at least two whole periods
-    output_name, input_name : str or None -- which signals, where there are several
-    """
-    pair = _common_samples(record, output_name, input_name)
-    per_period = round(line_period_s / pair.period)
-    if per_period < 4 or abs(per_period * pair.period / line_period_s - 1.0) > 1e-6:
-        raise EstimationError(
-            f"the period of {line_period_s} s is {line_period_s / pair.period:.4f} output samples; "
-            "expected a whole "
-            "number. Choose the period or the frame rate so that it is one"
-        )
-    first = int(np.ceil((start_s - pair.start) / pair.period - 1e-9))
-    count = int(np.floor((end_s - pair.start) / pair.period + 1e-9)) - first
-    n_periods = min(count, len(pair.output) - first) // per_period
-    if first < 0 or n_periods < 2:
-        raise EstimationError(
-            f"between {start_s} and {end_s} s there are {max(n_periods, 0)} whole periods of "
-            f"{line_period_s} s; expected "
-            "at least two"
-        )
-    span = slice(first, first + n_periods * per_period)
-    of_input = np.fft.rfft(pair.drive[span].reshape(n_periods, -1), axis=1) * 2.0 / per_period
-    of_output = np.fft.rfft(pair.output[span].reshape(n_periods, -1), axis=1) * 2.0 / per_period
-    numbers = np.round(np.asarray(excited_hz) * line_period_s).astype(np.intp)
-    numbers = numbers[(numbers > 0) & (numbers < of_output.shape[1])]
-    mean_u, mean_y = np.mean(of_input, axis=0), np.mean(of_output, axis=0)
-    scatter = np.sqrt(np.sum(np.abs(of_output - mean_y) ** 2, axis=0) / (n_periods - 1))
-    response = mean_y[numbers] / mean_u[numbers]
-    sd = scatter[numbers] / np.sqrt(n_periods) / np.abs(mean_u[numbers])
-    top = int(numbers[-1]) if len(numbers) else 0
-    others = np.setdiff1d(np.arange(1, top + 1), numbers)
-    noise_power = float(np.sum(scatter[others] ** 2)) / n_periods
-    power = max(float(np.sum(np.abs(mean_y[others]) ** 2)) - noise_power, 0.0)
-    total = max(float(np.sum(np.abs(mean_y[numbers]) ** 2)), 1e-300)
-    distortion = 10.0 * np.log10(max(power / total, 1e-30))
-    excited = FrequencyResponseEstimate(
-        np.asarray(2.0 * np.pi * numbers / line_period_s, dtype=np.float64),
-        response,
-        sd,
-        None,
-        f"mean of {n_periods} periods",
-        pair.input_name,
-        pair.output_name,
-        float(n_periods),
-    )
-    return PeriodicResponseEstimate(
-        excited,
-        scatter[numbers],
-        others / line_period_s,
-        np.abs(mean_y[others]),
-        scatter[others],
-        float(distortion),
+        float(freedom),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from beam_ident.errors import EstimationError
 from beam_ident.figures.canvas import COLOURS, stacked_axes
-from beam_ident.frequency_response import FrequencyResponseEstimate
+from beam_ident.frequency_record import FrequencyRecord, ResponseSeries
 from beam_ident.modal_model import ModalModel
 from beam_ident.piecewise import FloatArray
 from beam_ident.transfer_function import TransferFunctionModel
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def coherence_figure(estimates: Sequence[FrequencyResponseEstimate]) -> Figure:
+def coherence_figure(records: Sequence[FrequencyRecord]) -> Figure:
     """Draw magnitude, phase and coherence of measured responses over frequency.
 
     Where an estimate has no coherence, because it does not average, its relative standard
     deviation stands in the lowest panel instead.
     """
-    _require(estimates)
+    estimates = _series(records)
     figure, axes = stacked_axes(3, 6.4)
     averages = all(estimate.coherence is not None for estimate in estimates)
     for estimate, colour in zip(estimates, _colours(estimates), strict=True):
@@ -48,13 +48,13 @@ def coherence_figure(estimates: Sequence[FrequencyResponseEstimate]) -> Figure:
 
 
 def response_over_model_figure(
-    estimates: Sequence[FrequencyResponseEstimate], model: ModalModel | TransferFunctionModel
+    records: Sequence[FrequencyRecord], model: ModalModel | TransferFunctionModel
 ) -> Figure:
     """Draw measured responses as points over the model's curves with their 95 % bands.
 
     Parameters
     ----------
-    estimates : sequence of FrequencyResponseEstimate
+    records : sequence of FrequencyRecord
         Of outputs of the model, from the model's input.
     model : ModalModel or TransferFunctionModel
 
@@ -63,7 +63,7 @@ def response_over_model_figure(
     EstimationError
         No estimate, or one of an output or input that the model has not.
     """
-    _require(estimates)
+    estimates = _series(records)
     figure, axes = stacked_axes(2, 5.2)
     lines = np.unique(np.concatenate([e.omegas[e.omegas > 0.0] for e in estimates]))
     poles = model.poles[model.poles.imag > 0.0]
@@ -96,16 +96,17 @@ def response_over_model_figure(
     return figure
 
 
-def _require(estimates: Sequence[FrequencyResponseEstimate]) -> None:
-    if not estimates:
+def _series(records: Sequence[FrequencyRecord]) -> list[ResponseSeries]:
+    if not records:
         raise EstimationError("no frequency response is given; expected at least one estimate to draw")
+    return [series for record in records for series in record.series()]
 
 
 def _colours(estimates: Sequence[Any]) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i in range(len(estimates))]
 
 
-def _name(estimate: FrequencyResponseEstimate) -> str:
+def _name(estimate: ResponseSeries) -> str:
     return f"{estimate.output_name} over {estimate.input_name} ({estimate.method})"
 
 
@@ -115,7 +116,7 @@ def _band(axis: Any, hertz: FloatArray, size: FloatArray, sd: FloatArray, colour
 
 
 def _model_response(
-    model: ModalModel | TransferFunctionModel, estimate: FrequencyResponseEstimate, omegas: FloatArray
+    model: ModalModel | TransferFunctionModel, estimate: ResponseSeries, omegas: FloatArray
 ) -> tuple[Any, FloatArray]:
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
     if estimate.output_name not in names or estimate.input_name != model.input_name:

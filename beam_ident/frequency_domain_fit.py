@@ -1,0 +1,418 @@
+"""Maximum-likelihood fit of a modal model to frequency data.
+
+Every line weighs by its own noise, so that the estimate reaches the Cramer-Rao bound that
+the lines allow (Pintelon and Schoukens 2012, ch. 9, the sample maximum-likelihood
+estimator).  Poles are common to all outputs and records; gains, residues and residual
+terms are solved linearly for any poles.  Holds, exposures and folded lines enter through
+the records' `Folding`, so that a response measured through a zero-order hold, or above half
+the camera's rate, is compared with what the model would show there.
+
+Nothing has to be guessed: modes are looked for one at a time over the measured band and
+refined together.  Without a given number of modes the Bayesian information criterion
+decides, with the same gates as in :func:`beam_ident.identify`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.blas_threads import on_one_thread
+from beam_ident.errors import EstimationError
+from beam_ident.frequency_record import ComplexArray, FrequencyRecord
+from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
+from beam_ident.modal_fit import Prior
+from beam_ident.modal_model import ModalModel
+from beam_ident.modal_structure import ModalStructure, StructureKind
+from beam_ident.mode_search import PoleOrder, search_modes
+from beam_ident.piecewise import FloatArray
+from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
+
+MAX_MODES = 10
+
+_SCAN_FREQUENCIES = 400
+_EXCITED_IMAGE = 1e-2
+_SCAN_DAMPING = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+_SCAN_IMAGE = 0.05
+_EDGE = 1.1  # how far outside the measured band a pole may stand
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyDomainResult:
+    """A modal model from frequency data.
+
+    Attributes
+    ----------
+    model : ModalModel
+    records : tuple of FrequencyRecord
+    modelled : tuple of complex ndarray, each (n_lines, n_outputs, 1)
+        What the model says at the lines, foldings included.
+    orders : tuple of PoleOrder
+    misfit : LineMisfit
+    converged, reason, iterations
+        How the last fit ended.
+    warnings : tuple of str
+    """
+
+    model: ModalModel
+    records: tuple[FrequencyRecord, ...]
+    modelled: tuple[ComplexArray, ...]
+    orders: tuple[PoleOrder, ...]
+    misfit: LineMisfit
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+
+class LineBasis:
+    """Columns of a modal structure at the lines of one record, real parts above imaginary ones.
+
+    Parameters
+    ----------
+    record : FrequencyRecord
+    structure : ModalStructure
+    """
+
+    def __init__(self, record: FrequencyRecord, structure: ModalStructure) -> None:
+        self.structure = structure
+        self.folding = record.folding
+        self.s: ComplexArray = np.asarray(1j * record.omegas[:, None], dtype=np.complex128)
+        self.weights = np.ones(self.s.shape, dtype=np.complex128)
+        self.tails: ComplexArray | None = None
+        if self.folding is not None:
+            self.s = np.concatenate([self.s, 1j * self.folding.omegas], axis=1)
+            self.weights = np.concatenate([self.weights, self.folding.weights], axis=1)
+            self.tails = self.folding.tails
+            lowest = 2 - (structure.differentiations if structure.has_residual else 0)
+            if not np.all(np.isfinite(self.tails[:, lowest:])):
+                raise EstimationError(
+                    f"frequency record {record.name!r} comes from a held input, which jumps; the structure "
+                    f"{structure.kind} differentiates it. Give the input hold='cubic', or has_residual=False"
+                )
+        self.front: ComplexArray = np.asarray(structure.sign * self.s**structure.differentiations)
+        # A mode falls as 1/omega^2 beyond its resonance: far images do not move a maximum of the scan.
+        reach = np.minimum(1.0, np.abs(self.s[:, :1] / self.s)) ** 2
+        self._scanned = np.flatnonzero(np.max(np.abs(self.weights) * reach, axis=0) > _SCAN_IMAGE)
+
+    def _folded(
+        self, values: ComplexArray, expansion: Sequence[tuple[int, float]], latency: float
+    ) -> ComplexArray:
+        """Return the lines of a function given at all frequencies and by its first terms in 1/s."""
+        weights = self.weights
+        if latency:
+            weights = weights * np.exp(-self.s * latency)
+        total = np.sum(weights * values, axis=1)
+        if self.tails is not None:
+            for power, factor in expansion:
+                total = total + factor * self.tails[:, power + 2]
+        return np.asarray(total)
+
+    def _both(
+        self, values: ComplexArray, expansion: Sequence[tuple[int, float]], latency: float
+    ) -> list[FloatArray]:
+        """Return a column and its derivative by the latency, both real."""
+        column = self._folded(values, expansion, latency)
+        slope = self._folded(-self.s * values, (), latency)
+        return [np.concatenate([part.real, part.imag]) for part in (column, slope)]
+
+    def fixed(self, latency: float) -> Columns:
+        """Return direct gain and residual term, where the structure has them."""
+        structure, pairs = self.structure, []
+        power = structure.differentiations
+        if structure.has_direct:
+            exponent = -2 if structure.kind == "force" else power - 2
+            pairs.append(self._both(np.asarray(self.s**exponent), [(-exponent, 1.0)], latency))
+        if structure.has_residual:
+            pairs.append(self._both(self.front, [(-power, structure.sign)], latency))
+        if not pairs:
+            empty = np.zeros((2 * len(self.s), 0))
+            return Columns(empty, empty, empty, empty)
+        value, slope = (np.column_stack([pair[k] for pair in pairs]) for k in range(2))
+        return Columns(value, value, value, slope)
+
+    def modal(self, omega: float, zeta: float, latency: float) -> Columns:
+        """Return the column of one mode with its derivatives."""
+        s, sign, power = self.s, self.structure.sign, self.structure.differentiations
+        inverse = 1.0 / (s * (s + 2.0 * zeta * omega) + omega**2)
+        value = self.front * inverse
+        slope = -value * inverse
+        # Powers of 1/s in front / d(s) = sign s^p (s^-2 - 2 zeta omega s^-3 + (4 zeta^2 - 1) omega^2 s^-4 ..).
+        squared = (4.0 * zeta**2 - 1.0) * omega**2
+        terms = [(2 - power, 1.0, 0.0, 0.0)]
+        if power >= 1:
+            terms.append((3 - power, -2.0 * zeta * omega, -2.0 * zeta * omega, -2.0 * omega))
+        if power == 2:
+            terms.append((4 - power, squared, 2.0 * squared, 8.0 * zeta * omega**2))
+        expansions = [[(term[0], sign * term[k]) for term in terms] for k in (1, 2, 3)]
+        column, by_latency = self._both(value, expansions[0], latency)
+        by_omega = self._folded(slope * (2.0 * zeta * omega * s + 2.0 * omega**2), expansions[1], latency)
+        by_zeta = self._folded(slope * (2.0 * omega * s), expansions[2], latency)
+        parts = [np.concatenate([part.real, part.imag])[:, None] for part in (by_omega, by_zeta)]
+        return Columns(column[:, None], parts[0], parts[1], by_latency[:, None])
+
+    def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
+        """Return the columns of candidate modes, the weakest images left out."""
+        total = np.zeros((len(self.s), len(omegas)), dtype=np.complex128)
+        for column in self._scanned:
+            s = self.s[:, column, None]
+            weight = (self.weights[:, column] * np.exp(-self.s[:, column] * latency) * self.front[:, column])[
+                :, None
+            ]
+            total += weight / (s * (s + 2.0 * zetas * omegas) + omegas**2)
+        return np.concatenate([total.real, total.imag])[:, :, None]
+
+
+def line_weights(record: FrequencyRecord, output: int, drive: int) -> FloatArray:
+    """Return one over the standard deviation of real and imaginary part, 0 for missing lines.
+
+    Without variances every line counts the same, in units of the response's own size.
+    """
+    values = record.response[:, output, drive]
+    seen = np.isfinite(values)
+    if record.variance is None:
+        size = math.sqrt(float(np.mean(np.abs(values[seen]) ** 2))) if np.any(seen) else 1.0
+        weights = np.full(len(values), 1.0 / max(size, 1e-300))
+    else:
+        variance = record.variance[:, output, drive]
+        largest = float(np.max(np.abs(values[seen]), initial=0.0))
+        # A variance of zero would be an infinite weight: rounding is the least there is.
+        floor = max((1e-13 * largest) ** 2, 1e-300)
+        weights = np.sqrt(2.0 / np.maximum(variance, floor))
+    weights = np.where(seen, weights, 0.0)
+    return np.concatenate([weights, weights])
+
+
+def stacked_values(values: ComplexArray) -> FloatArray:
+    """Return real parts above imaginary ones, 0 where nothing was measured."""
+    plain = np.where(np.isfinite(values), values, 0.0)
+    return np.concatenate([plain.real, plain.imag])
+
+
+@on_one_thread
+def fit_frequency_modes(
+    records: FrequencyRecord | Sequence[FrequencyRecord],
+    structure: StructureKind | ModalStructure = "base_motion",
+    n_modes: int | None = None,
+    latency: Prior | None = None,
+    max_modes: int = MAX_MODES,
+) -> FrequencyDomainResult:
+    """Fit a modal model with common poles to frequency data, without hints.
+
+    Parameters
+    ----------
+    records : FrequencyRecord or a sequence of them
+        One input and the same outputs in each.
+    structure : str or ModalStructure
+        Where the modes stand; offsets, ramps and free responses have no place here.
+    n_modes : int or None -- None lets the Bayesian information criterion decide
+    latency : Prior or None
+        How late the outputs' stamps are [s]; None takes 0 as known.
+    max_modes : int
+
+    Raises
+    ------
+    EstimationError
+        No record, several inputs, different outputs, fewer lines than unknowns, or no mode found.
+
+    Notes
+    -----
+    The outputs' errors may depend on each other (noise on a common input does that): weights
+    are those of each output alone, the stated covariance is that of this estimator under the
+    full covariance of the record.
+    """
+    data = (records,) if isinstance(records, FrequencyRecord) else tuple(records)
+    form = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
+    prior = Prior(0.0, 0.0) if latency is None else latency
+    problem = _problem(data, form, prior)
+    limit = max_modes if n_modes is None else n_modes
+    if not 0 < limit <= 40:
+        raise EstimationError(f"the number of modes is {limit}; expected 1 to 40")
+    lines = sum(record.n_lines for record in data)
+    if n_modes is not None and 2 * lines < 4 * n_modes + 4:
+        raise EstimationError(
+            f"{lines} lines for {n_modes} modes; a fit needs at least {2 * n_modes + 2}. Ask for fewer modes"
+        )
+    grid = candidates(data)
+    band = (float(np.min(grid[0])) / _EDGE, float(np.max(grid[0])) * _EDGE)
+    chosen, orders = search_modes(problem, lambda fit: grid, band, n_modes, limit)
+    if not len(chosen.omegas):
+        raise EstimationError(
+            f"no mode stands out of the noise between {data[0].frequencies_hz[0]:.4g} and "
+            f"{data[0].frequencies_hz[-1]:.4g} Hz ({orders[-1].refused_because or 'no candidate'}). Excite more, or "
+            "ask for a number of modes to see the best candidate"
+        )
+    return _result(problem, data, form, chosen, orders)
+
+
+def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, latency: Prior) -> PoleProblem:
+    if not data:
+        raise EstimationError("no frequency record to fit; give at least one")
+    first = data[0]
+    for record in data:
+        if record.n_inputs != 1:
+            raise EstimationError(
+                f"frequency record {record.name!r} has the inputs {', '.join(record.input_names)}; a modal model has "
+                "one. Use select(), or beam_ident.modal_analysis for several"
+            )
+        if record.output_names != first.output_names:
+            raise EstimationError(
+                f"frequency records {first.name!r} and {record.name!r} have different outputs; use select() first"
+            )
+        if not np.any(np.isfinite(record.response)):
+            raise EstimationError(f"frequency record {record.name!r} has no finite value")
+    known = [record.variance is not None for record in data]
+    if any(known) and not all(known):
+        raise EstimationError(
+            "some frequency records have variances and others none; give all of them theirs, or none"
+        )
+    blocks = tuple(
+        tuple(
+            Part(number, stacked_values(record.response[:, j, 0]), line_weights(record, j, 0))
+            for number, record in enumerate(data)
+        )
+        for j in range(first.n_outputs)
+    )
+    return PoleProblem(tuple(LineBasis(r, structure) for r in data), blocks, all(known), latency)
+
+
+def candidates(data: Sequence[FrequencyRecord]) -> tuple[FloatArray, FloatArray]:
+    """Return where a scan looks for modes: frequencies [rad/s] and damping ratios."""
+    parts = [record.omegas for record in data]
+    for folding in (record.folding for record in data if record.folding is not None):
+        # Lines that share a bin with a stronger one were excited too.
+        parts.append(np.abs(folding.omegas[np.abs(folding.weights) > _EXCITED_IMAGE]))
+    omegas = np.unique(np.concatenate(parts))
+    if len(omegas) > _SCAN_FREQUENCIES:
+        omegas = omegas[np.linspace(0, len(omegas) - 1, _SCAN_FREQUENCIES).astype(np.intp)]
+    grid, damping = np.meshgrid(omegas, np.array(_SCAN_DAMPING), indexing="ij")
+    return grid.ravel(), damping.ravel()
+
+
+def _real_covariance(problem: PoleProblem, data: tuple[FrequencyRecord, ...], fit: PoleFit) -> FloatArray:
+    """Return the estimator's covariance where errors of several outputs depend on each other.
+
+    Notes
+    -----
+    ``C + C J^T (S - 1) J C`` with S the correlation of the weighted errors between blocks.
+    For circular errors of correlation ``rho = a + jb`` the real parts correlate by a, and the
+    real part of one with the imaginary part of the other by b.
+    """
+    covariance = fit.covariance
+    m = len(fit.coefficients)
+    if m < 2 or any(record.covariance is None for record in data):
+        return covariance
+    n_theta = covariance.shape[0] - fit.coefficients.size
+    width = fit.coefficients.shape[1]
+    middle = np.zeros_like(covariance)
+    first = 0
+    for record in data:
+        n = record.n_lines
+        assert record.covariance is not None
+        sd = np.sqrt(np.maximum(np.einsum("lpp->lp", record.covariance).real, 1e-300))
+        for i in range(m):
+            for j in range(i):
+                rho = record.covariance[:, i, j] / (sd[:, i] * sd[:, j])
+                one, other = (fit.jacobians[k][first : first + 2 * n] for k in (i, j))
+                shared = np.concatenate(
+                    [
+                        rho.real[:, None] * other[:n] - rho.imag[:, None] * other[n:],
+                        rho.imag[:, None] * other[:n] + rho.real[:, None] * other[n:],
+                    ]
+                )
+                part = one.T @ shared
+                rows = np.concatenate([np.arange(n_theta), n_theta + i * width + np.arange(width)])
+                columns = np.concatenate([np.arange(n_theta), n_theta + j * width + np.arange(width)])
+                middle[np.ix_(rows, columns)] += part
+                middle[np.ix_(columns, rows)] += part.T
+        first += 2 * n
+    return np.asarray(covariance + covariance @ middle @ covariance)
+
+
+def _result(
+    problem: PoleProblem,
+    data: tuple[FrequencyRecord, ...],
+    structure: ModalStructure,
+    fit: PoleFit,
+    orders: tuple[PoleOrder, ...],
+) -> FrequencyDomainResult:
+    freedom = min(record.degrees_of_freedom for record in data)
+    covariance = _real_covariance(problem, data, fit) * weighting_loss(freedom)
+    model = _model(problem, data[0], structure, fit, covariance)
+    modelled = []
+    for basis, record in zip(problem.bases, data, strict=True):
+        columns = [basis.fixed(fit.latency).value]
+        columns += [
+            basis.modal(float(w), float(z), fit.latency).value
+            for w, z in zip(fit.omegas, fit.zetas, strict=True)
+        ]
+        total = np.concatenate(columns, axis=1) @ fit.coefficients.T
+        modelled.append((total[: record.n_lines] + 1j * total[record.n_lines :])[:, :, None])
+    misfit = UNKNOWN_NOISE
+    if problem.is_noise_known:
+        chi_squared = float(sum(e @ e for e in fit.residuals))
+        misfit = LineMisfit.of(chi_squared, problem.n_rows, fit.n_parameters, len(fit.coefficients), freedom)
+    warnings = [misfit.warning] if misfit.warning else []
+    if not fit.converged:
+        warnings.append(f"the fit did not converge: {fit.reason}")
+    return FrequencyDomainResult(
+        model=model,
+        records=data,
+        modelled=tuple(modelled),
+        orders=orders,
+        misfit=misfit,
+        converged=fit.converged,
+        reason=fit.reason,
+        iterations=fit.iterations,
+        warnings=tuple(warnings),
+    )
+
+
+def _model(
+    problem: PoleProblem,
+    record: FrequencyRecord,
+    structure: ModalStructure,
+    fit: PoleFit,
+    covariance: FloatArray,
+) -> ModalModel:
+    n, m = len(fit.omegas), len(fit.coefficients)
+    n_theta = 2 * n + int(problem.latency.is_free)
+    width = fit.coefficients.shape[1]
+    source = [*range(2 * n), 2 * n if problem.latency.is_free else -1, -1]
+    gains, residual_terms = np.zeros(m), np.zeros(m)
+    for j, found in enumerate(fit.coefficients):
+        place, column = n_theta + j * width, 0
+        for is_there, values in ((structure.has_direct, gains), (structure.has_residual, residual_terms)):
+            source.append(place + column if is_there else -1)
+            if is_there:
+                values[j] = found[column]
+                column += 1
+        source.extend(range(place + column, place + width))
+    index = np.array(source)
+    whole = covariance[np.ix_(index, index)]
+    whole[index < 0, :] = 0.0
+    whole[:, index < 0] = 0.0
+    scale = np.ones(len(index))
+    scale[:n] = fit.omegas
+    if problem.is_noise_known and record.variance is not None:
+        noise = np.sqrt(np.nanmean(record.variance[:, :, 0], axis=0))
+    else:
+        weights = np.array([line_weights(record, j, 0)[0] for j in range(m)])
+        noise = np.sqrt(2.0 * fit.variances) / np.maximum(weights, 1e-300)
+    return ModalModel(
+        structure=structure.kind,
+        input_name=record.input_names[0],
+        output_names=tuple(record.output_names),
+        natural_frequencies=fit.omegas,
+        damping_ratios=fit.zetas,
+        residues=fit.coefficients[:, width - n :],
+        residual_terms=residual_terms,
+        gains=gains,
+        latency=fit.latency,
+        clock_rate=0.0,
+        covariance=whole * np.outer(scale, scale),
+        noise_sd=noise,
+    )

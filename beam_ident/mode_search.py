@@ -1,0 +1,114 @@
+"""Looking for modes one at a time, in any problem whose linear parameters project out.
+
+A scan proposes where a further mode would lower the cost most, the fit refines all of them
+together, and a mode is believed when the fit converged, its pole is known well enough to mean
+something, its residues stand out of their uncertainty, and the Bayesian information criterion
+finds it worth its parameters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from beam_ident.piecewise import FloatArray
+from beam_ident.pole_projection import PoleFit, PoleProblem, fit_poles, scan_poles
+
+Proposals = Callable[[PoleFit], tuple[FloatArray, FloatArray]]
+
+_MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
+_SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
+_FINAL_ITERATIONS, _TRIAL_ITERATIONS = 60, 20
+
+
+@dataclass(frozen=True)
+class PoleOrder:
+    """One line of the order table: number of modes, criterion, and why it was refused (or empty)."""
+
+    n_modes: int
+    n_parameters: int
+    bic: float
+    converged: bool
+    refused_because: str
+    is_chosen: bool = False
+
+
+def search_modes(
+    problem: PoleProblem,
+    proposals: Proposals,
+    band: tuple[float, float],
+    n_modes: int | None,
+    max_modes: int,
+) -> tuple[PoleFit, tuple[PoleOrder, ...]]:
+    """Add modes until the given number is reached, or until one is not believed.
+
+    Parameters
+    ----------
+    problem : PoleProblem
+    proposals : callable
+        From the fit so far to candidate frequencies [rad/s] and damping ratios, each (n_candidates,).
+    band : tuple of float -- where a pole may stand [rad/s]
+    n_modes : int or None -- how many; None lets the criterion decide
+    max_modes : int -- bound on the search
+    """
+    current = fit_poles(problem, np.zeros(0), np.zeros(0))
+    orders = [_order(problem, current, "")]
+    best = 0
+    limit = max_modes if n_modes is None else n_modes
+    while len(current.omegas) < limit:
+        grid, damping = proposals(current)
+        place = int(np.argmax(scan_poles(problem, current, grid, damping)))
+        omegas = np.append(current.omegas, grid[place])
+        zetas = np.append(current.zetas, damping[place])
+        iterations = _FINAL_ITERATIONS if len(omegas) == limit else _TRIAL_ITERATIONS
+        trial = fit_poles(problem, omegas, zetas, current.latency, iterations)
+        refusal = "" if n_modes is not None else _complaint(problem, band, trial, current)
+        orders.append(_order(problem, trial, refusal))
+        if refusal:
+            break
+        current, best = trial, len(orders) - 1
+    orders[best] = dataclasses.replace(orders[best], is_chosen=True)
+    return current, tuple(orders)
+
+
+def _bic(problem: PoleProblem, fit: PoleFit) -> float:
+    return 2.0 * fit.cost + fit.n_parameters * math.log(problem.n_rows)
+
+
+def _order(problem: PoleProblem, fit: PoleFit, refusal: str) -> PoleOrder:
+    return PoleOrder(len(fit.omegas), fit.n_parameters, _bic(problem, fit), fit.converged, refusal)
+
+
+def _complaint(problem: PoleProblem, band: tuple[float, float], trial: PoleFit, current: PoleFit) -> str:
+    """Return why a further mode is not believed, or nothing."""
+    if problem.n_rows < 2 * trial.n_parameters:
+        return "too few data for its parameters"
+    if not trial.converged:
+        return f"the fit did not converge: {trial.reason}"
+    n, n_theta = len(trial.omegas), trial.n_parameters - trial.coefficients.size
+    width = trial.coefficients.shape[1]
+    n_columns = trial.n_columns
+    n_fixed = width - n * n_columns
+    for mode in range(n):
+        hertz = trial.omegas[mode] / (2.0 * np.pi)
+        if not band[0] <= trial.omegas[mode] <= band[1]:
+            return f"a pole at {hertz:.4g} Hz stands outside the measured band"
+        spread = math.sqrt(max(float(trial.covariance[mode, mode]), 0.0))
+        if spread > _MAX_FREQUENCY_SD:
+            return f"the pole at {hertz:.4g} Hz is known to {100.0 * spread:.2g} % only"
+        strength = 0.0
+        for block, found in enumerate(trial.coefficients):
+            own = n_fixed + mode * n_columns + np.arange(n_columns)
+            places = n_theta + block * width + own
+            covariance = trial.covariance[np.ix_(places, places)]
+            strength += float(found[own] @ np.linalg.lstsq(covariance, found[own], rcond=1e-12)[0])
+        if strength < chi2.isf(_SIGNIFICANCE, n_columns * len(trial.coefficients)):
+            return f"the residues at {hertz:.4g} Hz do not stand out of their uncertainty"
+    if not _bic(problem, trial) < _bic(problem, current):
+        return "not worth its parameters by BIC"
+    return ""
