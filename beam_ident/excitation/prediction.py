@@ -18,7 +18,7 @@ from beam_ident.excitation.sampled import HeldInput, Quantity, SampledExcitation
 from beam_ident.modal_model import ModalModel
 from beam_ident.records import InputSignal
 
-LINES_PER_BAND = 3.0
+LINES_PER_BAND = 4.0
 """Fewer lines than this inside a half-power band, and a frequency response does not show the damping."""
 
 _QUANTITIES: dict[str, Quantity] = {
@@ -143,7 +143,7 @@ class HalfPowerBand:
     width_hz : float -- half-power band, ``2 zeta f``
     line_spacing_hz : float -- of the excitation, around the mode
     lines : float -- spacings inside the band
-    is_resolved : bool -- whether there are at least three
+    is_resolved : bool -- whether there are at least four
     """
 
     frequency_hz: float

@@ -1,0 +1,46 @@
+"""docs/excitation.md: its code runs, and its tables name what there is."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import beam_ident
+from beam_ident.excitation import RECIPES
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "excitation.md"
+
+
+def test_the_code_of_the_page_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(blocks) >= 6
+    namespace: dict[str, object] = {}
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), namespace)
+    printed = capsys.readouterr().out
+    assert "peak travel" in printed
+    crest_factors = [
+        float(re.search(rf"^{word} ([\d.]+)$", printed, re.M)[1]) for word in ("random", "crest")
+    ]
+    # What the table says of them.
+    assert 3.0 < crest_factors[0] < 4.1
+    assert crest_factors[1] < 1.55
+    assert "mode at 4.4 Hz" in printed
+
+
+def test_every_recipe_stands_in_the_table() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for recipe in RECIPES.values():
+        assert f"`{recipe.__name__}" in text
+        assert getattr(beam_ident, recipe.__name__) is recipe
+
+
+def test_every_parameter_of_the_rig_stands_on_the_page() -> None:
+    schema = pytest.importorskip("beam_ros.schema")
+    text = PAGE.read_text(encoding="utf-8")
+    names = [name.split(".")[1] for name in schema.RIG_PARAMETERS if name.startswith("excitation.")]
+    assert [name for name in names if f"`{name}`" not in text and f".{name}" not in text] == ["start_delay"]
+    for kind in schema.RIG_PARAMETERS["excitation.kind"].choices:
+        assert f"| `{kind}`" in text or f"`, `{kind}` |" in text
