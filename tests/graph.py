@@ -54,14 +54,19 @@ class Graph:
             assert time.monotonic() < end, f"{what} did not happen within {timeout_s:g} s"
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
-    def call(self, service: str) -> Any:
-        """Call a Trigger of the table."""
+    def request(self, service: str, namespace: str = "") -> Any:
+        """Ask a Trigger of the table; returns the future of its answer."""
         service_class = self.types.service_class(interfaces.SERVICES[service].type_name)
-        client = self.node.create_client(service_class, service)
+        client = self.node.create_client(service_class, f"{namespace}/{service}" if namespace else service)
         self.wait(client.service_is_ready, f"service {service}")
         future = client.call_async(service_class.Request())
+        future.add_done_callback(lambda _: self.node.destroy_client(client))
+        return future
+
+    def call(self, service: str, namespace: str = "") -> Any:
+        """Call a Trigger of the table."""
+        future = self.request(service, namespace)
         self.wait(future.done, f"an answer of {service}")
-        self.node.destroy_client(client)
         return future.result()
 
     def __enter__(self) -> Graph:

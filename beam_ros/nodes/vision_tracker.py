@@ -4,176 +4,168 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
-from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.task import Future
 
-from beam_ros import interfaces, messages
-from beam_ros.nodes.shell import RigNode, qos_profile, run_node
+from beam_ros import messages
+from beam_ros.beam_line import BeamLineFitter, line_marker
+from beam_ros.nodes.frame_averaging import FrameAveraging
+from beam_ros.nodes.frame_sources import frame_source
+from beam_ros.nodes.shell import RigNode, run_node
 from beam_ros.vision.calibration import CalibrationProcedure, LinearCalibration
+from beam_ros.vision.diagnosis import Diagnosis
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
-from beam_ros.vision.images import grey_image
+from beam_ros.vision.images import GreyImage
+from beam_ros.vision.lens import Lens, lens_to_dict
+from beam_ros.vision.measuring_chain import Measurement, MeasuringChain
+from beam_ros.vision.overlay import draw_overlay
 from beam_ros.vision.storage import load_calibration, save_calibration
-from beam_ros.vision.timing import FrameTiming
-from beam_ros.vision.tracking import FrameResult, MarkerTracker
 
-_AVERAGED_FRAMES = 100
-_PATIENCE_S = 5.0
-_LOOK_FOR_CAMERA_S = 0.2
-
-
-@dataclass
-class _Average:
-    """Frames that a service waits for."""
-
-    deadline: float
-    future: Future
-    columns: list[list[float]] = field(default_factory=list)
-    sigmas: list[list[float]] = field(default_factory=list)
+_HUB_IS_SILENT_S = 1.0
+_LOG_AGAIN_S = 5.0
 
 
 class VisionTracker(RigNode):
-    """Follows the markers in `camera/image_raw` and publishes where they are."""
+    """Follows the markers in a camera's frames and publishes where they are."""
 
     def __init__(self) -> None:
         super().__init__("vision_tracker")
         rig, camera = self.rig, self.rig.camera_parameters()
         self._names = rig.marker_names
         self._heights = np.asarray(rig.numbers("markers.heights"))
-        self._tracker = MarkerTracker(rig.tracker_parameters(), len(self._names), FrameTiming(camera))
-        self._image_size = (camera.width, camera.height)
-        self._calibration = self._first_calibration()
-        self._procedure = CalibrationProcedure(len(self._names), self._image_size)
-        self._averages: list[_Average] = []
-        self._hub_position = math.nan
-        self._counts: Counter[str] = Counter()
-        self._frames_before = 0
-        self._trouble = ""
+        self._rows = camera.rows(self._heights)
+        name = rig.text("camera.name")
+        self._chain = MeasuringChain(
+            camera, rig.tracker_parameters(), self._heights.tolist(), self._first_calibration(), name
+        )
+        if self._chain.calibration_fault:
+            self.get_logger().error(self._chain.calibration_fault)
+        self._procedure = CalibrationProcedure(len(self._names), (camera.width, camera.height), name)
+        self._diagnosis = Diagnosis(self._names, self._chain)
+        self._reported = time.monotonic()
+        self._drawn = -math.inf
+        self._line = BeamLineFitter(rig)
+        self._hub_position, self._hub_heard = math.nan, -math.inf
         self._displacement = self.offer("beam/displacement")
         self._markers = self.offer("beam/markers")
+        self._shape = self.offer("beam/shape")
+        self._debug_image = self.offer("tracker/debug_image")
         self.listen("hub/state", self._on_hub_state)
+        self._averaging = FrameAveraging(self)
         self.serve("tracker/reset", self._on_reset)
-        # These wait for the frames that they average; in a group of their own they keep nothing else waiting.
-        group = ReentrantCallbackGroup()
-        self.serve("tracker/tare", self._on_tare, callback_group=group)
-        self.serve("tracker/capture_point", self._on_capture_point, callback_group=group)
-        self.create_timer(0.1, self._end_overdue_averages)
+        self.serve("tracker/tare", self._on_tare, callback_group=self._averaging.group)
+        self.serve("tracker/capture_point", self._on_capture_point, callback_group=self._averaging.group)
         self.serve("tracker/fit_calibration", self._on_fit_calibration)
-        self._camera_search = self.create_timer(_LOOK_FOR_CAMERA_S, self._look_for_camera)
+        self._source = frame_source(self, self)
 
     def _first_calibration(self) -> LinearCalibration:
         path = self.rig.text("tracker.calibration")
-        if not path:
-            return LinearCalibration.from_camera(self.rig.camera_parameters(), len(self._names))
-        calibration = load_calibration(Path(path))
-        calibration.require_camera(*self._image_size)
-        return calibration
-
-    def _look_for_camera(self) -> None:
-        """Subscribe as soon as a camera is there, with the reliability that it offers."""
-        row = interfaces.TOPICS["camera/image_raw"]
-        offers = self.get_publishers_info_by_topic(self.resolve_topic_name(row.name))
-        if not offers:
-            return
-        profile: QoSProfile = qos_profile(row.qos)
-        if any(offer.qos_profile.reliability != ReliabilityPolicy.RELIABLE for offer in offers):
-            profile.reliability = ReliabilityPolicy.BEST_EFFORT
-        self.create_subscription(self.types.message_class(row.type_name), row.name, self._on_image, profile)
-        self._camera_search.cancel()
-        self.get_logger().info(f"camera found on {row.name}")
+        if path:
+            return load_calibration(Path(path))
+        camera = self.rig.camera_parameters()
+        return LinearCalibration.from_camera(camera, len(self._names))
 
     def _on_hub_state(self, message: Any) -> None:
-        self._hub_position = messages.read_hub_state(message).position
+        self._hub_position, self._hub_heard = messages.read_hub_state(message).position, time.monotonic()
 
-    def _on_image(self, message: Any) -> None:
-        stamp_ns = messages.stamp_ns(message)
-        self._counts["frames"] += 1
-        try:
-            grey = grey_image(
-                message.encoding,
-                message.height,
-                message.width,
-                message.step,
-                message.data,
-                is_bigendian=bool(message.is_bigendian),
-            )
-            self._calibration.require_camera(message.width, message.height)
-            result = self._tracker.process(grey, stamp_ns)
-        except (ImageFormatError, CalibrationError) as err:
-            self._counts["unusable frames"] += 1
-            self._trouble = str(err)
-            self.get_logger().error(self._trouble, throttle_duration_sec=5.0)
-            nothing = np.full(len(self._names), math.nan)
-            self._displacement.publish(messages.displacement(self.types, stamp_ns, self._names, nothing))
+    # -- frames, from whichever source ---------------------------------------------------------------------
+
+    def take_frame(self, stamp_ns: int, image: GreyImage) -> None:
+        """Measure a frame and publish what was found."""
+        self._diagnosis.frame_arrived()
+        if not self._chain.admit(stamp_ns):
             return
-        self._trouble = ""
-        self._publish(result)
+        try:
+            measurement = self._chain.measure(stamp_ns, image)
+        except ImageFormatError as err:
+            self._refuse(str(err), stamp_ns)
+            return
+        self._publish(measurement)
+        self._averaging.add(measurement)
+        self._draw(measurement, image)
 
-    def _publish(self, result: FrameResult) -> None:
-        columns = [marker.u_px for marker in result.markers]
-        sigmas = [marker.sigma_px for marker in result.markers]
-        for average in list(self._averages):
-            average.columns.append(columns)
-            average.sigmas.append(sigmas)
-            if len(average.columns) >= _AVERAGED_FRAMES:
-                self._end_average(average)
-        found = self._calibration.displacement(columns, sigmas)
-        stamps = [marker.stamp_ns for marker in result.markers]
+    def refuse_frame(self, reason: str, stamp_ns: int | None) -> None:
+        """Say that a frame cannot be read and, where its time is known, that nothing was seen then."""
+        self._diagnosis.frame_arrived()
+        if stamp_ns is None or self._chain.admit(stamp_ns):
+            self._refuse(reason, stamp_ns)
+
+    def begin_anew(self) -> None:
+        """Take the next frame as the first of another camera."""
+        self._chain.continuity.restart()
+
+    def set_lens(self, lens: Lens | None) -> None:
+        """Undo this lens's distortion from now on."""
+        self._chain.lens = lens
+
+    def is_heard(self) -> bool:
+        """Return whether somebody listens to the displacements or the markers."""
+        return bool(self._displacement.get_subscription_count() or self._markers.get_subscription_count())
+
+    def _refuse(self, reason: str, stamp_ns: int | None) -> None:
+        self._diagnosis.frame_unusable(reason)
+        self.get_logger().error(reason, throttle_duration_sec=_LOG_AGAIN_S)
+        if stamp_ns is not None:
+            self._publish(self._chain.unread(stamp_ns))
+
+    def _publish(self, measurement: Measurement) -> None:
+        found, stamps = measurement.displacement, measurement.stamps_ns
         for stamp_ns in sorted(set(stamps)):
             chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
             names = [self._names[k] for k in chosen]
             self._displacement.publish(messages.displacement(self.types, stamp_ns, names, found.x_m[chosen]))
+        self._diagnosis.frame_measured(measurement, self.now_ns() - measurement.stamp_ns)
         rows = np.zeros(len(self._names), dtype=messages.MARKER_DTYPE)
         rows["x"], rows["z"] = found.x_m, self._heights
         rows["x_m"], rows["sigma_m"] = found.x_m, found.sigma_m
-        rows["u"], rows["v"] = columns, [marker.v_px for marker in result.markers]
+        rows["u"], rows["v"] = measurement.u_px, measurement.v_px
         rows["id"] = np.arange(len(self._names))
-        rows["valid"] = [marker.is_valid for marker in result.markers]
-        self._markers.publish(messages.marker_cloud(self.types, messages.MarkerCloud(result.stamp_ns, rows)))
-        for name, marker in zip(self._names, result.markers, strict=True):
-            if not marker.is_valid:
-                self._counts[f"{name} {marker.reason}"] += 1
+        rows["valid"] = np.isfinite(measurement.u_px)
+        self._markers.publish(
+            messages.marker_cloud(self.types, messages.MarkerCloud(measurement.stamp_ns, rows))
+        )
+
+    def _draw(self, measurement: Measurement, image: GreyImage) -> None:
+        """Publish what people look at, not more often than they see, and only while they do."""
+        now = time.monotonic()
+        if now - self._drawn < 1.0 / self.rig.number("tracker.drawing_rate"):
+            return
+        self._drawn = now
+        if self._shape.get_subscription_count():
+            line = self._line.fit(measurement.displacement)
+            self._shape.publish(line_marker(self.types, measurement.stamp_ns, line))
+        if self._debug_image.get_subscription_count() and measurement.frame is not None:
+            drawing = draw_overlay(
+                image,
+                measurement.frame,
+                self._names,
+                marker_diameter_px=self._chain.tracker.parameters.marker_diameter_px,
+                rows_px=self._rows.tolist(),
+            )
+            self._debug_image.publish(messages.image(self.types, measurement.stamp_ns, drawing))
+
+    # -- services ------------------------------------------------------------------------------------------
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._tracker.reset()
+        self._chain.reset()
+        self._source.reset()
         response.success, response.message = True, "markers are acquired anew"
         return response
 
-    async def _next_frames(self) -> _Average:
-        """Wait for the frames from now on, so that an average never reaches back to another position."""
-        average = _Average(time.monotonic() + _PATIENCE_S, Future())
-        self._averages.append(average)
-        await average.future
-        if len(average.columns) < _AVERAGED_FRAMES:
-            raise CalibrationError(
-                f"{len(average.columns)} frames in {_PATIENCE_S:g} s; expected {_AVERAGED_FRAMES}: is a camera "
-                "publishing on camera/image_raw?"
-            )
-        return average
-
-    def _end_average(self, average: _Average) -> None:
-        self._averages.remove(average)
-        average.future.set_result(None)
-
-    def _end_overdue_averages(self) -> None:
-        now = time.monotonic()
-        for average in [average for average in self._averages if now > average.deadline]:
-            self._end_average(average)
-
     async def _on_tare(self, _request: Any, response: Any) -> Any:
         try:
-            frames = await self._next_frames()
+            if self._chain.calibration_fault:
+                raise CalibrationError(self._chain.calibration_fault)
+            frames = await self._averaging.next_frames()
             # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
             away_m = 0.0 if math.isnan(self._hub_position) else self._hub_position
-            scales = np.asarray(self._calibration.pixels_per_metre) * self._calibration.direction
+            calibration = self._chain.calibration
+            scales = np.asarray(calibration.pixels_per_metre) * calibration.direction
             columns = np.asarray(frames.columns) - scales * away_m
-            self._calibration = self._calibration.tare(columns, frames.sigmas)
+            self._chain.calibration = calibration.tare(columns, frames.sigmas)
             response.success = True
             response.message = f"zero from {len(frames.columns)} frames, the hub at {away_m * 1e3:+.3f} mm"
         except CalibrationError as err:
@@ -183,7 +175,12 @@ class VisionTracker(RigNode):
     async def _on_capture_point(self, _request: Any, response: Any) -> Any:
         encoder_sd = self.rig.number("hub.encoder_resolution") / math.sqrt(12.0)
         try:
-            frames = await self._next_frames()
+            frames = await self._averaging.next_frames()
+            if time.monotonic() - self._hub_heard > _HUB_IS_SILENT_S:
+                raise CalibrationError(
+                    "the hub has said nothing for a second, and its position is the reference: expected hub/state; "
+                    "start the hub"
+                )
             self._procedure.capture_point(frames.columns, frames.sigmas, self._hub_position, encoder_sd)
             response.success = True
             response.message = f"point {len(self._procedure.points)} at {self._hub_position:.6f} m"
@@ -192,34 +189,45 @@ class VisionTracker(RigNode):
         return response
 
     def _on_fit_calibration(self, _request: Any, response: Any) -> Any:
+        provenance = {
+            "date": datetime.fromtimestamp(self.now_ns() * 1e-9, timezone.utc).isoformat(timespec="seconds"),
+            "reference": "hub/state",
+            "reference_sd_m": self.rig.number("hub.encoder_resolution") / math.sqrt(12.0),
+            "markers": list(self._names),
+            "heights_m": self._heights.tolist(),
+            "lens": lens_to_dict(self._chain.lens),
+        }
         try:
-            fit = self._procedure.fit({"reference": "hub/state", "markers": list(self._names)})
+            fit = self._procedure.fit(provenance)
             path = self.rig.text("tracker.save_calibration")
             if path:
                 save_calibration(fit.calibration, Path(path))
         except CalibrationError as err:
             response.success, response.message = False, str(err)
             return response
-        self._calibration = fit.calibration
-        scales = ", ".join(f"{scale:.2f}" for scale in fit.calibration.pixels_per_metre)
-        warnings = "; ".join(fit.warnings)
+        self._chain.calibration = fit.calibration
+        deviations = [math.sqrt(covariance[0][0]) for covariance in fit.calibration.covariance]
+        scales = ", ".join(
+            f"{scale:.2f} +- {sd:.2g}"
+            for scale, sd in zip(fit.calibration.pixels_per_metre, deviations, strict=True)
+        )
         response.success = True
-        response.message = f"{scales} px/m{f'; {warnings}' if warnings else ''}"
+        response.message = "; ".join([f"{scales} px/m", *fit.warnings])
         self._procedure.clear()
         return response
 
+    # -- health --------------------------------------------------------------------------------------------
+
     def health(self) -> tuple[str, str, dict[str, object]]:
-        """Report the frame rate, lost markers, and what is wrong with the frames."""
-        frames = self._counts["frames"]
-        rate, self._frames_before = frames - self._frames_before, frames
-        counters: dict[str, object] = {**self._counts, "frames in the last second": rate}
-        if self._trouble:
-            return "ERROR", self._trouble, counters
-        if rate == 0:
-            return "WARN", "no frames on camera/image_raw", counters
-        if not self._tracker.is_acquired:
-            return "WARN", "not every marker is in sight", counters
-        return "OK", f"{len(self._names)} markers in sight", counters
+        """Report rate, latency, noise and losses, and what is wrong with frames, calibration and source."""
+        now = time.monotonic()
+        elapsed_s, self._reported = now - self._reported, now
+        report = self._diagnosis.report(elapsed_s, self._source.complaints(), self._source.silence)
+        return report.level, report.sentence, report.values
+
+    def close(self) -> None:
+        """End the source."""
+        self._source.close()
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -26,6 +26,8 @@ Floats = npt.NDArray[np.float64]
 
 _BELIEVED_AFTER_FRAMES = 20
 """So many frames in a row that all come from the past mean that the camera's clock was set back."""
+_LOST_SIGHT_FRAMES = 10
+"""So many missing frames in a row are longer than a prediction reaches."""
 _LENS_SHIFT_PX = 0.25
 """Largest difference between two lenses' distortion, anywhere in the image, that still counts as the same [px]."""
 
@@ -88,6 +90,7 @@ class MeasuringChain:
         self.continuity = FrameContinuity(round(camera.period_s * 1e9))
         self.clock_steps = 0
         self._past_frames = 0
+        self._grey_type: np.dtype[Any] | None = None
         self._camera = camera
         self._camera_name = camera_name
         self._timing = timing
@@ -165,7 +168,7 @@ class MeasuringChain:
         """Judge a frame by its stamp; False for one that was seen before or comes from the past.
 
         A clock that was set back is believed after some frames, so that the chain does not wait for the old time
-        to come again.
+        to come again. After a long gap the markers may be anywhere and are acquired anew.
         """
         step = self.continuity.observe(stamp_ns)
         if step.step == "backwards":
@@ -174,6 +177,8 @@ class MeasuringChain:
                 self.clock_steps += 1
                 self.continuity.restart()
                 step = self.continuity.observe(stamp_ns)
+        if step.missing >= _LOST_SIGHT_FRAMES:
+            self.tracker.reset()
         if step.is_usable:
             self._past_frames = 0
         return step.is_usable
@@ -197,6 +202,10 @@ class MeasuringChain:
                 f"images are {width} x {height}; expected {self._camera.width} x {self._camera.height}: set "
                 "camera.width and camera.height to the camera's size, and calibrate it"
             )
+        if image.dtype != self._grey_type:
+            # 8 and 16 bits are other grey levels of the same markers.
+            self.tracker.reset()
+            self._grey_type = image.dtype
         result = self.tracker.process(image, stamp_ns)
         markers = result.markers
         u = np.array([marker.u_px for marker in markers])

@@ -117,3 +117,16 @@ def test_a_part_of_the_sensor_has_the_same_lens() -> None:
     found = part.undistort(part_u, part_v)
     assert 2 * found[0] + 0.5 + 100 == pytest.approx(expected[0], abs=1e-6)
     assert 3 * found[1] + 1 + 60 == pytest.approx(expected[1], abs=1e-6)
+
+
+def test_after_a_long_gap_and_with_other_grey_levels_the_markers_are_found_at_once() -> None:
+    chain = _chain()
+    left = _frame(-0.01)
+    for k in range(1, 41):
+        chain.admit(k * PERIOD_NS)
+        chain.measure(k * PERIOD_NS, left)
+    chain.admit(100 * PERIOD_NS)
+    moved = chain.measure(100 * PERIOD_NS, _frame(0.02))  # 45 px away
+    assert moved.displacement.x_m == pytest.approx([0.02] * 3, abs=3e-5)
+    wide = _frame(0.02).astype(np.uint16) * 257
+    assert chain.measure(101 * PERIOD_NS, wide).displacement.x_m == pytest.approx([0.02] * 3, abs=3e-5)
