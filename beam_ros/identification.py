@@ -41,6 +41,8 @@ Progress = Callable[[str, float], None]
 
 SCHEMA = 1
 _LEAD_S = 0.3
+VIDEO_TOPIC = "tracker/video"
+"""String topic on which `beam track` says how a video's frames came into the bag: JSON."""
 _STRUCTURE_OF_MODE = {
     "acceleration": "base_motion",
     "velocity": "base_motion",
@@ -103,18 +105,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         bag.require("beam/displacement")
         info = bag.excitation_info() or {}
         if rig is None:
-            if "rig" not in info:
-                raise UsageError(
-                    f"{path}: has no excitation/info that describes its rig; give the rig file it was recorded "
-                    "with (--rig-file)"
-                )
-            try:
-                rig = Rig.from_nested(info["rig"])
-            except (ParameterFileError, AttributeError) as err:
-                raise UsageError(
-                    f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the "
-                    "rig file it was recorded with (--rig-file)"
-                ) from err
+            rig = described_rig(path, info)
         mode = str(info.get("mode", rig.text("hub.command_mode")))
         if mode not in _STRUCTURE_OF_MODE:
             raise BagError(
@@ -128,6 +119,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         samples = bag.hub_samples(topic)
         displacements = bag.displacements()
         syncs = bag.clock_syncs()
+        videos = bag.texts(VIDEO_TOPIC)
     values = getattr(samples, quantity)
     if values is None:
         raise BagError(
@@ -137,6 +129,10 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     notes: list[str] = []
     part = _longest_stretch(samples, notes)
     rate, clock_rate = _device_clock(samples, syncs, part)
+    if videos:
+        # The frames run on the camera's own clock, which is known as well as the low marker tells.
+        drift_sd = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
+        clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, drift_sd))
     origin_ns = int(samples.stamps_ns[part.start])
     times = _device_times(samples, part, rate, origin_ns)
     hold = rig.text("hub.measured_hold" if topic == "hub/measured" else "hub.applied_hold")
@@ -145,6 +141,33 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     outputs = _outputs(displacements, origin_ns, rig, notes)
     record = TimeRecord((drive,), outputs, origin_ns, path.name)
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
+
+
+def described_rig(path: Path, info: Mapping[str, Any]) -> Rig:
+    """Build the rig that a bag's `excitation/info` describes.
+
+    Parameters
+    ----------
+    path : Path -- the bag, for the message
+    info : mapping -- the content of `excitation/info`; empty where there is none
+
+    Raises
+    ------
+    UsageError
+        It describes none, or one that this version does not know.
+    """
+    if "rig" not in info:
+        raise UsageError(
+            f"{path}: has no excitation/info that describes its rig; give the rig file it was recorded "
+            "with (--rig-file)"
+        )
+    try:
+        return Rig.from_nested(info["rig"])
+    except (ParameterFileError, AttributeError) as err:
+        raise UsageError(
+            f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the "
+            "rig file it was recorded with (--rig-file)"
+        ) from err
 
 
 def _refuse_unrun_sequence(path: Path, info: Mapping[str, Any], states: Sequence[Mapping[str, Any]]) -> None:

@@ -41,6 +41,7 @@ def simulate(
     path: Path,
     *,
     with_camera: bool = False,
+    on_frame: Callable[[Exposure, NDArray[np.uint8]], None] | None = None,
     on_progress: Callable[[float, float], None] = lambda done_s, total_s: None,
 ) -> int:
     """Run the rig's excitation on the simulated rig and write the bag.
@@ -50,6 +51,8 @@ def simulate(
     rig : Rig
     path : Path -- the bag's folder; must not exist
     with_camera : bool -- render every frame and track it; else displacements carry white noise
+    on_frame : callable, optional -- given every exposure and its image; displacements stay out of the bag, as where
+        a camera only leaves a file
     on_progress : callable -- called with simulated seconds so far and in all
 
     Returns
@@ -74,10 +77,14 @@ def simulate(
         run.step()
         film = Film(rig, model, hub.snapshots, hub.reached_ns)
         measure = _tracked(rig, film) if with_camera else _noisy(rig, film)
+        render = None if on_frame is None else _rendered(rig, film)
         names = rig.marker_names
 
         def record_displacements() -> None:
             for exposure in film.due(hub.reached_ns):
+                if on_frame is not None and render is not None:
+                    on_frame(exposure, render(exposure))
+                    continue
                 stamps, u = measure(exposure)
                 for stamp_ns in sorted(set(stamps)):
                     chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
@@ -168,21 +175,28 @@ def _noisy(rig: Rig, film: Film) -> Measure:
     return measure
 
 
-def _tracked(rig: Rig, film: Film) -> Measure:
-    from beam_ros.vision.calibration import LinearCalibration
+def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], NDArray[np.uint8]]:
     from beam_ros.vision.rendering import SceneRenderer
-    from beam_ros.vision.tracking import MarkerTracker
 
-    heights = rig.numbers("markers.heights")
     seed = int(rig.number("simulation.seed"))
     rng = np.random.default_rng(seed)
-    renderer = SceneRenderer(film.camera, heights, strip_heights=film.strip_heights, seed=seed)
-    tracker = MarkerTracker(rig.tracker_parameters(), len(heights), film.timing)
-    calibration = LinearCalibration.from_camera(film.camera, len(heights))
+    renderer = SceneRenderer(
+        film.camera, rig.numbers("markers.heights"), strip_heights=film.strip_heights, seed=seed
+    )
+    return lambda exposure: renderer.render(exposure.markers, rng, exposure.strip)
+
+
+def _tracked(rig: Rig, film: Film) -> Measure:
+    from beam_ros.vision.calibration import LinearCalibration
+    from beam_ros.vision.tracking import MarkerTracker
+
+    n_markers = len(rig.marker_names)
+    render = _rendered(rig, film)
+    tracker = MarkerTracker(rig.tracker_parameters(), n_markers, film.timing)
+    calibration = LinearCalibration.from_camera(film.camera, n_markers)
 
     def measure(exposure: Exposure) -> tuple[tuple[int, ...], FloatArray]:
-        frame = renderer.render(exposure.markers, rng, exposure.strip)
-        result = tracker.process(frame, exposure.stamp_ns)
+        result = tracker.process(render(exposure), exposure.stamp_ns)
         columns = [marker.u_px for marker in result.markers]
         found = calibration.displacement(columns, [marker.sigma_px for marker in result.markers])
         return tuple(marker.stamp_ns for marker in result.markers), found.x_m

@@ -28,6 +28,7 @@ VERBS: dict[str, str] = {
     "recover": "a valid bag from what can be read of a damaged one",
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
+    "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "identify": "a continuous-time model with common poles from a bag",
 }
 

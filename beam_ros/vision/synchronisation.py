@@ -106,7 +106,7 @@ def synchronise(
     if correlation < _LEAST_CORRELATION:
         raise SynchronisationError(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
-            f"{_LEAST_CORRELATION}: is it the lowest marker, the same experiment, the right direction?"
+            f"{_LEAST_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
         )
     return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, correlation_time_s)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -180,3 +181,44 @@ def track_frames(
         np.array(sigma, dtype=np.float64).reshape(shape),
         reasons,
     )
+
+
+def read_frame_times(path: Path) -> tuple[int, ...]:
+    """Read the times of a video's frames from a text file.
+
+    Parameters
+    ----------
+    path : Path -- a time [s] in the first column of every line; a first line of words and lines that begin with #
+        are left out
+
+    Returns
+    -------
+    tuple of int -- [ns]
+
+    Raises
+    ------
+    VideoError -- the file cannot be read, holds no time, or something else than times
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as err:
+        reason = getattr(err, "strerror", None) or "it is no text"
+        raise VideoError(
+            f"{path}: frame times cannot be read ({reason}); expected one time in seconds a line"
+        ) from err
+    times: list[int] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            # Decimal keeps the nanoseconds of times since 1970, which a float does not.
+            times.append(int((Decimal(words[0]) * _NS).to_integral_value()))
+        except (InvalidOperation, OverflowError, ValueError) as err:
+            if number > 1:
+                raise VideoError(
+                    f"{path}: line {number} is {line!r}; expected a time in seconds first"
+                ) from err
+    if not times:
+        raise VideoError(f"{path}: holds no frame times; expected one time in seconds a line")
+    return tuple(times)
