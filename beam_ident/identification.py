@@ -20,6 +20,7 @@ from beam_ident.bandwidth import Band, excited_band
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
+from beam_ident.levenberg_marquardt import HOPELESS
 from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes, profiled_cost
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
@@ -262,12 +263,19 @@ class _Search:
         self.entries: list[OrderEntry] = [self._entry(self.base, "")]
         self.chosen_entry = 0
 
-    def _fit(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, n_modes: int) -> ModalFit:
+    def _fit(
+        self,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        n_modes: int,
+        target: float = math.inf,
+    ) -> ModalFit:
         if n_modes == 0 and not self.regression.structure.has_direct:
             latency, rate = Prior(self.latency.mean), Prior(self.clock_rate.mean)
         else:
             latency, rate = self.latency, self.clock_rate
-        return fit_modes(self.regression, omegas, zetas, clock, latency, rate, self.max_iterations)
+        return fit_modes(self.regression, omegas, zetas, clock, latency, rate, self.max_iterations, target)
 
     def _untangled(self, fit: ModalFit) -> ModalFit:
         """Return the fit after a look for cycles that the clock may have slipped.
@@ -335,7 +343,9 @@ class _Search:
                     break
                 omegas = np.append(current.omegas, candidate.omega)
                 zetas = np.append(current.zetas, candidate.zeta)
-                trial = self._untangled(self._fit(omegas, zetas, current.clock, n + 1))
+                trial = self._fit(omegas, zetas, current.clock, n + 1, self._target(current, n_modes))
+                if trial.reason != HOPELESS:
+                    trial = self._untangled(trial)
                 refusal = self._refusal(trial, current, n_modes is not None)
                 self.entries.append(self._entry(trial, refusal))
                 if not refusal or n_modes is not None:
@@ -349,10 +359,20 @@ class _Search:
         columns = self.regression.n_shared_fixed + n_modes + self.regression.n_nuisance(n_modes)
         return min(len(v) for v in self.regression.values) > 4 * (columns + 2 * n_modes)
 
+    def _target(self, current: ModalFit, n_modes: int | None) -> float:
+        """Return the cost below which one more mode is worth its parameters."""
+        if n_modes is not None:
+            return math.inf
+        return current.cost - 0.5 * self.regression.n_parameters_of_a_mode * math.log(
+            self.regression.n_samples
+        )
+
     def _bic(self, fit: ModalFit) -> float:
         return 2.0 * fit.cost + fit.n_parameters * math.log(self.regression.n_samples)
 
     def _refusal(self, trial: ModalFit, current: ModalFit, is_given: bool) -> str:
+        if trial.reason == HOPELESS:
+            return "not worth its parameters by BIC"
         if not trial.converged:
             return f"the fit did not converge: {trial.reason}"
         for mode in range(len(trial.omegas)):

@@ -14,6 +14,9 @@ from beam_ident.piecewise import FloatArray
 _STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible changes
 _COST_TOLERANCE = 1e-7  # in log-likelihood
 _TRIALS = 12
+_HOPE = 5.0
+
+HOPELESS = "what it can still gain is not worth its parameters"
 
 
 class Likelihood(Protocol):
@@ -54,7 +57,9 @@ class Minimum(Generic[StateT]):
     iterations: int
 
 
-def minimise(problem: Problem[StateT], start: StateT, max_iterations: int) -> Minimum[StateT]:
+def minimise(
+    problem: Problem[StateT], start: StateT, max_iterations: int, target: float = math.inf
+) -> Minimum[StateT]:
     """Lower the cost until a step is invisible; never return a worse point than the start.
 
     Parameters
@@ -62,14 +67,22 @@ def minimise(problem: Problem[StateT], start: StateT, max_iterations: int) -> Mi
     problem : Problem
     start : state of the problem -- where to begin
     max_iterations : int -- bound on the iterations, each of at most twelve trials
+    target : float
+        A cost that must be reached to be of use: the iteration gives up once five times what the last
+        step has brought, and five times what the quadratic approximation promises, do not reach it.
     """
     state, damping = start, 1e-3
     if not len(start.theta):
         return Minimum(state, True, "nothing nonlinear to estimate", 0)
     if not math.isfinite(start.cost):
         return Minimum(state, False, "the starting point is not allowed", 0)
+    fallen = math.inf
     for iteration in range(1, max_iterations + 1):
         information, direction = problem.slope(state)
+        if state.cost - _HOPE * fallen > target:
+            promised = 0.5 * float(direction @ scaled_solve(information, direction, 0.0))
+            if state.cost - _HOPE * promised > target:
+                return Minimum(state, False, HOPELESS, iteration)
         fallen = -1.0
         for _ in range(_TRIALS):
             candidate = problem.limited(state.theta, scaled_solve(information, direction, damping))

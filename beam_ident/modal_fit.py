@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.errors import EstimationError
-from beam_ident.levenberg_marquardt import Minimum, minimise
+from beam_ident.levenberg_marquardt import HOPELESS, Minimum, minimise
 from beam_ident.linear_solution import LinearSolution
 from beam_ident.modal_regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.noise_correlation import autocorrelation, autoregression, score_covariance
@@ -228,6 +228,7 @@ def fit_modes(
     latency: Prior,
     clock_rate: Prior,
     max_iterations: int = 40,
+    target: float = math.inf,
 ) -> ModalFit:
     """Fit all parameters of the modal model from a starting point.
 
@@ -238,6 +239,7 @@ def fit_modes(
     clock : ClockState -- where to start
     latency, clock_rate : Prior
     max_iterations : int -- bound on the accepted steps
+    target : float -- cost that must come into sight for the iteration to go on
 
     Returns
     -------
@@ -252,7 +254,7 @@ def fit_modes(
     if clock_rate.is_free:
         start.append(np.array([clock.rate]))
     first = problem.state(problem.clipped(np.concatenate(start)))
-    return _finish(problem, minimise(problem, first, max_iterations))
+    return _finish(problem, minimise(problem, first, max_iterations, target))
 
 
 def profiled_cost(
@@ -317,7 +319,8 @@ def _finish(problem: _Problem, minimum: Minimum[_State]) -> ModalFit:
         covariance[here, here] = variances[output] * solution.inverse_gram()
         place += sizes[output]
     covariance += sensitivity @ theta_covariance @ sensitivity.T
-    covariance = _under_coloured_noise(problem, state, variances, covariance)
+    if reason != HOPELESS:
+        covariance = _under_coloured_noise(problem, state, variances, covariance)
     # Put the modes in order of frequency, in the parameters and in every linear block.
     n_fixed = regression.n_shared_fixed
     permutation = np.arange(len(covariance))

@@ -355,6 +355,12 @@ class ModalRegression:
         s = self.structure
         return int(s.has_offset) + int(s.has_ramp) + (2 * n_modes if s.has_free_response else 0)
 
+    @property
+    def n_parameters_of_a_mode(self) -> int:
+        """Number of parameters that one more mode adds."""
+        n_free = 2 if self.structure.has_free_response else 0
+        return 2 + sum(1 + n_free * len(parts) for parts in self._parts)
+
     def blocks(
         self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
     ) -> list[ColumnBlock]:

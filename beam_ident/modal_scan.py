@@ -27,8 +27,9 @@ SCAN_DAMPING = 0.015
 
 _MAX_STAMPS = 1500
 _MAX_POINTS = 900
-_CHUNK = 48
+_CHUNK = 160
 _FINE_DAMPINGS = (0.003, 0.015, 0.08)
+_RIDGE = 1e-6  # on columns of unit length
 _SAMPLES_PER_CYCLE = 7  # joined by a cubic spline
 
 
@@ -74,19 +75,17 @@ class ModalScan:
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
-        self._columns: list[FloatArray] | None = None
-        self._columns_clock = ClockState()
+        self._candidates: list[_Candidates] | None = None
+        self._clock = ClockState()
 
     def gains(self, model: ModalFit) -> FloatArray:
         """Return the gain in log-likelihood over the grid, shape (n_points,)."""
         clock = model.clock
-        moved = abs(clock.latency - self._columns_clock.latency) * self.omegas[-1] > 1.0
-        if self._columns is None or moved:
-            self._columns = self._candidate_columns(
-                self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock
-            )
-            self._columns_clock = clock
-        return self._gains_of(self._columns, model)
+        moved = abs(clock.latency - self._clock.latency) * self.omegas[-1] > 1.0
+        if self._candidates is None or moved:
+            self._candidates = self._prepare(self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock)
+            self._clock = clock
+        return self._gains_of(self._candidates, model)
 
     def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
         """Return the most promising further mode, or None when the band is used up.
@@ -106,14 +105,12 @@ class ModalScan:
         fine = self.omegas[best] * np.exp(np.linspace(-1.2, 1.2, 15) * SCAN_DAMPING)
         omegas = np.tile(fine, len(_FINE_DAMPINGS))
         zetas = np.repeat(_FINE_DAMPINGS, len(fine))
-        refined = self._gains_of(self._candidate_columns(omegas, zetas, model.clock), model)
+        refined = self._gains_of(self._prepare(omegas, zetas, model.clock), model)
         winner = int(np.argmax(refined))
         return Candidate(float(omegas[winner]), float(zetas[winner]), float(refined[winner]))
 
-    def _candidate_columns(
-        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState
-    ) -> list[FloatArray]:
-        """Return for every block an array (n_rows, 1 + n_free, n_candidates)."""
+    def _prepare(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[_Candidates]:
+        """Return the columns of candidates for every block of outputs that share stamps."""
         structure, regression = self.regression.structure, self.regression
         n_fixed = regression.n_shared_fixed
         collected: list[list[FloatArray]] = []
@@ -122,45 +119,63 @@ class ModalScan:
             n = len(omegas[part])
             blocks = regression.blocks(omegas[part], zetas[part], clock, gradients=False)
             for number, block in enumerate(blocks):
-                pieces = [block.matrix[:, None, n_fixed : n_fixed + n]]
+                rows = block.matrix.T
+                pieces = [rows[n_fixed : n_fixed + n, None]]
                 if structure.has_free_response:
                     n_own = regression.n_nuisance(n)
-                    for own in range(n_fixed + n, block.matrix.shape[1], n_own):
-                        pairs = block.matrix[:, own + n_own - 2 * n : own + n_own]
-                        pieces.append(pairs.reshape(len(pairs), n, 2).transpose(0, 2, 1))
+                    for own in range(n_fixed + n, len(rows), n_own):
+                        pairs = rows[own + n_own - 2 * n : own + n_own]
+                        pieces.append(pairs.reshape(n, 2, -1))
                 if first == 0:
                     collected.append([])
-                collected[number].append(np.concatenate(pieces, axis=1).astype(np.float64))
-        return [np.concatenate(parts, axis=2) for parts in collected]
+                collected[number].append(np.concatenate(pieces, axis=1))
+        return [_Candidates.of(np.concatenate(parts)) for parts in collected]
 
-    def _gains_of(self, columns: list[FloatArray], model: ModalFit) -> FloatArray:
+    def _gains_of(self, candidates: list[_Candidates], model: ModalFit) -> FloatArray:
         regression = self.regression
         blocks = regression.blocks(model.omegas, model.zetas, model.clock, gradients=False)
-        total = np.zeros(columns[0].shape[2])
-        for number, (block, candidates) in enumerate(zip(blocks, columns, strict=True)):
+        total = np.zeros(len(candidates[0].gram))
+        for number, (block, candidate) in enumerate(zip(blocks, candidates, strict=True)):
             scale = np.linalg.norm(block.matrix, axis=0)
             basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
             basis = basis[:, np.abs(np.diag(triangle)) > 1e-9]
-            n_rows, width, n_points = candidates.shape
-            flat = candidates.reshape(n_rows, width * n_points)
-            norms = np.sqrt(np.einsum("ij,ij->j", flat, flat))
-            flat = flat / np.where(norms > 0.0, norms, 1.0)
-            flat = flat - basis @ (basis.T @ flat)
-            split = flat.reshape(n_rows, width, n_points)
-            gram = np.einsum("iag,ibg->gab", split, split, optimize=True)
-            gram[:, np.arange(width), np.arange(width)] += 1e-6
+            shape = candidate.gram.shape[:2]
+            inside = (candidate.rows @ basis).reshape(*shape, -1)
+            gram = candidate.gram - inside @ inside.transpose(0, 2, 1)
             for output, own in enumerate(regression.block_of):
                 if own != number:
                     continue
                 values = regression.values[output]
                 residual = values - basis @ (basis.T @ values)
-                projected = (flat.T @ residual).reshape(width, n_points).T
+                projected = (candidate.rows @ residual).reshape(shape)
                 explained = np.einsum(
                     "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
                 )
                 share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
-                total -= 0.5 * n_rows * np.log1p(-share)
+                total -= 0.5 * len(values) * np.log1p(-share)
         return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Columns of single modes, each of unit length, and how those of one mode overlap.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n_candidates * width, n_rows) -- forced, and free where there are such
+    gram : ndarray, shape (n_candidates, width, width) -- with a ridge
+    """
+
+    rows: FloatArray
+    gram: FloatArray
+
+    @staticmethod
+    def of(columns: FloatArray) -> _Candidates:
+        """Scale columns of shape (n_candidates, width, n_rows)."""
+        norms = np.sqrt(np.einsum("gan,gan->ga", columns, columns))
+        columns = columns / np.where(norms > 0.0, norms, 1.0)[:, :, None]
+        gram = columns @ columns.transpose(0, 2, 1) + _RIDGE * np.eye(columns.shape[1])
+        return _Candidates(columns.reshape(-1, columns.shape[2]), gram)
 
 
 def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float) -> InputSignal:

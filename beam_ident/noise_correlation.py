@@ -10,7 +10,7 @@ an autoregressive model whose order BIC chooses.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import matmul_toeplitz
+from scipy.fft import next_fast_len, rfft
 from scipy.signal import lfilter
 
 from beam_ident.piecewise import FloatArray
@@ -68,5 +68,18 @@ def score_covariance(design: FloatArray, correlation: FloatArray) -> FloatArray:
     ----------
     design : ndarray, shape (n, n_parameters)
     correlation : ndarray, shape (n,) -- at lags 0 .. n - 1
+
+    Notes
+    -----
+    R is a corner of a circulant matrix, whose eigenvalues are the Fourier transform of its first
+    row: the product is a sum over frequencies.
     """
-    return np.asarray(design.T @ matmul_toeplitz(correlation, design, check_finite=False))
+    n = len(design)
+    length = next_fast_len(2 * n - 1, real=True)
+    row = np.zeros(length)
+    row[:n] = correlation
+    row[length - n + 1 :] = correlation[:0:-1]
+    weights = rfft(row).real
+    weights[1 : (length + 1) // 2] *= 2.0  # and their mirror images
+    spectra = rfft(np.ascontiguousarray(design.T), length)
+    return np.asarray(np.real((spectra * (weights / length)) @ spectra.conj().T))

@@ -32,6 +32,8 @@ _SERIES_RADIUS = 1.0
 _SERIES_TERMS = 17  # 1 / 17! = 3e-15 of the leading term at the edge of the series' disc
 _TAYLOR_RADIUS = 4.0  # of |p t|: the largest term is 10, one digit is lost
 _BLOCK_WIDTH = 32  # coefficients in a block of knots
+_FEW = 12  # poles up to which a filter for each is quicker than steps of all together
+_DENSE = 0.5  # share of the knots above which all states are computed
 
 
 def phi_functions(z: ComplexArray, highest: int) -> list[ComplexArray]:
@@ -172,7 +174,7 @@ class SampledResponses:
 
 
 class PoleResponses:
-    """States of ``x' = p x + a(t)``, from rest, at the knots of ``a``, ready to be sampled anywhere.
+    """States of ``x' = p x + a(t)``, from rest, ready to be sampled anywhere.
 
     Parameters
     ----------
@@ -186,17 +188,15 @@ class PoleResponses:
         self.poles = np.asarray(poles, dtype=np.complex128)
         self.drive = drive
         self.gradients = gradients
-        # Shape (n_poles, n_orders, at least n_segments): the state, and its derivative by the pole.
-        if not len(self.poles):
-            self._states = np.zeros((0, 1 + gradients, len(drive.coefficients)), dtype=np.complex128)
-        elif drive.period is not None:
-            self._states = _regular_states(self.poles, drive, drive.period, gradients)
+        self._knots: _RegularKnots | _IrregularKnots
+        if drive.period is not None:
+            self._knots = _RegularKnots(self.poles, drive.coefficients, drive.period, gradients)
         else:
-            self._states = _irregular_states(self.poles, drive, gradients)
+            self._knots = _IrregularKnots(self.poles, drive, gradients)
 
     def _at(self, index: NDArray[np.intp], offset: FloatArray, gradients: bool) -> ComplexArray:
         """Return the states (and derivatives by the pole) at places inside segments."""
-        states = np.take(self._states if gradients else self._states[:, :1], index, axis=2)
+        states = self._knots.states(index, 2 if gradients else 1)
         if not len(self.poles) or not np.any(offset):  # every instant is a knot
             return states
         weights = _Weights.at(self.poles, offset, self.drive.degree, gradients)
@@ -239,58 +239,107 @@ class PoleResponses:
         return SampledResponses(mean, mean_slope, difference[:, 0] / instants.exposure_s)
 
 
-def _regular_states(
-    poles: ComplexArray, drive: PiecewisePolynomial, period: float, gradients: bool
-) -> ComplexArray:
-    """Return the states at the knots of a regular grid, block by block."""
-    n_segments, n_coefficients = drive.coefficients.shape
-    length = _BLOCK_WIDTH // n_coefficients
-    n_blocks = -(-n_segments // length)
-    blocks = drive.coefficients
-    if n_blocks * length > n_segments:
-        blocks = np.concatenate([blocks, np.zeros((n_blocks * length - n_segments, n_coefficients))])
-    blocks = blocks.reshape(n_blocks, length * n_coefficients)
-    weights = _Weights.of(poles, np.array([period]), n_coefficients - 1, gradients)
-    carry, gains = weights.carry[:, :, 0], weights.gains[:, :, :, 0]
-    n_poles, n_orders = carry.shape
-    # What a block's first state, and its coefficients, do 0, 1, .. length knots later.
-    later = np.arange(length + 1)
-    powers = np.empty((n_poles, n_orders, length + 1), dtype=np.complex128)
-    powers[:, 0] = carry[:, :1] ** later
-    reach = powers[:, :1, None, :-1] * gains[..., None]
-    if gradients:
-        powers[:, 1] = later * period * powers[:, 0]
-        reach[:, 1] += powers[:, 1, None, :-1] * gains[:, 0, :, None]
-    padded = np.concatenate([reach, np.zeros((*reach.shape[:-1], 1))], axis=-1)
-    lags = later[None, :] - 1 - np.arange(length)[:, None]
-    kernel = padded[..., np.where(lags < 0, length, lags)]  # (pole, order, m, from, to)
-    kernel = np.ascontiguousarray(np.moveaxis(kernel, 2, 3)).reshape(n_poles, n_orders, -1, length + 1)
-    inside = np.ascontiguousarray(kernel[..., :length])
-    gained = blocks @ kernel[..., length].reshape(n_poles * n_orders, -1).T
-    gained = gained.T.reshape(n_poles, n_orders, n_blocks)
-    states = np.matmul(blocks, inside.view(np.float64)).view(np.complex128)
-    for pole in range(n_poles):
-        factor = powers[pole, 0, length:]
-        first = recursion(factor, gained[pole, 0], 0.0)[:-1]
-        states[pole, 0] += first[:, None] * powers[pole, 0, :length]
+class _RegularKnots:
+    """States at the knots of a regular grid, block by block."""
+
+    def __init__(self, poles: ComplexArray, coefficients: FloatArray, period: float, gradients: bool) -> None:
+        self.n_segments, n_coefficients = coefficients.shape
+        self.length = length = _BLOCK_WIDTH // n_coefficients
+        n_blocks = -(-self.n_segments // length)
+        if n_blocks * length > self.n_segments:
+            rest = np.zeros((n_blocks * length - self.n_segments, n_coefficients))
+            coefficients = np.concatenate([coefficients, rest])
+        self.blocks = coefficients.reshape(n_blocks, length * n_coefficients)
+        weights = _Weights.of(poles, np.array([period]), n_coefficients - 1, gradients)
+        carry, gains = weights.carry[:, :, 0], weights.gains[:, :, :, 0]
+        # What a block's first state, and its coefficients, do 0, 1, .. length knots later.
+        later = np.arange(length + 1)
+        self.powers = np.empty((*carry.shape, length + 1), dtype=np.complex128)
+        self.powers[:, 0] = carry[:, :1] ** later
+        reach = self.powers[:, :1, None, :-1] * gains[..., None]
         if gradients:
-            forcing = gained[pole, 1] + powers[pole, 1, length] * first
-            slope = recursion(factor, forcing, 0.0)[:-1]
-            states[pole, 1] += slope[:, None] * powers[pole, 0, :length]
-            states[pole, 1] += first[:, None] * powers[pole, 1, :length]
-    return np.asarray(states.reshape(n_poles, n_orders, n_blocks * length))
+            self.powers[:, 1] = later * period * self.powers[:, 0]
+            reach[:, 1] += self.powers[:, 1, None, :-1] * gains[:, 0, :, None]
+        padded = np.concatenate([reach, np.zeros((*reach.shape[:-1], 1))], axis=-1)
+        lags = later[None, :] - 1 - np.arange(length)[:, None]
+        kernel = padded[..., np.where(lags < 0, length, lags)]  # (pole, order, m, from, to)
+        self.kernel = np.moveaxis(kernel, 2, 3).reshape(*carry.shape, length * n_coefficients, length + 1)
+        self.first = np.empty((*carry.shape, n_blocks), dtype=np.complex128)
+        gained = self._product(self.blocks, length)
+        factors = self.powers[:, 0, length]
+        self.first[:, 0] = _recursions(factors, gained[:, 0])
+        if gradients:
+            forcing = gained[:, 1] + self.powers[:, 1, length, None] * self.first[:, 0]
+            self.first[:, 1] = _recursions(factors, forcing)
+
+    def _product(self, blocks: FloatArray, later: int, n_orders: int = 2) -> ComplexArray:
+        """Return what the coefficients of blocks have done a number of knots later."""
+        kernel = self.kernel[:, :n_orders, :, later]
+        rows = np.concatenate([kernel.real, kernel.imag]).reshape(-1, kernel.shape[-1]) @ blocks.T
+        parts = rows.reshape(2, *kernel.shape[:-1], len(blocks))
+        result = np.empty(parts.shape[1:], dtype=np.complex128)
+        result.real, result.imag = parts
+        return result
+
+    def states(self, index: NDArray[np.intp], n_orders: int) -> ComplexArray:
+        """Return the states at knots, shape (n_poles, n_orders, n)."""
+        if len(index) > _DENSE * self.n_segments:
+            return np.asarray(np.take(self._all(n_orders), index, axis=2))
+        block, later = np.divmod(index, self.length)
+        order = np.argsort(later, kind="stable")
+        block, ends = block[order], np.searchsorted(later[order], np.arange(self.length + 1))
+        rows = self.blocks[block]
+        result = np.empty((len(self.kernel), n_orders, len(index)), dtype=np.complex128)
+        for lag in range(self.length):
+            here = slice(ends[lag], ends[lag + 1])
+            powers, first = self.powers[:, :, lag, None], self.first[:, :, block[here]]
+            part = self._product(rows[here], lag, n_orders)
+            part += powers[:, :1] * first[:, :n_orders]
+            if n_orders == 2:
+                part[:, 1] += powers[:, 1] * first[:, 0]
+            result[:, :, order[here]] = part
+        return result
+
+    def _all(self, n_orders: int) -> ComplexArray:
+        """Return the states at all knots."""
+        n_poles, length = len(self.kernel), self.length
+        inside = np.ascontiguousarray(self.kernel[:, :n_orders, :, :length])
+        states = np.matmul(self.blocks, inside.view(np.float64)).view(np.complex128)
+        for state, first, powers in zip(states, self.first, self.powers, strict=True):
+            for number in range(n_orders):
+                state[number] += first[number, :, None] * powers[0, :length]
+            if n_orders == 2:
+                state[1] += first[0, :, None] * powers[1, :length]
+        return np.asarray(states.reshape(n_poles, n_orders, len(self.blocks) * length))
 
 
-def _irregular_states(poles: ComplexArray, drive: PiecewisePolynomial, gradients: bool) -> ComplexArray:
-    """Return the states at knots that follow each other at any distance."""
-    steps = np.diff(drive.knots)
-    states = np.zeros((len(poles), 2 if gradients else 1, len(steps)), dtype=np.complex128)
-    for number in range(len(poles)):
-        weights = _Weights.of(poles[number : number + 1], steps, drive.degree, gradients)
-        carry, gains = weights.carry[0], weights.gains[0]
-        forcing = np.einsum("omk,km->ok", gains, drive.coefficients)
-        states[number, 0] = recursion(carry[0], forcing[0], 0.0)[:-1]
-        if gradients:
-            forced = forcing[1] + carry[1] * states[number, 0]
-            states[number, 1] = recursion(carry[0], forced, 0.0)[:-1]
-    return states
+def _recursions(factors: ComplexArray, drives: ComplexArray) -> ComplexArray:
+    """Return ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, from ``x[0] = 0``, a row for each factor."""
+    if len(factors) <= _FEW:
+        pairs = zip(factors, drives, strict=True)
+        return np.array([recursion(np.array([f]), d, 0.0)[:-1] for f, d in pairs]).reshape(drives.shape)
+    states = np.zeros(drives.shape[::-1], dtype=np.complex128)
+    columns = np.ascontiguousarray(drives.T)
+    for k in range(len(states) - 1):
+        np.multiply(factors, states[k], out=states[k + 1])
+        states[k + 1] += columns[k]
+    return np.ascontiguousarray(states.T)
+
+
+class _IrregularKnots:
+    """States at knots that follow each other at any distance."""
+
+    def __init__(self, poles: ComplexArray, drive: PiecewisePolynomial, gradients: bool) -> None:
+        steps = np.diff(drive.knots)
+        self._states = np.zeros((len(poles), 2 if gradients else 1, len(steps)), dtype=np.complex128)
+        for number, states in enumerate(self._states):
+            weights = _Weights.of(poles[number : number + 1], steps, drive.degree, gradients)
+            carry, gains = weights.carry[0], weights.gains[0]
+            forcing = np.einsum("omk,km->ok", gains, drive.coefficients)
+            states[0] = recursion(carry[0], forcing[0], 0.0)[:-1]
+            if gradients:
+                states[1] = recursion(carry[0], forcing[1] + carry[1] * states[0], 0.0)[:-1]
+
+    def states(self, index: NDArray[np.intp], n_orders: int) -> ComplexArray:
+        """Return the states at knots, shape (n_poles, n_orders, n)."""
+        return np.asarray(np.take(self._states[:, :n_orders], index, axis=2))
