@@ -1,10 +1,11 @@
 """From no start at all to the output-error optimum of one denominator.
 
-State-variable-filter least squares (LSSVF) over a portfolio of cut-offs, instrumental
-variables behind the best of them (IVSVF), the simplified refined instrumental variable
+A subspace estimate (PO-MOESP) or, where that does not lead to residuals that look like noise,
+state-variable-filter least squares (LSSVF) over a portfolio of cut-offs with instrumental
+variables behind the best of them (IVSVF); then the simplified refined instrumental variable
 (SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt on the output error with the same exact
-gradients to finish.  Where the residuals then still look like anything but noise, the optimum may
-be a local one, and the other starts have their turn, a subspace estimate (PO-MOESP) among them.
+gradients to finish.  Residuals that look like anything but noise may mean a local optimum:
+then the other starts have their turn, and the lowest cost wins.
 
 Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
 that SRIVC's fixed point is the stationary point of the output-error cost; the
@@ -43,7 +44,7 @@ _LM_ITERATIONS = 50
 _PORTFOLIO = 7
 _INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
 _FINALISTS = 3
-_WHITE = 0.01
+WHITE = 0.01
 _NO_START = (
     "no state-variable filter gave a stable start; give another cutoff, other degrees, or a longer record"
 )
@@ -114,29 +115,35 @@ class _Chain:
         self.problem, self.method, self.cutoffs, self.delays = problem, method, cutoffs, delays
 
     def run(self) -> Optimum:
-        starts = self._filtered_starts()
         if self.method in ("lssvf", "ivsvf"):
+            starts = self._filtered_starts()
             if not starts:
                 raise EstimationError(_NO_START)
             return Optimum(starts[0], False, f"{self.method.upper()} takes one step", 1)
         best: Optimum | None = None
-        for start in self._in_turn(starts):
+        for start in self._in_turn():
             found = self._refined(start)
             if best is None or found.state.cost < best.state.cost:
                 best = found
-            if found.converged and Whiteness.of(best.state.residuals).p_value > _WHITE:
+            if found.converged and Whiteness.of(best.state.residuals).p_value > WHITE:
                 break
         if best is None:
             raise EstimationError(_NO_START)
         return best
 
-    def _in_turn(self, starts: list[OutputErrorState]) -> Iterator[OutputErrorState]:
-        """Yield starts in the order in which they are worth the work of refining them."""
-        for k, start in enumerate(starts[:_FINALISTS]):
-            yield start
-            if k == 0:
-                others = sorted(self._subspace_starts(), key=lambda state: state.cost)
-                yield from others[:1]
+    def _in_turn(self) -> Iterator[OutputErrorState]:
+        """Yield starts in the order in which they are worth the work of refining them.
+
+        A subspace is the quickest start and sees light modes under noise that filters lose; but
+        it takes a delay as given, so that where delays are searched the filters come first.
+        """
+        subspace = sorted(self._subspace_starts(), key=lambda state: state.cost)[:1]
+        if not self.problem.free_delays:
+            yield from subspace
+            yield from self._filtered_starts()[:_FINALISTS]
+            return
+        filtered = self._filtered_starts()[:_FINALISTS]
+        yield from filtered[:1] + subspace + filtered[1:]
 
     def _filtered_starts(self) -> list[OutputErrorState]:
         """Return least-squares and instrumental estimates behind filters, the best by simulation first."""

@@ -24,6 +24,7 @@ from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.linear_solution import LinearSolution
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
+from beam_ident.pole_response import PoleResponses
 from beam_ident.rational_response import RationalResponse, upper_roots
 from beam_ident.records import TimeRecord
 from beam_ident.validation import Scores
@@ -38,6 +39,8 @@ _COLUMNS_PER_ROW = 1.5
 _WINDOW_STEP = 4  # between the windows of the portfolio
 _N_WINDOWS = 4
 _LEAST_DAMPING = 1e-6
+_SURPLUS = 4  # poles beyond the order from which the best are chosen
+_MAX_STATES = 2_000_000  # of pole responses at once: bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +84,12 @@ class SubspaceModel:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """Inputs and outputs on one regular grid, shapes (n, n_inputs) and (n, n_outputs)."""
+    """Inputs and outputs on one regular grid from ``start_s`` on, shapes (n, n_inputs) and (n, n_outputs)."""
 
     inputs: FloatArray
     outputs: FloatArray
     period_s: float
+    start_s: float
 
     def decimated(self, stride: int) -> _Sampled:
         """Return the means over every ``stride`` samples; the same filter on both sides keeps the poles."""
@@ -96,7 +100,21 @@ class _Sampled:
         def mean(values: FloatArray) -> FloatArray:
             return np.asarray(values[:n].reshape(-1, stride, values.shape[1]).mean(axis=1))
 
-        return _Sampled(mean(self.inputs), mean(self.outputs), self.period_s * stride)
+        return _Sampled(mean(self.inputs), mean(self.outputs), self.period_s * stride, self.start_s)
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """What the Hankel matrices of one window say, or several windows together.
+
+    ``surplus`` are the poles of a higher order, among which modes that noise has displaced may be found.
+    """
+
+    poles: ComplexArray
+    surplus: ComplexArray
+    singular_values: FloatArray
+    period_s: float
+    window_s: float
 
 
 @on_one_thread
@@ -142,14 +160,17 @@ def subspace_model(
             raise EstimationError(f"output {output.name!r} has no two samples while all inputs are known")
         signals.append((output.times_s[keep], output.values[keep]))
     sampled = _on_one_grid(drives, signals)
+    windows = [
+        found
+        for stride in _strides(sampled, order, window_s, n_block_rows)
+        if (found := _estimate(sampled.decimated(stride), order, n_block_rows)) is not None
+    ]
+    if len(windows) > 1:
+        windows.append(_combined(drives, sampled, windows, order))
     best: SubspaceModel | None = None
     best_misfit = math.inf
-    for stride in _strides(sampled, order, window_s, n_block_rows):
-        found = _estimate(sampled.decimated(stride), order, n_block_rows)
-        if found is None:
-            continue
-        poles, values, window = found
-        numerators, residuals = _numerators(record, poles)
+    for found in windows:
+        numerators, residuals = _numerators(record, found.poles)
         misfit = sum(
             len(e) * math.log(max(float(e @ e), 1e-300) / float(np.sum((y - y.mean()) ** 2) or 1.0))
             for e, (_, y) in zip(residuals, signals, strict=True)
@@ -158,12 +179,12 @@ def subspace_model(
             scores = tuple(Scores.of(y, e) for e, (_, y) in zip(residuals, signals, strict=True))
             best_misfit = misfit
             best = SubspaceModel(
-                poles,
-                np.real(np.poly(poles)),
+                found.poles,
+                np.real(np.poly(found.poles)),
                 numerators,
-                values,
-                sampled.period_s * stride,
-                window,
+                found.singular_values,
+                found.period_s,
+                found.window_s,
                 scores,
                 tuple(drive.name for drive in record.inputs),
                 record.output_names,
@@ -189,12 +210,14 @@ def subspace_poles(
     order : int -- number of poles
     """
     sampled = _on_one_grid(drives, [(times_s, column) for column in values.T])
-    candidates = []
-    for stride in _strides(sampled, order, None, N_BLOCK_ROWS):
-        found = _estimate(sampled.decimated(stride), order, N_BLOCK_ROWS)
-        if found is not None:
-            candidates.append(found[0])
-    return candidates
+    windows = [
+        found
+        for stride in _strides(sampled, order, None, N_BLOCK_ROWS)
+        if (found := _estimate(sampled.decimated(stride), order, N_BLOCK_ROWS)) is not None
+    ]
+    if len(windows) > 1:
+        windows.append(_combined(drives, sampled, windows, order))
+    return [found.poles for found in windows]
 
 
 def _on_one_grid(
@@ -209,7 +232,7 @@ def _on_one_grid(
     outputs = np.stack([np.interp(grid, t, y) for t, y in signals], axis=1)
     edges = np.asarray(start + period * np.arange(len(grid) + 1), dtype=np.float64)
     inputs = np.stack([np.diff(drive.antiderivative()(edges)) / period for drive in drives], axis=1)
-    return _Sampled(inputs, outputs, period)
+    return _Sampled(inputs, outputs, period, start)
 
 
 def _n_rows(sampled: _Sampled, order: int, n_block_rows: int) -> int:
@@ -230,10 +253,8 @@ def _strides(sampled: _Sampled, order: int, window_s: float | None, n_block_rows
     ]
 
 
-def _estimate(
-    sampled: _Sampled, order: int, n_block_rows: int
-) -> tuple[ComplexArray, FloatArray, float] | None:
-    """Return the continuous-time poles, the singular values and the window [s]."""
+def _estimate(sampled: _Sampled, order: int, n_block_rows: int) -> _Window | None:
+    """Return what one window says, None where the record is too short for the order."""
     rows = _n_rows(sampled, order, n_block_rows)
     if rows == 0:
         return None
@@ -259,10 +280,73 @@ def _estimate(
     n_past = rows * (n_inputs + n_outputs)
     projected = triangle[n_future_inputs : n_future_inputs + n_past, n_future_inputs + n_past :].T
     left, values, _ = svd(projected, full_matrices=False, check_finite=False)
-    observability = left[:, :order] * np.sqrt(values[:order])
-    transition = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=None)[0]
-    poles = _continuous(np.linalg.eigvals(transition), sampled.period_s)
-    return poles, values, rows * sampled.period_s
+
+    def poles(n: int) -> ComplexArray:
+        observability = left[:, :n] * np.sqrt(values[:n])
+        shift = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=None)[0]
+        return _continuous(np.linalg.eigvals(shift), sampled.period_s)
+
+    more = min(order + _SURPLUS, (rows - 1) * n_outputs, len(values))
+    return _Window(poles(order), poles(more), values, sampled.period_s, rows * sampled.period_s)
+
+
+def _combined(
+    drives: Sequence[PiecewisePolynomial], sampled: _Sampled, windows: Sequence[_Window], order: int
+) -> _Window:
+    """Return those poles of several windows that explain the outputs best together.
+
+    Every window sees the modes of its own range of frequencies.  The poles are taken one by one
+    (a pair counts as two), each time the one whose exact response lowers the misfit most (orthogonal
+    matching pursuit; Pati, Rezaiifar and Krishnaprasad 1993).
+    """
+    pool = np.concatenate([poles for found in windows for poles in (found.poles, found.surplus)])
+    pool = pool[pool.imag >= 0.0]
+    at = np.arange(0, len(sampled.outputs), max(1, len(sampled.outputs) // _MAX_COLUMNS))
+    times = np.asarray(sampled.start_s + sampled.period_s * at, dtype=np.float64)
+    columns = np.concatenate([_pole_columns(drive, times, pool) for drive in drives], axis=1)
+    outputs = sampled.outputs[at] / np.maximum(np.std(sampled.outputs, axis=0), 1e-300)
+    drift = np.stack([np.ones_like(times), np.linspace(-0.5, 0.5, len(times))], axis=1)
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    # All that follows happens inside the span of these columns: on the triangle of their QR.
+    triangle = qr(np.concatenate([drift, columns, outputs], axis=1), mode="r", check_finite=False)[0]
+    triangle = triangle[: 2 + columns.shape[1] + outputs.shape[1]]
+    parts = triangle[:, 2 : 2 + columns.shape[1]].reshape(len(triangle), len(drives), len(pool), 2)
+    basis = np.eye(len(triangle), 2)
+    residuals = triangle[:, 2 + columns.shape[1] :]
+    residuals = residuals - basis @ (basis.T @ residuals)
+    chosen: list[complex] = []
+    left = set(range(len(pool)))
+    while left:
+        best, best_gain, best_basis = -1, 0.0, basis
+        for k in left:
+            block = parts[:, :, k, : 1 + int(pool[k].imag > 0.0)].reshape(len(triangle), -1)
+            own = LinearSolution.of(block - basis @ (basis.T @ block)).basis
+            gain = float(np.sum((own.T @ residuals) ** 2))
+            if best < 0 or gain > best_gain:
+                best, best_gain, best_basis = k, gain, own
+        basis = np.concatenate([basis, best_basis], axis=1)
+        residuals = residuals - best_basis @ (best_basis.T @ residuals)
+        pole = complex(pool[best])
+        chosen += [pole, pole.conjugate()] if pole.imag > 0.0 else [pole]
+        room = order - len(chosen)
+        left = {k for k in left - {best} if (2 if pool[k].imag > 0.0 else 1) <= room}
+    if len(chosen) < order:  # no real pole is left for an odd order
+        slowest = float(np.min(np.abs(pool)))
+        chosen += [-slowest] * (order - len(chosen))
+    first = windows[0]
+    return _Window(np.array(chosen), pool, first.singular_values, first.period_s, first.window_s)
+
+
+def _pole_columns(drive: PiecewisePolynomial, times: FloatArray, poles: ComplexArray) -> FloatArray:
+    """Return real and imaginary parts of every pole's response, shape (n_times, 2 n_poles)."""
+    instants = Instants.on(drive, times, 0.0)
+    n_at_once = max(1, _MAX_STATES // len(drive.knots))
+    responses = [
+        PoleResponses(poles[k : k + n_at_once], drive, gradients=False).sample(instants, drive).values
+        for k in range(0, len(poles), n_at_once)
+    ]
+    values = np.concatenate(responses)
+    return np.asarray(np.stack([values.real, values.imag], axis=2).transpose(1, 0, 2).reshape(len(times), -1))
 
 
 def _hankel(values: FloatArray, rows: int, at: NDArray[np.intp]) -> FloatArray:

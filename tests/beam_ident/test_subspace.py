@@ -83,3 +83,16 @@ def test_a_long_window_averages_and_decimates():
 def test_impossible_requests_are_refused(change, says):
     with pytest.raises(EstimationError, match=says):
         subspace_model(benchmark_record(0, 10.0), **change)
+
+
+def test_windows_together_see_what_each_alone_does_not():
+    beam = ForcedBeam()
+    record = beam.record(3, 0.0).select(["root"])
+    output = record.outputs[0]
+    alone = [subspace_model(record, 6, window_s=window).natural_frequencies for window in (0.25, 1.0)]
+    # The short window loses the weak slow mode in the noise, the long one averages the fast one away.
+    assert len(alone[0]) < 3 or not np.allclose(alone[0], beam.omegas, rtol=3e-2)
+    assert not np.allclose(alone[1], beam.omegas, rtol=3e-2)
+    together = subspace_poles([record.inputs[0].signal()], output.times_s, output.values[:, None], 6)[-1]
+    found = np.sort(np.abs(together[together.imag > 0.0]))
+    np.testing.assert_allclose(found, beam.omegas, rtol=3e-2)
