@@ -38,6 +38,8 @@ from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.order_selection import OrderSelection, StructureEntry, select_transfer_function
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.repeatability import Repeatability, assess_repeatability
+from beam_ident.step_comparison import StepComparison, compare_step_responses
 from beam_ident.subspace import SubspaceModel, subspace_model
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
@@ -76,11 +78,13 @@ __all__ = [
     "Pulse",
     "Recipe",
     "RecordError",
+    "Repeatability",
     "SampledController",
     "SampledExcitation",
     "Scores",
     "Sine",
     "Step",
+    "StepComparison",
     "SteppedSine",
     "StructureEntry",
     "SubspaceModel",
@@ -89,7 +93,9 @@ __all__ = [
     "TransferFunctionResult",
     "ValidationResult",
     "Whiteness",
+    "assess_repeatability",
     "compare_models",
+    "compare_step_responses",
     "estimate_in_closed_loop",
     "estimate_transfer_function",
     "excitation_report",

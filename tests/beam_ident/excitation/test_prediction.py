@@ -156,6 +156,11 @@ def test_the_report_warns_of_modes_it_does_not_resolve_or_reach():
     assert len(beyond.warnings) == 1
     assert "outside the excited band" in beyond.warnings[0]
     assert "warning: mode at 80 Hz" in str(beyond)
-    held = excitation_report(Prbs(drive="force", amplitude=1.0).sample_input(), model("receptance"))
+    held = excitation_report(
+        Prbs(drive="force", amplitude=1.0, still_s=0.0).sample_input(), model("receptance")
+    )
     assert held.levels[0].crest_factor == pytest.approx(1.0)
     assert held.levels[0].unit == "N"
+    # The mean of a binary sequence is one level over its length: the density at 0 Hz counts once.
+    energy = 2047 * 0.005  # levels of 1 N over one period
+    assert np.sum(held.energy_density) * held.frequencies_hz[1] == pytest.approx(energy, rel=1e-9)
