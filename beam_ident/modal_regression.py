@@ -110,7 +110,7 @@ class _PreparedRecord:
         if kind == "base_motion" and drive.hold == "zoh":
             raise EstimationError(
                 f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
-                "give hold='linear' or 'cubic'"
+                "give hold='linear', 'cubic' or 'band_limited'"
             )
         self.structure = structure
         self.span = drive.span_s

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import TAIL_POWERS, ComplexArray, Folding, FrequencyRecord
-from beam_ident.piecewise import FloatArray, Hold, Instants, PiecewisePolynomial, regular_period
+from beam_ident.piecewise import HOLDS, FloatArray, Hold, Instants, PiecewisePolynomial, regular_period
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
 _MOST_MISSING = 0.02
 _LINE_TOLERANCE = 1e-6  # of a period: how whole a number of samples must be
 _EXCITED = 1e-3  # of the strongest line: what counts as excited where nobody says
-_IMAGE_FLOOR = 1e-7  # images weaker than this, and falling as 1/omega^2, go into the tail
+_IMAGE_FLOOR = 1e-6  # of the line: images that matter less go into the tail
 _MOST_IMAGES = 32
 _IMAGES_ABOVE = 8  # multiples of the input's rate up to which images are looked at
 _AUDIBLE = 15.0  # times the noise's power: below this a line of the input holds nothing but noise
@@ -75,19 +75,24 @@ class PeriodicResponse:
         return np.asarray(self.bins / self.line_period_s)
 
 
+# The B-spline of degree 9 at 0 and twice at 1 .. 4 samples from its middle: Eulerian numbers over 9!.
+_BASIS_OF_DEGREE_9 = np.array([156190.0, 176468.0, 29216.0, 1004.0, 2.0]) / 362880.0
+
+
 def hold_gain(hold: Hold, omegas: FloatArray, period_s: float) -> ComplexArray:
     """Return the Fourier coefficient of a held signal over that of its samples.
 
     Parameters
     ----------
-    hold : {"zoh", "linear", "cubic"}
+    hold : {"zoh", "linear", "cubic", "band_limited"}
     omegas : ndarray -- any frequencies, images included [rad/s]
     period_s : float -- of the samples [s]
 
     Notes
     -----
     With ``x = omega T / 2``: zero-order hold ``sinc(x) e^(-jx)``, straight lines ``sinc(x)^2``, the cubic
-    spline ``3 sinc(x)^4 / (2 + cos 2x)`` (Unser 1999, eq. 9, for the cardinal spline).
+    spline ``3 sinc(x)^4 / (2 + cos 2x)`` (Unser 1999, eq. 9, for the cardinal spline), and likewise the
+    spline of degree 9 ``sinc(x)^10`` over the transform of its basis at the samples.
     """
     half = 0.5 * np.asarray(omegas, dtype=np.float64) * period_s
     sinc = np.sinc(half / np.pi)
@@ -97,7 +102,10 @@ def hold_gain(hold: Hold, omegas: FloatArray, period_s: float) -> ComplexArray:
         return np.asarray(sinc**2 + 0j)
     if hold == "cubic":
         return np.asarray(3.0 * sinc**4 / (2.0 + np.cos(2.0 * half)) + 0j)
-    raise EstimationError(f"the hold {hold!r} has no Fourier gain here; expected zoh, linear or cubic")
+    if hold == "band_limited":
+        cosines = np.cos(np.multiply.outer(half, 2.0 * np.arange(5)))
+        return np.asarray(sinc**10 / (cosines @ _BASIS_OF_DEGREE_9) + 0j)
+    raise EstimationError(f"the hold {hold!r} has no Fourier gain here; expected {', '.join(HOLDS)}")
 
 
 def exposure_gain(omegas: FloatArray, exposure_s: float) -> FloatArray:

@@ -9,14 +9,16 @@ averages and (in :mod:`beam_ident.pole_response`) the response of a pole to it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import factorial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
-Hold = Literal["zoh", "linear", "cubic"]
-HOLDS: tuple[Hold, ...] = ("zoh", "linear", "cubic")
+Hold = Literal["zoh", "linear", "cubic", "band_limited"]
+HOLDS: tuple[Hold, ...] = ("zoh", "linear", "cubic", "band_limited")
+BAND_LIMITED_DEGREE = 9
 
 FloatArray = NDArray[np.float64]
 
@@ -59,13 +61,24 @@ class PiecewisePolynomial:
         ----------
         times_s : ndarray, shape (n,) -- strictly increasing sample times [s]
         values : ndarray, shape (n,)
-        hold : {"zoh", "linear", "cubic"}
-            With "zoh" the last sample holds for one more (last) interval.
+        hold : {"zoh", "linear", "cubic", "band_limited"}
+            With "zoh" the last sample holds for one more (last) interval.  "band_limited" is
+            a spline of degree 9.
         margin_s : float
             The signal is continued by at least this much on both sides [s].
         lead : {"constant", "zero"}
             What stands before the first sample: its value, or zero.  After the
             last sample its value is held.
+
+        Notes
+        -----
+        Between the samples of a signal without content above half its rate stands its sinc
+        interpolation, the limit of interpolating splines as their degree grows (Schoenberg
+        1974; Aldroubi, Unser and Eden 1992).  At the fraction ``x = f T`` of the rate a spline
+        of odd degree d misses it by less than ``3 (x / (1 - x))^(d + 1)`` of the amplitude and its
+        second derivative by ``3 (x / (1 - x))^(d - 1)``: with d = 9 that is 1e-9 and 7e-8 at a
+        tenth, 5e-5 and 5e-4 at a quarter of the rate, against 0.04 and 0.3 of a cubic spline.
+        The first and last ten samples, where it has neighbours on one side only, are less exact.
         """
         period = regular_period(times_s)
         if hold == "zoh":
@@ -75,9 +88,12 @@ class PiecewisePolynomial:
             slopes = np.diff(values) / np.diff(times_s)
             coefficients = np.stack([values[:-1], slopes], axis=1)
             knots = times_s
-        else:
+        elif hold == "cubic" or len(values) <= BAND_LIMITED_DEGREE:
             spline = CubicSpline(times_s, values, bc_type="not-a-knot" if len(values) > 3 else "natural")
             coefficients = np.ascontiguousarray(spline.c[::-1].T)
+            knots = times_s
+        else:
+            coefficients = _high_spline(times_s, values, period)
             knots = times_s
         step = period if period is not None else float(np.median(np.diff(knots)))
         n_extra = int(np.ceil(margin_s / step)) if margin_s > 0.0 else 0
@@ -199,6 +215,18 @@ class Instants:
         values = signal.evaluate(self.index, self.offset)
         n = len(self.times)
         return np.asarray((values[n:] - values[:n]) / self.exposure_s)
+
+
+def _high_spline(times_s: FloatArray, values: FloatArray, period: float | None) -> FloatArray:
+    """Return the interpolating spline of high degree, ascending powers on every interval."""
+    step = period if period is not None else float(np.median(np.diff(times_s)))
+    places = (times_s - times_s[0]) / step  # unit intervals keep high powers in range
+    spline = make_interp_spline(places, values, BAND_LIMITED_DEGREE)
+    columns = [
+        spline(places[:-1], power) / (factorial(power) * step**power)
+        for power in range(BAND_LIMITED_DEGREE + 1)
+    ]
+    return np.column_stack(columns)
 
 
 def regular_period(times_s: FloatArray) -> float | None:

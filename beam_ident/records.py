@@ -69,8 +69,10 @@ class InputSignal:
     unit : str
     times_s : ndarray, shape (n,) or tuple (start, period) -- sample times [s]
     values : ndarray, shape (n,)
-    hold : {"zoh", "linear", "cubic"}
-        Constant until the next sample, straight lines, or a cubic spline.
+    hold : {"zoh", "linear", "cubic", "band_limited"}
+        Constant until the next sample, straight lines, a cubic spline, or the signal without
+        content above half the sampling rate that the samples determine (a spline of degree 9
+        stands for it, see :meth:`PiecewisePolynomial.from_samples`).
     sigma : float
         Standard deviation of the noise on each value; 0 for a known input.
 
