@@ -7,8 +7,9 @@ Three real processes on a domain of their own that does not leave the machine: t
 on the other a camera, which publishes rendered frames as ready-made CDR, and this process, which counts what comes
 back. A rate of 0 sends as fast as the camera's process can. The latency runs from the frame's stamp, which the camera
 takes as it hands the frame to DDS, to the moment at which the tracker hands its displacement to DDS. Processor times
-are those that the kernel counts for a process with all its threads, so that the process that is busy for all of the
-time is the limit.
+are those that the kernel counts for a process with all its threads: the process that is busy for all of the time is
+the limit, and frames over the tracker's processor time is what one core to itself would take. On a machine with other
+work only the latter means something.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ class Throughput:
     latency_ms : (float, float, float) -- median, 99th percentile and largest
     tracker_load, camera_load : float -- processor time per time, 1 is a core
     tracker_ms : float -- processor time of the tracker per frame that it answered [ms]
+    core_hz : float -- frames a second that this makes on a core of its own
     """
 
     size: str
@@ -80,6 +82,7 @@ class Throughput:
     tracker_load: float
     camera_load: float
     tracker_ms: float
+    core_hz: float
 
 
 def rig_of(size: str) -> Rig:
@@ -258,6 +261,7 @@ def measure(
         spent,
         report["load"],
         1e3 * spent / rate_answered,
+        rate_answered / spent,
     )
 
 
@@ -278,7 +282,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     results = []
     print(
-        "size transport   asked     sent  answered  lost  latency ms: median    p99    max  tracker  camera  ms/frame"
+        "size transport   asked     sent  answered  lost  latency ms: median    p99    max  tracker  camera"
+        "  ms/frame  a core"
     )
     domain = PrivateDomain()
     for transport in options.transports:
@@ -296,7 +301,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     print(
                         f"{r.size:4} {r.transport:9} {r.asked_hz:7.0f}  {r.sent_hz:7.1f}  {r.answered_hz:8.1f}"
                         f"  {r.lost:4d}              {r.latency_ms[0]:6.2f} {r.latency_ms[1]:6.2f}"
-                        f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}  {r.tracker_ms:8.2f}",
+                        f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}  {r.tracker_ms:8.2f}"
+                        f"  {r.core_hz:6.0f}",
                         flush=True,
                     )
             answers.close()

@@ -15,7 +15,8 @@ from beam_ros.beam_line import BeamLineFitter, line_marker
 from beam_ros.nodes.frame_averaging import FrameAveraging
 from beam_ros.nodes.frame_sources import frame_source
 from beam_ros.nodes.shell import RigNode, run_node
-from beam_ros.vision.calibration import CalibrationProcedure, LinearCalibration
+from beam_ros.vision.calibration import LinearCalibration
+from beam_ros.vision.calibration_procedure import CalibrationProcedure
 from beam_ros.vision.diagnosis import Diagnosis
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.images import GreyImage
@@ -37,13 +38,13 @@ class VisionTracker(RigNode):
         self._names = rig.marker_names
         self._heights = np.asarray(rig.numbers("markers.heights"))
         self._rows = camera.rows(self._heights)
-        name = rig.text("camera.name")
+        name, focus = rig.text("camera.name"), rig.text("camera.focus")
         self._chain = MeasuringChain(
-            camera, rig.tracker_parameters(), self._heights.tolist(), self._first_calibration(), name
+            camera, rig.tracker_parameters(), self._heights.tolist(), self._first_calibration(), name, focus
         )
         if self._chain.calibration_fault:
             self.get_logger().error(self._chain.calibration_fault)
-        self._procedure = CalibrationProcedure(len(self._names), (camera.width, camera.height), name)
+        self._procedure = CalibrationProcedure(len(self._names), (camera.width, camera.height), name, focus)
         self._diagnosis = Diagnosis(self._names, self._chain)
         self._reported = time.monotonic()
         self._drawn = -math.inf
@@ -152,7 +153,10 @@ class VisionTracker(RigNode):
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._chain.reset()
         self._source.reset()
-        response.success, response.message = True, "markers are acquired anew"
+        points = len(self._procedure.points)
+        self._procedure.clear()
+        forgotten = f"; {points} calibration points are forgotten" if points else ""
+        response.success, response.message = True, f"markers are acquired anew{forgotten}"
         return response
 
     async def _on_tare(self, _request: Any, response: Any) -> Any:
