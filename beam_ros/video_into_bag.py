@@ -111,7 +111,9 @@ def track_video(
             ) from err
     names, heights = rig.marker_names, rig.numbers("markers.heights")
     chosen = calibration or LinearCalibration.from_camera(camera, len(names))
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, rig.text("camera.name"))
+    chain = MeasuringChain(
+        camera, rig.tracker_parameters(), heights, chosen, rig.text("camera.name"), rig.text("camera.focus")
+    )
     if "lens" in chosen.provenance:
         chain.lens = Lens.from_dict(chosen.provenance["lens"])
     if chain.calibration_fault:

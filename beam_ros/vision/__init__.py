@@ -7,12 +7,11 @@ from its own module, so that parameters, timing and calibration are there withou
 from __future__ import annotations
 
 from beam_ros.vision.beam_shape import BeamShape, BeamShapeFitter
-from beam_ros.vision.calibration import (
+from beam_ros.vision.calibration import Displacement, LinearCalibration
+from beam_ros.vision.calibration_procedure import (
     CalibrationFit,
     CalibrationPoint,
     CalibrationProcedure,
-    Displacement,
-    LinearCalibration,
     LineFit,
     fit_line,
 )

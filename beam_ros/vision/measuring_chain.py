@@ -68,7 +68,7 @@ class MeasuringChain:
     tracker : TrackerParameters
     marker_heights : sequence of float -- heights above the clamp, rising [m]
     calibration : LinearCalibration
-    camera_name : str -- camera and lens setting in use; "" when nobody says
+    camera_name, focus : str -- camera and setting of its lens in use; "" when nobody says
 
     Attributes
     ----------
@@ -84,6 +84,7 @@ class MeasuringChain:
         marker_heights: Sequence[float],
         calibration: LinearCalibration,
         camera_name: str = "",
+        focus: str = "",
     ) -> None:
         timing = FrameTiming(camera)
         self.tracker = MarkerTracker(tracker, len(marker_heights), timing)
@@ -93,6 +94,7 @@ class MeasuringChain:
         self._grey_type: np.dtype[Any] | None = None
         self._camera = camera
         self._camera_name = camera_name
+        self._focus = focus
         self._timing = timing
         self._rows = camera.rows(marker_heights)
         self._lens: Lens | None = None
@@ -133,7 +135,9 @@ class MeasuringChain:
     def _examine_calibration(self) -> None:
         self._calibration_fault = self._lens_fault = ""
         try:
-            self._calibration.require_camera(self._camera.width, self._camera.height, self._camera_name)
+            self._calibration.require_camera(
+                self._camera.width, self._camera.height, self._camera_name, self._focus
+            )
             if self._calibration.n_markers != self.tracker.n_markers:
                 raise CalibrationError(
                     f"calibration holds for {self._calibration.n_markers} markers; expected "

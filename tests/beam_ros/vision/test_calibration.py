@@ -132,7 +132,7 @@ def test_a_calibration_survives_its_dictionary_exactly():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": 2}, "schema 2; expected 1"),
+        ({"schema": 1}, "schema 1; expected 2"),
         ({"kind": "other"}, "no linear calibration"),
         ({"extra": 1}, "unknown keys"),
         ({"pixels_per_metre": [0.0, 1.0, 1.0]}, "scale of marker 0"),
@@ -147,12 +147,15 @@ def test_a_spoiled_dictionary_is_refused(change, message):
 
 
 def test_another_camera_is_refused():
-    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left f8")
-    calibration.require_camera(640, 480, "left f8")
+    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left", focus="f8")
+    calibration.require_camera(640, 480, "left", "f8")
+    calibration.require_camera(640, 480)
     with pytest.raises(CalibrationError, match="images are 1920 x 1080; expected 640 x 480"):
         calibration.require_camera(1920, 1080)
-    with pytest.raises(CalibrationError, match="'right'; expected 'left f8'"):
+    with pytest.raises(CalibrationError, match="camera is 'right'; expected 'left'"):
         calibration.require_camera(640, 480, "right")
+    with pytest.raises(CalibrationError, match="focus is 'f4'; expected 'f8'"):
+        calibration.require_camera(640, 480, "left", "f4")
 
 
 def test_bad_captures_and_too_few_points_are_refused():
