@@ -2,9 +2,10 @@
 
     y = sum_k B_k(s)/A_k(s) e^(-s T_k) u_k + nuisances + noise
 
-Every input is estimated on what the others leave of the output, in turn, until the
-denominators are in the basin of the joint optimum, to which Levenberg-Marquardt with the exact joint
-gradients then goes (block coordinate descent as in González et al., arXiv 2401.01263).
+Every input is estimated on what the others leave of the output, in turn (block coordinate
+descent as in González et al., arXiv 2401.01263), and Levenberg-Marquardt with the exact joint
+gradients goes from there to the joint optimum.  Where its residuals still look like
+anything but noise, the inputs have another round.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import numpy as np
 
 from beam_ident.errors import EstimationError
 from beam_ident.levenberg_marquardt import minimise
-from beam_ident.output_error import OutputErrorProblem
+from beam_ident.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.piecewise import FloatArray
-from beam_ident.refined_instruments import Method, Optimum, estimate_denominator
+from beam_ident.refined_instruments import WHITE, Method, Optimum, estimate_denominator
+from beam_ident.validation import Whiteness
 
-_ROUNDS = 4
-_SETTLED = 1.0  # of log-likelihood between two rounds
+_ROUNDS = 3
 _ITERATIONS = 60
 
 
@@ -44,34 +45,49 @@ def estimate_additive(
         raise EstimationError(
             f"method is {method!r} for denominators of their own; expected 'auto' or 'output_error'"
         )
-    parts: list[FloatArray] = [np.zeros_like(problem.values) for _ in problem.paths]
-    thetas: list[FloatArray] = [np.empty(0)] * len(problem.paths)
-    cost, iterations = math.inf, 0
+    parts = [np.zeros_like(problem.values) for _ in problem.paths]
+    orders = [problem.orders[path.block] for path in problem.paths]
+    best: tuple[OutputErrorProblem, Optimum] | None = None
+    iterations = 0
     for _ in range(_ROUNDS):
+        start_s, found = float(problem.times[0]), []
         for k, path in enumerate(problem.paths):
             others = np.sum([part for j, part in enumerate(parts) if j != k], axis=0)
             alone = problem.of_values(problem.values - others, (path,))
-            solved, optimum = estimate_denominator(alone, method, cutoff)
-            state = optimum.state
-            if len(solved.times) < len(alone.times):  # a delay cost samples: explain all of them
-                alone.scale = state.scale
-                state = alone.state(state.theta)
+            solved, optimum = estimate_denominator(alone, method, cutoff, n_finalists=1)
+            start_s = max(start_s, float(solved.times[0]))
             iterations += optimum.iterations
-            parts[k] = state.matrix[:, : path.n_zeros + 1] @ state.coefficients[: path.n_zeros + 1]
-            thetas[k] = alone.converted(state, problem.scale)
-        left = problem.values - np.sum(parts, axis=0)
-        fallen, cost = cost, 0.5 * len(left) * math.log(max(float(left @ left), problem.floor))
-        if fallen - cost < _SETTLED:
-            break
-    n_alone = [problem.orders[path.block] for path in problem.paths]
-    theta = np.concatenate(
-        [t[:n] for t, n in zip(thetas, n_alone, strict=True)]
-        + [t[n:] for t, n in zip(thetas, n_alone, strict=True)]
-    )
-    start = problem.state(theta)
-    if not math.isfinite(start.cost):
-        raise EstimationError(
-            "the inputs' parts do not join to a stable start; give other degrees, or more data"
+            parts[k] = _share(alone, optimum.state, 0)
+            found.append(alone.converted(optimum.state, problem.scale))
+        joint = problem.from_stamp(start_s)
+        joint.scale = problem.scale
+        start = joint.state(
+            np.concatenate(
+                [theta[:n] for theta, n in zip(found, orders, strict=True)]
+                + [theta[n:] for theta, n in zip(found, orders, strict=True)]
+            )
         )
-    minimum = minimise(problem, start, _ITERATIONS)
-    return problem, Optimum(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
+        if not math.isfinite(start.cost):
+            continue
+        minimum = minimise(joint, start, _ITERATIONS)
+        iterations += minimum.iterations
+        if best is None or minimum.state.cost < best[1].state.cost:
+            best = joint, Optimum(minimum.state, minimum.converged, minimum.reason, iterations)
+        if minimum.converged and Whiteness.of(minimum.state.residuals).p_value > WHITE:
+            break
+        parts = [_share(problem, minimum.state, k) for k in range(len(problem.paths))]
+    if best is None:
+        raise EstimationError(
+            "the inputs' parts do not join to a stable start; give other degrees, or a longer record"
+        )
+    return best
+
+
+def _share(problem: OutputErrorProblem, state: OutputErrorState, path: int) -> FloatArray:
+    """Return what one input causes at all stamps of a problem."""
+    problem.scale = state.scale
+    place = sum(p.n_zeros + 1 for p in problem.paths[:path])
+    columns = slice(place, place + problem.paths[path].n_zeros + 1)
+    return np.asarray(
+        problem.point(state.theta, slopes=False).matrix[:, columns] @ state.coefficients[columns]
+    )

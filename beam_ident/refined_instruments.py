@@ -75,7 +75,7 @@ def portfolio(problem: OutputErrorProblem) -> list[float]:
 
 
 def estimate_denominator(
-    problem: OutputErrorProblem, method: Method, cutoff: float | None = None
+    problem: OutputErrorProblem, method: Method, cutoff: float | None = None, n_finalists: int = _FINALISTS
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate a problem of one denominator without a start.
 
@@ -84,6 +84,8 @@ def estimate_denominator(
     problem : OutputErrorProblem
     method : str -- which estimator to stop at; "auto", "rivc" and "output_error" go to the optimum
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
+    n_finalists : int
+        How many starts behind filters are refined while the residuals do not look like noise.
 
     Returns
     -------
@@ -103,16 +105,22 @@ def estimate_denominator(
         if problem.nuisances.has_free_response:
             known = problem.times[0] + max(float(np.max(d)) for d in delays) + 1.5 * problem.period
             problem = problem.from_stamp(known)
-    return problem, _Chain(problem, method, cutoffs, delays).run()
+    return problem, _Chain(problem, method, cutoffs, delays, n_finalists).run()
 
 
 class _Chain:
     """The chain of estimators, from filters to the optimum."""
 
     def __init__(
-        self, problem: OutputErrorProblem, method: Method, cutoffs: list[float], delays: list[FloatArray]
+        self,
+        problem: OutputErrorProblem,
+        method: Method,
+        cutoffs: list[float],
+        delays: list[FloatArray],
+        n_finalists: int,
     ) -> None:
         self.problem, self.method, self.cutoffs, self.delays = problem, method, cutoffs, delays
+        self.n_finalists = n_finalists
 
     def run(self) -> Optimum:
         if self.method in ("lssvf", "ivsvf"):
@@ -140,9 +148,9 @@ class _Chain:
         subspace = sorted(self._subspace_starts(), key=lambda state: state.cost)[:1]
         if not self.problem.free_delays:
             yield from subspace
-            yield from self._filtered_starts()[:_FINALISTS]
+            yield from self._filtered_starts()[: self.n_finalists]
             return
-        filtered = self._filtered_starts()[:_FINALISTS]
+        filtered = self._filtered_starts()[: self.n_finalists]
         yield from filtered[:1] + subspace + filtered[1:]
 
     def _filtered_starts(self) -> list[OutputErrorState]:

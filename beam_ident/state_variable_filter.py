@@ -16,9 +16,9 @@ from beam_ident.rational_response import ComplexArray, RationalResponse
 
 
 def filter_coefficients(order: int) -> FloatArray:
-    """Return a_1 .. a_n of a filter with its poles within half an octave of one, which keeps them apart."""
-    spread = 2.0 ** np.linspace(-0.5, 0.5, order) if order > 1 else np.ones(1)
-    return np.asarray(np.real(np.poly(-spread))[1:])
+    """Return a_1 .. a_n of a Butterworth filter of cut-off one: well damped, and its poles keep apart."""
+    angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
+    return np.asarray(np.real(np.poly(np.exp(1j * angles)))[1:])
 
 
 def filtered_output(
