@@ -33,9 +33,9 @@ from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 
 MAX_MODES = 10
 
-_SCAN_FREQUENCIES = 400
+_EVENLY, _STANDING_OUT = 40, 30
 _EXCITED_IMAGE = 1e-2
-_SCAN_DAMPING = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+_SCAN_DAMPING = (0.002, 0.01, 0.05, 0.25)
 _SCAN_IMAGE = 0.05
 _EDGE = 1.1  # how far outside the measured band a pole may stand
 
@@ -94,8 +94,8 @@ class LineBasis:
                     f"{structure.kind} differentiates it. Give the input hold='cubic', or has_residual=False"
                 )
         self.front: ComplexArray = np.asarray(structure.sign * self.s**structure.differentiations)
-        # A mode falls as 1/omega^2 beyond its resonance: far images do not move a maximum of the scan.
-        reach = np.minimum(1.0, np.abs(self.s[:, :1] / self.s)) ** 2
+        # A mode falls as 1/omega^2 beyond the band: far images do not move a maximum of the scan.
+        reach = np.minimum(1.0, record.omegas[-1] / np.abs(self.s)) ** 2
         self._scanned = np.flatnonzero(np.max(np.abs(self.weights) * reach, axis=0) > _SCAN_IMAGE)
 
     def _folded(
@@ -236,9 +236,8 @@ def fit_frequency_modes(
         raise EstimationError(
             f"{lines} lines for {n_modes} modes; a fit needs at least {2 * n_modes + 2}. Ask for fewer modes"
         )
-    grid = candidates(data)
-    band = (float(np.min(grid[0])) / _EDGE, float(np.max(grid[0])) * _EDGE)
-    chosen, orders = search_modes(problem, lambda fit: grid, band, n_modes, limit)
+    proposals = _Proposals(data)
+    chosen, orders = search_modes(problem, proposals, proposals.band, n_modes, limit)
     if not len(chosen.omegas):
         raise EstimationError(
             f"no mode stands out of the noise between {data[0].frequencies_hz[0]:.4g} and "
@@ -279,17 +278,33 @@ def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, laten
     return PoleProblem(tuple(LineBasis(r, structure) for r in data), blocks, all(known), latency)
 
 
-def candidates(data: Sequence[FrequencyRecord]) -> tuple[FloatArray, FloatArray]:
-    """Return where a scan looks for modes: frequencies [rad/s] and damping ratios."""
-    parts = [record.omegas for record in data]
-    for folding in (record.folding for record in data if record.folding is not None):
-        # Lines that share a bin with a stronger one were excited too.
-        parts.append(np.abs(folding.omegas[np.abs(folding.weights) > _EXCITED_IMAGE]))
-    omegas = np.unique(np.concatenate(parts))
-    if len(omegas) > _SCAN_FREQUENCIES:
-        omegas = omegas[np.linspace(0, len(omegas) - 1, _SCAN_FREQUENCIES).astype(np.intp)]
-    grid, damping = np.meshgrid(omegas, np.array(_SCAN_DAMPING), indexing="ij")
-    return grid.ravel(), damping.ravel()
+class _Proposals:
+    """Where a scan looks for a further mode: evenly over the band, and where the residuals stand out."""
+
+    def __init__(self, data: tuple[FrequencyRecord, ...]) -> None:
+        self.data = data
+        parts = [record.omegas for record in data]
+        for folding in (record.folding for record in data if record.folding is not None):
+            # Lines that share a bin with a stronger one were excited too.
+            parts.append(np.abs(folding.omegas[np.abs(folding.weights) > _EXCITED_IMAGE]))
+        omegas = np.unique(np.concatenate(parts))
+        self.band = (float(omegas[0]) / _EDGE, float(omegas[-1]) * _EDGE)
+        self.even = omegas[np.linspace(0, len(omegas) - 1, min(_EVENLY, len(omegas))).astype(np.intp)]
+
+    def __call__(self, fit: PoleFit) -> tuple[FloatArray, FloatArray]:
+        first, parts = 0, [self.even]
+        for record in self.data:
+            n = record.n_lines
+            power = sum(e[first : first + n] ** 2 + e[first + n : first + 2 * n] ** 2 for e in fit.residuals)
+            first += 2 * n
+            lines = np.argsort(-np.asarray(power))[:_STANDING_OUT]
+            parts.append(record.omegas[lines])
+            if record.folding is not None:
+                images = np.abs(record.folding.weights[lines]) > _EXCITED_IMAGE
+                parts.append(np.abs(record.folding.omegas[lines][images]))
+        omegas = np.unique(np.concatenate(parts))
+        grid, damping = np.meshgrid(omegas, np.array(_SCAN_DAMPING), indexing="ij")
+        return grid.ravel(), damping.ravel()
 
 
 def _real_covariance(problem: PoleProblem, data: tuple[FrequencyRecord, ...], fit: PoleFit) -> FloatArray:

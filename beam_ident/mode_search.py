@@ -23,7 +23,7 @@ Proposals = Callable[[PoleFit], tuple[FloatArray, FloatArray]]
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
-_FINAL_ITERATIONS, _TRIAL_ITERATIONS = 60, 20
+_FINAL_ITERATIONS, _TRIAL_ITERATIONS = 60, 40
 
 
 @dataclass(frozen=True)
