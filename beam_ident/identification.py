@@ -18,10 +18,11 @@ from scipy.stats import chi2
 
 from beam_ident.bandwidth import Band, excited_band
 from beam_ident.blas_threads import on_one_thread
+from beam_ident.clock_search import clock_places
 from beam_ident.errors import EstimationError
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.levenberg_marquardt import HOPELESS
-from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes, profiled_cost
+from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
@@ -41,10 +42,11 @@ _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on a reader is told
-_MAX_LATENCY_S = 0.2
 _ITERATIONS = 40
 _TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
-_CLOCK_STARTS = 2
+_CLOCK_STARTS = 3
+_CLOCK_ROUNDS = 3
+_WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _SHORT = 8  # iterations of a trial fit
 _TRIES_PER_ORDER = 2
 
@@ -280,50 +282,25 @@ class _Search:
     def _untangled(self, fit: ModalFit) -> ModalFit:
         """Return the fit after a look for cycles that the clock may have slipped.
 
-        Latency and clock rate can lock on to a wrong cycle of the fastest mode.  Their
-        neighbourhood of one cycle is searched on thinned data, and the fit repeated from
-        wherever the likelihood is higher.
+        What promises a higher likelihood on thinned data is fitted there, and then on all of it.
         """
-        if not self.latency.is_free or not len(fit.omegas):
-            return fit
-        quarter = 0.5 * np.pi / float(fit.omegas[-1])
-        half = 0.5 * self.regression.duration_s
-        is_wide = min(self.clock_rate.sd, 1.0) * half > quarter
-        steps = np.arange(-4, 5, 2) if is_wide else np.arange(-5, 6)
-        rates = steps * quarter / half if is_wide else np.zeros(1)
-        places = [
-            ClockState(fit.clock.latency + s * quarter, fit.clock.rate + r) for s in steps for r in rates
-        ]
-        places = [place for place in places if abs(place.latency) < _MAX_LATENCY_S]
-        if is_wide and len(fit.omegas) > 1:  # poles and clock move together: try each place with a short fit
-            thinned = self.scan.regression
-            starts = [
-                fit_modes(thinned, fit.omegas, fit.zetas, place, self.latency, self.clock_rate, _SHORT)
-                for place in places
-            ]
-            here = fit_modes(
-                thinned, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate, _SHORT
-            ).cost
-            ranked = [(start.cost, start.omegas, start.zetas, start.clock) for start in starts]
-        else:
-            here = profiled_cost(self.scan.regression, fit.omegas, fit.zetas, fit.clock)
-            ranked = [
-                (
-                    profiled_cost(self.scan.regression, fit.omegas, fit.zetas, place),
-                    fit.omegas,
-                    fit.zetas,
-                    place,
-                )
-                for place in places
-            ]
-        best = fit
-        for cost, omegas, zetas, clock in sorted(ranked, key=lambda item: item[0])[:_CLOCK_STARTS]:
-            if not cost < here - 1.0:
-                break
-            again = self._fit(omegas, zetas, clock, len(omegas))
-            if again.cost < best.cost:
-                best = again
-        return best
+        thinned = self.scan.regression
+        priors = self.latency, self.clock_rate
+        for _ in range(_CLOCK_ROUNDS):
+            places = clock_places(thinned, fit, *priors, _CLOCK_STARTS)
+            places = [place for place in places if place.gain > _WORTH_A_LOOK]
+            if not places:
+                return fit
+            here = fit_modes(thinned, fit.omegas, fit.zetas, fit.clock, *priors, _SHORT)
+            starts = [fit_modes(thinned, fit.omegas, fit.zetas, p.clock, *priors, _SHORT) for p in places]
+            start = min(starts, key=lambda start: start.cost)
+            if not start.cost < here.cost - _WORTH_A_LOOK:
+                return fit
+            again = self._fit(start.omegas, start.zetas, start.clock, len(start.omegas))
+            if not again.cost < fit.cost:
+                return fit
+            fit = again
+        return fit
 
     def run(self, n_modes: int | None, max_modes: int) -> None:
         limit = n_modes if n_modes is not None else max_modes

@@ -26,6 +26,9 @@ from beam_ident.piecewise import FloatArray
 
 MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
+MAX_LATENCY_S = 0.2
+
+_MAX_CLOCK_RATE = 0.1
 
 
 _NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
@@ -213,10 +216,10 @@ class _Problem:
         result[n : 2 * n] = np.clip(result[n : 2 * n], MIN_DAMPING, MAX_DAMPING)
         place = 2 * n
         if self.latency.is_free:
-            result[place] = np.clip(result[place], -0.2, 0.2)
+            result[place] = np.clip(result[place], -MAX_LATENCY_S, MAX_LATENCY_S)
             place += 1
         if self.rate.is_free:
-            result[place] = np.clip(result[place], -0.1, 0.1)
+            result[place] = np.clip(result[place], -_MAX_CLOCK_RATE, _MAX_CLOCK_RATE)
         return np.asarray(result)
 
 
@@ -255,19 +258,6 @@ def fit_modes(
         start.append(np.array([clock.rate]))
     first = problem.state(problem.clipped(np.concatenate(start)))
     return _finish(problem, minimise(problem, first, max_iterations, target))
-
-
-def profiled_cost(
-    regression: ModalRegression, omegas: FloatArray, zetas: FloatArray, clock: ClockState
-) -> float:
-    """Return the concentrated negative log-likelihood at given poles and clock."""
-    blocks = regression.blocks(omegas, zetas, clock, gradients=False)
-    bases = [LinearSolution.of(block.matrix).basis for block in blocks]
-    cost = 0.0
-    for values, block in zip(regression.values, regression.block_of, strict=True):
-        left = values - bases[block] @ (bases[block].T @ values)
-        cost += 0.5 * len(values) * math.log(max(float(left @ left), 1e-300))
-    return cost
 
 
 def _under_coloured_noise(
