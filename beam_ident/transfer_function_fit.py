@@ -263,13 +263,16 @@ def _one_each(name: str, value: Any, drives: list[InputSignal]) -> list[Any]:
 
 
 def _prior(delay: DelayLike) -> Prior:
-    if isinstance(delay, Prior):
-        return delay
     if isinstance(delay, str):
         if delay != "estimate":
             raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
         return Prior(0.0, math.inf)
-    return Prior(float(delay))
+    prior = delay if isinstance(delay, Prior) else Prior(float(delay))
+    if prior.mean < 0.0:
+        raise EstimationError(
+            f"the delay is {prior.mean} s; expected 0 or more: an output does not precede its input"
+        )
+    return prior
 
 
 def _result(

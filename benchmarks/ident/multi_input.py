@@ -18,7 +18,7 @@ class MultiInput(AgainstBound):
     """A held PRBS and a slower, linearly joined random input on a clock of its own; 20 dB."""
 
     period = 0.01
-    n = 4000
+    n = 2000
 
     def __init__(self, has_common_poles: bool) -> None:
         rng = np.random.default_rng(11)
