@@ -39,6 +39,8 @@ _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
 _LARGEST_STEP = 0.1  # of a natural frequency
 _FARTHEST = 6.0  # standard deviations by which weights alone may move a pole
 _FARTHEST_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
+_DRAWS = 8  # each has thousands of independent samples
+_MOST_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
 _LEAST_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
 
@@ -59,6 +61,7 @@ class _Linearisation:
     design: FloatArray
     residuals: FloatArray
     lengths: tuple[int, ...]
+    filters: tuple[DisturbanceFilter, ...] = ()
 
 
 class WeightedFit:
@@ -160,24 +163,29 @@ class WeightedFit:
             weighted = [w[:, 0] for w in white]
             cleaned = self._cleaned(disturbances, weighted)
             blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-        columns = []
-        first = self.n_theta
-        total = len(self.fit.covariance)
-        for output, block in enumerate(regression.block_of):
-            found = point.coefficients[output]
-            full = np.zeros((len(residuals[output]), total + 1), order="F")
-            full[:, : self.n_theta] = self._slopes(blocks[block], found)
-            full[:, first : first + len(found)] = blocks[block].matrix
-            full[:, -1] = residuals[output]
-            first += len(found)
-            columns.append(full)
-        if filters:
-            for own in filters:
-                own.whiten(columns)
-        else:
+        columns = self._columns(blocks, point.coefficients)
+        for own, values in zip(columns, residuals, strict=True):
+            own[:, -1] = values
+        for own_filter in filters:
+            own_filter.whiten(columns)
+        if not filters:
             columns = [self._filtered(j, c) / np.sqrt(self.variances[j]) for j, c in enumerate(columns)]
         stacked = np.concatenate(columns)
-        return _Linearisation(stacked[:, :-1], stacked[:, -1], tuple(len(c) for c in columns))
+        lengths = tuple(len(c) for c in columns)
+        return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters))
+
+    def _columns(self, blocks: Sequence[ColumnBlock], coefficients: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return the derivatives of every output by all parameters, and room for one column more."""
+        columns = []
+        first, total = self.n_theta, len(self.fit.covariance)
+        for block, found in zip(self.regression.block_of, coefficients, strict=True):
+            matrix = blocks[block].matrix
+            full = np.zeros((len(matrix), total + 1), order="F")
+            full[:, : self.n_theta] = self._slopes(blocks[block], found)
+            full[:, first : first + len(found)] = matrix
+            first += len(found)
+            columns.append(full)
+        return columns
 
     def _slopes(self, block: ColumnBlock, found: FloatArray) -> FloatArray:
         """Return the derivative of one output's model by the nonlinear parameters."""
@@ -282,14 +290,58 @@ class WeightedFit:
     ) -> ModalRegression:
         """Return the regression on the most likely true inputs."""
         assert self.smoothing is not None
+        values = []
+        for disturbance, observations in disturbances:
+            added = disturbance.most_likely(observations, weighted)
+            values.append(self.smoothing.of(disturbance.drive).values + added)
+        return self._on_inputs(values, is_smooth=True)
+
+    def _on_inputs(self, values: Sequence[FloatArray], is_smooth: bool = False) -> ModalRegression:
+        """Return the regression on other samples of every input."""
         records = []
-        for record, (disturbance, observations) in zip(self.records, disturbances, strict=True):
-            drive = disturbance.drive
-            smooth = self.smoothing.of(drive)
-            values = smooth.values + disturbance.most_likely(observations, weighted)
-            clean = InputSignal(drive.name, drive.unit, drive.times_s, values, drive.hold, drive.sigma)
-            records.append(TimeRecord((clean,), record.outputs, record.start_ns, record.name))
-        return ModalRegression(records, self.regression.structure, disturbances[0][0].drive.name)
+        for record, drive, own in zip(self.records, self.regression.drives, values, strict=True):
+            changed = InputSignal(drive.name, drive.unit, drive.times_s, own, drive.hold, drive.sigma)
+            records.append(TimeRecord((changed,), record.outputs, record.start_ns, record.name))
+        smoothing = None if is_smooth else self.smoothing
+        return ModalRegression(records, self.regression.structure, None, smoothing)
+
+    def _without_feigned_information(
+        self, point: _Point, linear: _Linearisation, covariance: FloatArray
+    ) -> FloatArray:
+        """Return the covariance without the information that noise in the derivatives only feigns.
+
+        Notes
+        -----
+        Of the information H at a noisy input, G is that of the noise itself and ``H - G`` that
+        of the true input (Fuller, Measurement Error Models, 1987, sec. 2.2), with G from a few
+        seeded draws.
+        """
+        rng = np.random.default_rng(0)
+        shared = []
+        for found in point.coefficients:
+            without_nuisance = found.copy()
+            without_nuisance[self.n_shared :] = 0.0
+            shared.append(without_nuisance)
+        noise = np.zeros_like(covariance)
+        for _ in range(_DRAWS):
+            drawn = [drive.sigma * rng.standard_normal(len(drive.values)) for drive in self.regression.drives]
+            regression = self._on_inputs(drawn)
+            blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+            columns = self._columns(blocks, shared)
+            first = self.n_theta
+            for own, found in zip(columns, shared, strict=True):
+                own[:, first + self.n_shared : first + len(found)] = 0.0
+                first += len(found)
+            for own_filter in linear.filters:
+                own_filter.whiten(columns)
+            stacked = np.concatenate(columns)[:, :-1]
+            noise += stacked.T @ stacked / _DRAWS
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
+        spread = (root @ turned) / np.sqrt(1.0 - np.clip(shares, 0.0, _MOST_FEIGNED))
+        return np.asarray((spread @ spread.T) * np.outer(scale, scale))
 
     def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
         """Return the fit, with what correlation is left in the innovations in its covariance."""
@@ -303,6 +355,8 @@ class WeightedFit:
                 design = linear.design[own]
                 excess += score_covariance(design, autocorrelation(innovations)) - design.T @ design
         covariance = inverse + inverse @ excess @ inverse
+        if self.smoothing is not None:
+            covariance = self._without_feigned_information(point, linear, covariance)
         regression = self.regression
         blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=False)
         residuals = tuple(

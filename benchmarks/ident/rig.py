@@ -11,6 +11,8 @@ from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeReco
 from beam_model import BeamModel, BeamParameters, Damping
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 
+RATIOS = Damping(ratios=(0.005,))
+
 
 class Rig:
     """The default rig from its physics: 14 modes, hub held at 1 kHz, three points, 100 frames a second."""
@@ -19,8 +21,8 @@ class Rig:
     names = ("z010", "z225", "z285")
     exposure = 5e-3
 
-    def __init__(self) -> None:
-        parameters = BeamParameters.from_section(
+    def __init__(self, damping: Damping = RATIOS) -> None:
+        self.parameters = BeamParameters.from_section(
             0.30,
             0.025,
             0.0005,
@@ -28,9 +30,9 @@ class Rig:
             200e9,
             hub_mass=0.8,
             gravity="upright",
-            damping=Damping(ratios=(0.005,)),
+            damping=damping,
         )
-        model = BeamModel(parameters, n_modes=14)
+        model = BeamModel(self.parameters, n_modes=14)
         heights = np.array(self.heights)
         residues = np.asarray(model.motion_residues(heights))
         size = 2 * 14 + 2 + 3 * 16
@@ -39,7 +41,7 @@ class Rig:
             "hub",
             self.names,
             model.natural_frequencies[:14],
-            np.full(14, 0.005),
+            model.damping_ratios[:14],
             residues,
             np.asarray(model.residual_terms(heights)),
             np.ones(3),
@@ -54,7 +56,7 @@ class Rig:
             self.excitation.input_signal("acceleration"), self.stamps, self.exposure
         )
         self.truth = np.concatenate(
-            [self.full.natural_frequencies[:3], np.full(3, 0.005), residues[:, :3].ravel()]
+            [self.full.natural_frequencies[:3], model.damping_ratios[:3], residues[:, :3].ravel()]
         )
 
     def record(
