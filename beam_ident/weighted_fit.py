@@ -164,8 +164,8 @@ class WeightedFit:
             cleaned = self._cleaned(disturbances, weighted)
             blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
         columns = self._columns(blocks, point.coefficients)
-        for own, values in zip(columns, residuals, strict=True):
-            own[:, -1] = values
+        for rows, values in zip(columns, residuals, strict=True):
+            rows[:, -1] = values
         for own_filter in filters:
             own_filter.whiten(columns)
         if not filters:
