@@ -8,15 +8,17 @@ comparison of two models, a physical fit) can carry its uncertainty.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ident.errors import ModelFormatError
+from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.modal_fit import ModalFit
+from beam_ident.modal_realisation import modal_state_space, modal_step_response, transfer_polynomials
 from beam_ident.modal_regression import ClockState, ModalRegression, forced_columns
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.piecewise import FloatArray
@@ -266,6 +268,122 @@ class ModalModel:
             parts = np.stack([gradient.real, gradient.imag], axis=1)
             covariance[:, j] = np.einsum("fap,pq,fbq->fab", parts, self.covariance, parts, optimize=True)
         return ModalFrequencyResponse(omegas, self.output_names, response, covariance)
+
+    def _own(self) -> tuple[ModalStructure, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        return (
+            ModalStructure(self.structure),
+            self.natural_frequencies,
+            self.damping_ratios,
+            self.gains,
+            self.residues,
+            self.residual_terms,
+        )
+
+    def driven_by(self, structure: StructureKind) -> ModalModel:
+        """Return the same model from another quantity of the base's motion.
+
+        Raises
+        ------
+        EstimationError
+            A force on either side: its poles are other poles.
+        """
+        if not (ModalStructure(self.structure).is_motion and ModalStructure(structure).is_motion):
+            raise EstimationError(
+                f"a {self.structure!r} model cannot be driven by {structure!r}; only 'base_motion', 'velocity' and "
+                "'acceleration' describe the same system"
+            )
+        return replace(self, structure=structure)
+
+    def polynomials(self) -> tuple[list[FloatArray], FloatArray]:
+        """Return the numerator of every output and the common denominator, descending powers of s."""
+        return transfer_polynomials(*self._own())
+
+    def zpk(self, output: str) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
+        """Return zeros [rad/s], poles [rad/s] and the gain of the highest power, for one output."""
+        if output not in self.output_names:
+            raise EstimationError(
+                f"no output {output!r} in this model; available: {', '.join(self.output_names)}"
+            )
+        numerators, denominator = self.polynomials()
+        numerator = numerators[self.output_names.index(output)]
+        n_integrators = len(denominator) - 1 - 2 * self.n_modes
+        poles = np.concatenate([self.poles, np.conj(self.poles), np.zeros(n_integrators)])
+        return np.asarray(np.roots(numerator), dtype=np.complex128), poles, float(numerator[0])
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C, D from the input to all outputs, with modal states.
+
+        Raises
+        ------
+        EstimationError
+            A residual term that differentiates the input; see :meth:`driven_by`.
+        """
+        return modal_state_space(*self._own())
+
+    def step_response(self, times_s: FloatArray) -> FloatArray:
+        """Return the response to a unit step of the input at 0 s, shape (n_times, n_outputs).
+
+        Parameters
+        ----------
+        times_s : ndarray, shape (n_times,) -- after the step [s]
+        """
+        return modal_step_response(*self._own(), np.asarray(times_s, dtype=np.float64))
+
+    def step_response_sd(self, times_s: FloatArray) -> FloatArray:
+        """Return the standard deviation of :meth:`step_response`, shape (n_times, n_outputs)."""
+        times = np.asarray(times_s, dtype=np.float64)
+        structure, n, m = ModalStructure(self.structure), self.n_modes, len(self.output_names)
+
+        def response(parameters: FloatArray) -> FloatArray:
+            own = parameters[2 * n + 2 :].reshape(m, n + 2)
+            return modal_step_response(
+                structure, parameters[:n], parameters[n : 2 * n], own[:, 0], own[:, 2:], own[:, 1], times
+            )
+
+        slopes = []
+        for i, sd in enumerate(self.standard_deviations):
+            step = np.zeros(len(self.parameters))
+            step[i] = max(1e-3 * sd, 1e-6 * abs(self.parameters[i]))
+            width = 2.0 * step[i] if sd > 0.0 else math.inf
+            slopes.append((response(self.parameters + step) - response(self.parameters - step)) / width)
+        gradient = np.stack(slopes)
+        variance = np.einsum("ato,ab,bto->to", gradient, self.covariance, gradient, optimize=True)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def mode_shapes(self) -> tuple[FloatArray, FloatArray]:
+        """Return mode shapes at the outputs and their standard deviations, each (n_outputs, n_modes).
+
+        Notes
+        -----
+        Residues divided by each mode's largest one, which therefore is 1 without uncertainty.
+        """
+        n, m = self.n_modes, len(self.output_names)
+        shapes, sds = np.empty((m, n)), np.zeros((m, n))
+        for i in range(n):
+            index = 2 * n + 2 + np.arange(m) * (n + 2) + 2 + i
+            covariance = self.covariance[np.ix_(index, index)]
+            largest = int(np.argmax(np.abs(self.residues[:, i])))
+            peak = self.residues[largest, i]
+            shapes[:, i] = self.residues[:, i] / peak
+            gradient = np.eye(m) / peak
+            gradient[:, largest] -= shapes[:, i] / peak
+            variance = np.einsum("ja,ab,jb->j", gradient, covariance, gradient)
+            sds[:, i] = np.sqrt(np.maximum(variance, 0.0))
+        return shapes, sds
+
+    def to_scipy(self) -> Any:
+        """Return a :class:`scipy.signal.StateSpace` from the input to all outputs."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(*self.state_space())
+
+    def to_control(self) -> Any:
+        """Return a python-control ``StateSpace`` with named signals (needs the package ``control``)."""
+        try:
+            import control
+        except ImportError as err:
+            raise EstimationError("python-control is not installed; `pip install control` brings it") from err
+        return control.ss(*self.state_space(), inputs=[self.input_name], outputs=list(self.output_names))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""

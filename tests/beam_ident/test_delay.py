@@ -96,5 +96,5 @@ def test_the_profile_is_lowest_at_the_delay():
 
 @pytest.mark.parametrize("delay", ["guess", -0.1, Prior(-1.0, 0.0), float("nan"), [0.1, 0.2]])
 def test_delays_that_mean_nothing_are_refused(delay):
-    with pytest.raises(EstimationError, match="delay|prior"):
+    with pytest.raises(EstimationError, match=r"delay|prior"):
         estimate_transfer_function(late_record(0.0), 2, 1, delay=delay)

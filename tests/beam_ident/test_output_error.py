@@ -92,6 +92,6 @@ def test_samples_count_where_every_input_is_known():
 
 
 def test_too_few_samples_are_refused_with_their_number():
+    case = problem()
     with pytest.raises(EstimationError, match="15 usable samples"):
-        case = problem()
         OutputErrorProblem(case.paths, (2, 3), STAMPS[:15], case.values[:15], 0.0, Nuisances())
