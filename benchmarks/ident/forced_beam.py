@@ -24,12 +24,14 @@ class ForcedBeam:
     period = 0.005
     n = 10000
     names = ("tip", "root")
+    sweep_hz = (0.5, 50.0)
 
     def __init__(self) -> None:
         times = self.period * np.arange(self.n)
-        phase = 2.0 * np.pi * (0.5 * times + 0.5 * 49.5 / times[-1] * times**2)
+        low, high = self.sweep_hz
+        phase = 2.0 * np.pi * (low * times + 0.5 * (high - low) / times[-1] * times**2)
         self.drive = InputSignal("force", "N", (0.0, self.period), np.sin(phase), "zoh")
-        size = 2 * 3 + 2 + 2 * 5
+        size = 2 * len(self.omegas) + 2 + 2 * (len(self.omegas) + 2)
         self.model = ModalModel(
             "receptance",
             "force",
@@ -173,6 +175,38 @@ class ForeignClockCase(ForcedBeamCase):
         return super().summarise(outcomes) | {"largest R_T^2 below its ceiling": round(worst, 6)}
 
 
+class CommonPolesCase(AgainstBound):
+    """Two points with common poles beside one of them, on the same records."""
+
+    def __init__(self) -> None:
+        self.both = ForcedBeamCase(plain(20.0))
+        self.tip = ForcedBeamCase(
+            lambda beam, seed, quiet: beam.record(seed, 20.0, quiet=quiet).select(["tip"])
+        )
+        self.truth = np.tile(self.both.truth, 2)
+        self.bound = np.concatenate([self.both.bound, self.tip.bound])
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record at both points, and at the tip alone."""
+        both, tip = self.both.run(seed), self.tip.run(seed)
+        if both.estimate is None or both.sd is None or tip.estimate is None or tip.sd is None:
+            return Outcome(both.seconds)
+        return Outcome(
+            both.seconds, np.concatenate([both.estimate, tip.estimate]), np.concatenate([both.sd, tip.sd])
+        )
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Add the gain in variance that was found, and that which the bounds predict."""
+        good = [o.estimate for o in outcomes if o.estimate is not None and self.is_near(o)]
+        found = np.mean(np.square(np.array(good) - self.truth), axis=0).reshape(2, -1)
+        predicted = np.square(self.bound).reshape(2, -1)
+        gain, expected = found[1] / found[0], predicted[1] / predicted[0]
+        return super().summarise(outcomes) | {
+            "variance gain": [round(float(g), 2) for g in gain],
+            "of that predicted": [round(float(g), 3) for g in gain / expected],
+        }
+
+
 STUDIES = {
     **{
         f"beam-{snr}": Study(f"forced beam {snr} dB", 2000, lambda snr=snr: ForcedBeamCase(plain(float(snr))))
@@ -181,6 +215,7 @@ STUDIES = {
     "jitter-40": Study("jittered stamps 40 dB", 400, lambda: ForcedBeamCase(jittered(40.0))),
     "jitter-60": Study("jittered stamps 60 dB", 400, lambda: ForcedBeamCase(jittered(60.0))),
     "start": Study("unknown start, offset and ramp 20 dB", 400, lambda: ForcedBeamCase(drifting, DRIFTING)),
+    "common-poles": Study("two points with common poles against one, 20 dB", 1000, CommonPolesCase),
     "clock": Study(
         "2 ms late, 0.1 % fast, 10 frames dropped 20 dB",
         400,
