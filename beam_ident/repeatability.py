@@ -107,10 +107,14 @@ class Repeatability:
             return f"as stated: the {self.n_records} records scatter {figures}{unmatched}"
         if self.p_value < _TAIL:
             worst = max(self.parameters, key=lambda parameter: parameter.ratio)
+            where = (
+                f"{worst.name} most with {worst.ratio:.1f}"
+                if worst.p_value < _TAIL
+                else "all together, none by itself"
+            )
             return (
-                f"more than stated: the {self.n_records} records scatter {figures}, {worst.name} most with "
-                f"{worst.ratio:.1f}: the system or the set-up changed from record to record, or the deviations leave "
-                f"something out{unmatched}"
+                f"more than stated: the {self.n_records} records scatter {figures}, {where}: the system or the "
+                f"set-up changed from record to record, or the deviations leave something out{unmatched}"
             )
         return (
             f"less than stated: the {self.n_records} records scatter {figures}: they share noise or data, or "

@@ -74,6 +74,23 @@ def test_the_parameter_that_changed_is_named():
     assert [parameter.name for parameter in study.parameters] == ["omega_1", "omega_2", "zeta_1", "zeta_2"]
 
 
+def test_a_difference_against_the_correlations_alone_is_told_as_such():
+    rng = np.random.default_rng(8)
+    one = drawn(rng)
+    covariance = one.covariance.copy()
+    covariance[0, 2] = covariance[2, 0] = 0.999 * SD[0] * SD[2]
+    first, second = (
+        dataclasses.replace(
+            one,
+            covariance=covariance,
+            natural_frequencies=TRUTH[:2] + np.array([sign * 0.7 * SD[0], 0.0]),
+            damping_ratios=TRUTH[2:] - np.array([sign * 0.7 * SD[2], 0.0]),
+        )
+        for sign in (1, -1)
+    )
+    assert "all together, none by itself" in assess_repeatability([first, second]).verdict
+
+
 def test_modes_are_paired_by_frequency_and_the_others_counted():
     rng = np.random.default_rng(3)
     study = assess_repeatability([drawn(rng, modes=(1,)), drawn(rng), drawn(rng, modes=(1, 0))])
