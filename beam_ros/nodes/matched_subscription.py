@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from beam_ros.interfaces import Topic
@@ -16,9 +16,9 @@ from beam_ros.nodes.shell import RigNode, qos_profile
 class MatchedSubscription:
     """Subscribes to a topic whose publishers need not be ours.
 
-    A reliable subscription never hears a best-effort publisher. So there is none before there is a publisher,
-    reliability is asked for only while all publishers offer it, and a camera that starts anew with another quality of
-    service is followed. Durability needs no such care: a volatile subscription hears both kinds.
+    A reliable subscription never hears a best-effort publisher, a latched one never a volatile publisher. So there is
+    no subscription before there is a publisher, both are asked for only while all publishers offer them, and a camera
+    that starts anew with another quality of service is followed.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class MatchedSubscription:
         self._topic = topic
         self._callback = callback
         self._raw = raw
-        self._qos = replace(topic.qos, depth=depth, is_latched=False)
+        self._qos = replace(topic.qos, depth=depth)
         self._known: frozenset[bytes] = frozenset()
         self._subscription: Subscription | None = None
         self.publishers = 0
@@ -65,11 +65,16 @@ class MatchedSubscription:
         self._known = found
         if not offers:
             return False
-        is_reliable = all(offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
-        if self._subscription is not None and (not is_wanted or is_reliable != self._qos.is_reliable):
+        profiles = [offer.qos_profile for offer in offers]
+        qos = replace(
+            self._qos,
+            is_reliable=all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles),
+            is_latched=all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles),
+        )
+        if self._subscription is not None and (not is_wanted or qos != self._qos):
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
-        self._qos = replace(self._qos, is_reliable=is_reliable)
+        self._qos = qos
         if self._subscription is None and is_wanted:
             self._subscription = self._node.create_subscription(
                 self._node.types.message_class(self._topic.type_name),

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beam_ros import messages
+from beam_ros import interfaces, messages
 from beam_ros.environment import child_environment
 
 pytest.importorskip("rclpy")
@@ -252,9 +252,11 @@ def test_the_lens_of_camera_info_is_undone(scene) -> None:
     info = messages.camera_info(graph.types, scene.stamp(), 640, 480)
     info.k = np.array([900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1])
     info.d = graph.types.floats(LENS.distortion)
-    publisher = graph.publisher("camera/camera_info", namespace="/changing")
-    graph.wait(lambda: publisher.get_subscription_count() > 0, "camera_info's listener")
+    # As calibrated cameras often do: said once, before anybody listens.
+    latched = interfaces.QualityOfService(1, is_latched=True)
+    publisher = graph.publisher("camera/camera_info", latched, "/changing")
     publisher.publish(info)
+    graph.wait(lambda: publisher.get_subscription_count() > 0, "camera_info's listener")
     renderer = SceneRenderer(scene.rig.camera_parameters(), scene.heights, lens=LENS)
     frame = renderer.render(np.full(3, -0.15), np.random.default_rng(0))
     graph.wait(lambda: publisher.get_subscription_count() == 0, "camera_info to be known")
