@@ -36,13 +36,18 @@ from beam_ident.identification import IdentificationResult, OrderEntry, OutputFi
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
+from beam_ident.multi_input_model import MultiInputModel
 from beam_ident.order_selection import OrderSelection, StructureEntry, select_transfer_function
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.repeatability import Repeatability, assess_repeatability
 from beam_ident.step_comparison import StepComparison, compare_step_responses
 from beam_ident.subspace import SubspaceModel, subspace_model
 from beam_ident.transfer_function import TransferFunctionModel
-from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
+from beam_ident.transfer_function_fit import (
+    MultiInputResult,
+    TransferFunctionResult,
+    estimate_transfer_function,
+)
 from beam_ident.validation import InputCorrelation, Scores, Whiteness
 
 __all__ = [
@@ -66,6 +71,8 @@ __all__ = [
     "ModalStructure",
     "ModelComparison",
     "ModelFormatError",
+    "MultiInputModel",
+    "MultiInputResult",
     "Multisine",
     "OrderEntry",
     "OrderSelection",

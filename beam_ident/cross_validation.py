@@ -17,6 +17,7 @@ from beam_ident.linear_solution import LinearSolution
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ModalRegression
 from beam_ident.modal_structure import ModalStructure
+from beam_ident.multi_input_model import MultiInputModel
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import TimeRecord
 from beam_ident.transfer_function import TransferFunctionModel
@@ -76,27 +77,30 @@ class ValidationResult:
 
 
 @on_one_thread
-def validate(model: ModalModel | TransferFunctionModel, record: TimeRecord) -> ValidationResult:
+def validate(
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord
+) -> ValidationResult:
     """Predict a record with a model that was estimated from another one.
 
     Parameters
     ----------
-    model : ModalModel or TransferFunctionModel
+    model : ModalModel, TransferFunctionModel or MultiInputModel
     record : TimeRecord
-        With the model's input and at least one of its outputs under their names.
+        With the model's inputs and at least one of its outputs under their names.
 
     Raises
     ------
     EstimationError
-        The record lacks the input or every output of the model.
+        The record lacks an input or every output of the model.
     """
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
     present = [name for name in names if name in record.output_names]
-    if not present or model.input_name not in [drive.name for drive in record.inputs]:
+    inputs = model.input_names if isinstance(model, MultiInputModel) else (model.input_name,)
+    if not present or not set(inputs) <= {drive.name for drive in record.inputs}:
         raise EstimationError(
             f"record {record.name!r} has the input(s) {', '.join(d.name for d in record.inputs)} and the "
             "outputs "
-            f"{', '.join(record.output_names)}; the model goes from {model.input_name!r} to "
+            f"{', '.join(record.output_names)}; the model goes from {', '.join(inputs)} to "
             f"{', '.join(names)}"
         )
     part = record.select(present)
@@ -143,27 +147,23 @@ def _validate_modal(model: ModalModel, record: TimeRecord) -> list[OutputValidat
     return results
 
 
-def _validate_rational(model: TransferFunctionModel, record: TimeRecord) -> OutputValidation:
-    drive, output = record.input(model.input_name), record.output(model.output_name)
-    half = 0.5 * output.exposure_s
-    first, last = drive.span_s
-    keep = output.is_valid & (output.times_s - half >= first) & (output.times_s + half <= last)
-    times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
-    simulated = model.simulate(drive, times, output.exposure_s)
-    poles = model.poles[model.poles.imag >= 0.0]
-    decays = np.exp(poles[None, :] * (times[:, None] - first))
-    own = np.concatenate([np.ones((len(times), 1)), decays.real, decays.imag[:, poles.imag > 0.0]], axis=1)
-    found = LinearSolution.of(own).coefficients(values - simulated)
-    residuals = values - simulated - own @ found
+def _validate_rational(
+    model: TransferFunctionModel | MultiInputModel, record: TimeRecord
+) -> OutputValidation:
+    output = record.output(model.output_name)
+    prediction = model.prediction(record)
+    seen = np.isfinite(prediction.measured)
+    times, values = prediction.times_s[seen], prediction.measured[seen]
+    first = model.input_names[0] if isinstance(model, MultiInputModel) else model.input_name
     return _output_validation(
         output.name,
         output.unit,
         times,
         values,
-        residuals,
-        values - found[0],
+        values - prediction.predicted[seen],
+        values - prediction.offset,
         model.noise_sd,
-        drive.signal()(times),
+        record.input(first).signal()(times),
     )
 
 

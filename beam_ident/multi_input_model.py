@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError, ModelFormatError
+from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray
-from beam_ident.records import InputSignal
+from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.transfer_function import TransferFunctionModel
 
 SCHEMA = 1
@@ -137,6 +138,24 @@ class MultiInputModel:
             )
         parts = [self.path(name).simulate(given[name], times_s, exposure_s) for name in self.input_names]
         return np.asarray(np.sum(parts, axis=0))
+
+    def prediction(self, record: TimeRecord) -> OutputPrediction:
+        """Return the output beside its prediction, with the record's own offset and initial state."""
+        drives = [record.input(name) for name in self.input_names]
+
+        def simulate(times: FloatArray, exposure_s: float) -> FloatArray:
+            return self.simulate(drives, times, exposure_s)
+
+        return OutputPrediction.of(record.output(self.output_name), drives, simulate, self.free_motions)
+
+    def predict(self, record: TimeRecord) -> FloatArray:
+        """Return what the model predicts at an output's stamps, NaN where an input is not known, (n_samples,)."""
+        return self.prediction(record).everywhere()
+
+    def free_motions(self, elapsed: FloatArray, exposure_s: float) -> FloatArray:
+        """Return a constant, what integrators do on their own, and the free motions, as columns."""
+        paths = [self.path(place) for place in range(len(self.denominators))]
+        return np.concatenate([path.free_motions(elapsed, exposure_s) for path in paths], axis=1)
 
     def frequency_response(self, omegas: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
         """Return responses and standard deviations of their magnitudes, shape (n_frequencies, n_inputs).

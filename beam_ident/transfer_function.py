@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError, ModelFormatError
-from beam_ident.linear_solution import LinearSolution
+from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray, Instants
 from beam_ident.rational_response import RationalResponse, poles_keep_apart, upper_roots
 from beam_ident.records import InputSignal, TimeRecord
@@ -226,7 +226,7 @@ class TransferFunctionModel:
         )
 
     def predict(self, record: TimeRecord) -> FloatArray:
-        """Return the output that the model predicts at an output's stamps, shape (n_samples,).
+        """Return what the model predicts at an output's stamps, shape (n_samples,).
 
         Parameters
         ----------
@@ -234,28 +234,22 @@ class TransferFunctionModel:
 
         Notes
         -----
-        The simulation, plus what belongs to the record and not to the model: an offset and the
-        motion that was already there at its beginning, both fitted to the record.  Output
-        noise is taken as white, so that past residuals predict nothing.  NaN where the input
-        is not known.
+        The simulation with the record's own offset and initial state (:mod:`beam_ident.output_prediction`);
+        NaN where the input is not known.
         """
-        drive, output = record.input(self.input_name), record.output(self.output_name)
-        first, last = drive.span_s
-        half = 0.5 * output.exposure_s
-        inside = (output.times_s - half >= first) & (output.times_s + half <= last)
-        predicted = np.full(len(output.times_s), np.nan)
-        times = output.times_s[inside]
-        if not len(times):
-            return predicted
-        simulated = self.simulate(drive, times, output.exposure_s)
-        own = self._free_motions(times - times[0] + half, output.exposure_s)
-        seen = np.isfinite(output.values[inside])
-        found = LinearSolution.of(own[seen]).coefficients((output.values[inside] - simulated)[seen])
-        predicted[inside] = simulated + own @ found
-        return predicted
+        return self.prediction(record).everywhere()
 
-    def _free_motions(self, elapsed: FloatArray, exposure_s: float) -> FloatArray:
-        """Return an offset, what integrators do on their own, and the free motions, as columns."""
+    def prediction(self, record: TimeRecord) -> OutputPrediction:
+        """Return the output beside its prediction."""
+        drive = record.input(self.input_name)
+
+        def simulate(times: FloatArray, exposure_s: float) -> FloatArray:
+            return self.simulate(drive, times, exposure_s)
+
+        return OutputPrediction.of(record.output(self.output_name), [drive], simulate, self.free_motions)
+
+    def free_motions(self, elapsed: FloatArray, exposure_s: float) -> FloatArray:
+        """Return a constant, what integrators do on their own, and the free motions, as columns."""
         n = self.n_poles - self.n_integrators
         scaled = self.denominator[: n + 1] / self._scale ** np.arange(n + 1)
         free = RationalResponse.to_impulse(

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError, ModelFormatError, TimeRecord, estimate_transfer_function
+from beam_ident import EstimationError, ModelFormatError, TimeRecord, estimate_transfer_function, validate
 from beam_ident.multi_input_model import MultiInputModel
 from benchmarks.ident.multi_input import MultiInput
 
@@ -81,6 +81,19 @@ def test_simulation_takes_all_inputs_by_name(common, model):
     np.testing.assert_allclose(model.simulate(common.drives[::-1], common.stamps), np.sum(parts, axis=0))
     with pytest.raises(EstimationError, match="no input base"):
         model.simulate(common.drives[:1], common.stamps)
+
+
+def test_an_unseen_record_is_predicted_and_validated(common, model):
+    record = common.record(9).between(5.0, 18.0)
+    checked = validate(model, record).output("y")
+    assert checked.noise_ratio == pytest.approx(1.0, abs=0.1)
+    assert checked.input_correlation.is_independent
+    predicted = model.predict(record)
+    inside = np.isfinite(predicted)
+    left = record.outputs[0].values[inside] - predicted[inside]
+    np.testing.assert_allclose(left, checked.residuals)
+    with pytest.raises(EstimationError, match="the model goes from force, base"):
+        validate(model, TimeRecord(record.inputs[:1], record.outputs))
 
 
 def test_the_model_survives_json(model):
