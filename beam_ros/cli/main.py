@@ -29,6 +29,7 @@ VERBS: dict[str, str] = {
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
+    "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
     "identify": "a continuous-time model with common poles from a bag",
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from datetime import datetime
 from pathlib import Path
 
@@ -57,3 +58,12 @@ def run_folder(given: Path | None, name: str) -> Path:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not an empty folder; give another --out")
     return folder
+
+
+def quiet_opencv() -> None:
+    """Keep what OpenCV and its decoders print of a damaged file off the terminal: the verb says it in one line.
+
+    They read this when they are loaded; whoever sets these variables sees everything.
+    """
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.cli.options import add_rig_file, quiet_opencv, read_rig
 from beam_ros.progress import Progress
 
 
@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
+    quiet_opencv()
     from beam_ros.rig import Rig
     from beam_ros.video_into_bag import bag_rig, track_into_bag
     from beam_ros.vision.storage import load_calibration
