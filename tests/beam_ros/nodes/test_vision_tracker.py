@@ -58,7 +58,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrackerScene]:
         )
         scene.start(
             "measured",
-            tracker__averaged_frames=30,
+            tracker__averaged_frames=15,
             tracker__save_calibration=folder / "new.yaml",
             camera__name="lab",
         )
@@ -318,12 +318,13 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     graph.wait(lambda: hub.get_subscription_count() > 0, "hub/state's listener")
     camera = scene.camera("measured")
 
-    def average(service: str, x: float):
+    def average(service: str, x: float, *, hub_speaks: bool = True):
         future = graph.request(service, "/measured")
         frames = [renderer.render(np.full(3, x), rng) for _ in range(4)]
         k = 0
         while not future.done():
-            hub.publish(messages.hub_state(graph.types, messages.HubSample(scene.stamp(), x)))
+            if hub_speaks:
+                hub.publish(messages.hub_state(graph.types, messages.HubSample(scene.stamp(), x)))
             camera.publish(scene.image(frames[k % 4]))
             k += 1
             graph.spin(0.004)
@@ -332,14 +333,21 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     refused = graph.call("tracker/fit_calibration", "/measured")
     assert not refused.success
     assert "0 points" in refused.message
-    for x in (-0.02, -0.01, 0.0, 0.01, 0.02, 0.01, 0.0):
+    refused = average("tracker/capture_point", -0.02, hub_speaks=False)
+    assert not refused.success
+    assert "the hub has said nothing" in refused.message
+    # Discovery may take its time: until the hub is heard, its silence is the answer.
+    graph.wait(
+        lambda: average("tracker/capture_point", -0.02).success, "a point with the hub's position", 20.0
+    )
+    for x in (-0.01, 0.0, 0.01, 0.02, 0.01, 0.0):
         captured = average("tracker/capture_point", x)
         assert captured.success, captured.message
     fitted = graph.call("tracker/fit_calibration", "/measured")
     assert fitted.success, fitted.message
     kept = load_calibration(scene.folder / "new.yaml")
     deviations = np.sqrt([covariance[0][0] for covariance in kept.covariance])
-    # 4 frames over and over: half the noise of one, which the deviations of 30 frames do not know.
+    # 4 frames over and over: half the noise of one, which the deviations of 15 frames do not know.
     assert np.all(np.abs(np.array(kept.pixels_per_metre) - 1480.0) < 4 * 3 * deviations)
     assert np.all(deviations < 0.5)
     assert f"{kept.pixels_per_metre[0]:.2f} +- " in fitted.message
