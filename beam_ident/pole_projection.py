@@ -25,7 +25,7 @@ from beam_ident.linear_solution import LinearSolution
 from beam_ident.modal_fit import MAX_DAMPING, MIN_DAMPING, Prior
 from beam_ident.piecewise import FloatArray
 
-_NOISE_FLOOR = 1e-11  # of a block's weighted size: where rounding ends what residuals can tell
+_NOISE_FLOOR = 1e-10  # of a block's weighted size: where rounding ends what residuals can tell
 
 
 @dataclass(frozen=True, eq=False)

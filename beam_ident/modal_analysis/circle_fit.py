@@ -1,0 +1,136 @@
+"""One mode by its circle in the Nyquist plane (Kennedy and Pancu 1947).
+
+Around a resonance the mobility of a viscously damped mode runs along a circle,
+
+    Y = A j omega / (omega_0^2 - omega^2 + 2 j zeta omega_0 omega) + C
+
+displaced by a constant C, which is what the other modes add.  Seen from the centre the angle
+sweeps as ``theta_0 - 2 atan( (omega^2 - omega_0^2) / (2 zeta omega_0 omega) )``: the fit of the circle gives the
+residue's size and direction, the fit of the sweep frequency and damping.  A look at a single
+mode; where modes overlap, :func:`beam_ident.modal_analysis.analyse_modes` separates them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.errors import EstimationError
+from beam_ident.frequency_record import ComplexArray, FrequencyRecord
+from beam_ident.modal_analysis.stabilisation import ResponseForm, checked_form
+from beam_ident.piecewise import FloatArray
+
+_ITERATIONS = 50
+_FEWEST = 5
+
+
+@dataclass(frozen=True, eq=False)
+class CircleFit:
+    """A mode by its Nyquist circle.
+
+    Attributes
+    ----------
+    natural_frequency, damping_ratio : float -- [rad/s], [-]
+    residue : complex -- A of ``A / (s - p) + conj(A) / (s - conj(p))`` of the receptance
+    centre : complex
+    radius : float -- of the circle in the plane of the mobility
+    omegas : ndarray, shape (n,) -- lines used [rad/s]
+    points : complex ndarray, shape (n,) -- mobility there
+    roundness : float -- root mean square distance of the points from the circle over its radius
+    """
+
+    natural_frequency: float
+    damping_ratio: float
+    residue: complex
+    centre: complex
+    radius: float
+    omegas: FloatArray
+    points: ComplexArray
+    roundness: float
+
+
+def circle_fit(
+    record: FrequencyRecord,
+    near_hz: float,
+    width_hz: float,
+    form: ResponseForm = "receptance",
+    output_name: str | None = None,
+    input_name: str | None = None,
+) -> CircleFit:
+    """Fit the circle of a mode.
+
+    Parameters
+    ----------
+    record : FrequencyRecord
+    near_hz, width_hz : float
+        Centre and whole width of the band around the resonance [Hz]: some two half-power bands.
+    form : {"receptance", "mobility", "accelerance"}
+    output_name, input_name : str or None -- None takes the first
+
+    Raises
+    ------
+    EstimationError
+        Fewer than five lines in the band, or points that do not run along a circle.
+    """
+    power = 1 - checked_form(form)
+    chosen = record.select(
+        None if output_name is None else [output_name], None if input_name is None else [input_name]
+    ).between(near_hz - 0.5 * width_hz, near_hz + 0.5 * width_hz)
+    omegas = chosen.omegas
+    if len(omegas) < _FEWEST:
+        raise EstimationError(
+            f"{len(omegas)} lines within {width_hz} Hz around {near_hz} Hz; a circle needs at least {_FEWEST}"
+        )
+    points = chosen.response[:, 0, 0] * (1j * omegas) ** power
+    centre, radius = _circle(points)
+    # The sweep runs clockwise; unwrapped, it falls by at most a full turn.
+    sweep = np.unwrap(np.angle(points - centre))
+    omega, zeta, turn = _sweep(omegas, sweep)
+    # At resonance Y - C = A' / (2 zeta omega_0) for the numerator A' of j omega / d.
+    strength = 2.0 * radius * np.exp(1j * turn) * 2.0 * zeta * omega
+    residue = strength / (2j * omega * math.sqrt(1.0 - zeta**2))
+    roundness = float(np.sqrt(np.mean((np.abs(points - centre) - radius) ** 2)) / radius)
+    return CircleFit(omega, zeta, complex(residue), centre, radius, omegas, points, roundness)
+
+
+def _circle(points: ComplexArray) -> tuple[complex, float]:
+    """Return centre and radius by the algebraic fit ``|z|^2 = 2 Re(conj(c) z) + r^2 - |c|^2``."""
+    middle = complex(np.mean(points))
+    size = max(float(np.std(points)), 1e-300)
+    z = (points - middle) / size
+    matrix = np.stack([2.0 * z.real, 2.0 * z.imag, np.ones(len(z))], axis=1)
+    (x, y, rest), _, rank, _ = np.linalg.lstsq(matrix, np.abs(z) ** 2, rcond=1e-10)
+    square = rest + x * x + y * y
+    if rank < 3 or not square > 0.0:
+        raise EstimationError("the points of the band lie on no circle; centre the band on a resonance")
+    return middle + size * complex(x, y), size * math.sqrt(square)
+
+
+def _sweep(omegas: FloatArray, sweep: FloatArray) -> tuple[float, float, float]:
+    """Return natural frequency, damping ratio and the angle at resonance by Gauss and Newton's method."""
+    rate = np.gradient(sweep, omegas)
+    place = int(np.argmin(rate))
+    omega = float(omegas[place])
+    # At resonance the angle falls by 2 / (zeta omega_0) per rad/s.
+    zeta = min(max(2.0 / max(-float(rate[place]) * omega, 1e-300), 1e-6), 0.5)
+    turn = float(sweep[place])
+    cost = math.inf
+    for _ in range(_ITERATIONS):
+        ratio = (omegas**2 - omega**2) / (2.0 * zeta * omega * omegas)
+        error = sweep - (turn - 2.0 * np.arctan(ratio))
+        slope = -2.0 / (1.0 + ratio**2)
+        by_omega = slope * -(omegas**2 + omega**2) / (2.0 * zeta * omega**2 * omegas)
+        by_zeta = slope * -ratio / zeta
+        gradient = np.stack([by_omega, by_zeta, np.ones(len(omegas))], axis=1)
+        step = np.linalg.lstsq(gradient / np.array([1.0 / omega, 1.0 / zeta, 1.0]), error, rcond=1e-12)[0]
+        step = step * min(1.0, 0.3 / max(float(np.max(np.abs(step[:2]))), 1e-300))
+        omega, zeta, turn = omega * (1.0 + step[0]), zeta * (1.0 + step[1]), turn + step[2]
+        now = float(error @ error)
+        if abs(cost - now) <= 1e-14 * now and np.max(np.abs(step)) < 1e-10:
+            break
+        cost = now
+    if not (omegas[0] <= omega <= omegas[-1]):
+        raise EstimationError("the sweep of the points shows no resonance in the band; centre it on one")
+    return omega, zeta, turn
