@@ -27,6 +27,7 @@ from beam_ident.modal_structure import ModalStructure
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal
 
+_SETTLED = 1e-9  # relative change from step to step below which the filter's gains are kept
 _TIME_RESOLUTION_S = 1e-7  # steps between stamps that differ by less share a transition
 _BOX_POINTS, _BOX_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -229,21 +230,24 @@ class DisturbanceFilter:
         n, size = len(transitions), transitions.shape[1]
         covariance = np.zeros((size, size))
         self._steps = []
-        seen_before: tuple[int, ...] = ()
-        selected: NDArray[np.intp] = np.arange(0)
-        for k in range(n):
-            places = observations.rows[k]
-            seen = tuple(np.flatnonzero(places >= 0).tolist())
-            if seen != seen_before or not k:
-                selected, seen_before = np.array(seen, dtype=np.intp), seen
+        seen = observations.rows >= 0
+        is_same = np.zeros(n, dtype=bool)
+        is_same[1:] = np.all(seen[1:] == seen[:-1], axis=1)
+        is_same[1:] &= np.all(transitions[1:] == transitions[:-1], axis=(1, 2))
+        is_settled = False
+        for k, transition in enumerate(transitions):
+            if not (is_settled and is_same[k]):
+                selected = np.flatnonzero(seen[k])
                 rows, own = observation[selected], noise[np.ix_(selected, selected)]
-            transition = transitions[k]
-            covariance = transition @ covariance @ transition.T + driven[k]
-            carried = covariance @ rows.T
-            inverse = np.linalg.inv(np.linalg.cholesky(rows @ carried + own))
-            scaled = carried @ inverse.T
-            covariance = covariance - scaled @ scaled.T
-            self._steps.append((transition, rows, inverse, scaled, selected, places[selected]))
+                before = covariance
+                covariance = transition @ covariance @ transition.T + driven[k]
+                carried = covariance @ rows.T
+                inverse = np.linalg.inv(np.linalg.cholesky(rows @ carried + own))
+                scaled = carried @ inverse.T
+                covariance = covariance - scaled @ scaled.T
+                change = float(np.max(np.abs(covariance - before)))
+                is_settled = bool(is_same[k]) and change <= _SETTLED * float(np.max(np.abs(covariance)))
+            self._steps.append((transition, rows, inverse, scaled, selected))
 
     def whiten(self, columns: list[FloatArray]) -> None:
         """Replace this record's rows by innovations, in place.
@@ -255,7 +259,7 @@ class DisturbanceFilter:
         """
         table = self._gathered(columns)
         state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
-        for k, (transition, rows, inverse, scaled, selected, _) in enumerate(self._steps):
+        for k, (transition, rows, inverse, scaled, selected) in enumerate(self._steps):
             state = transition @ state
             white = inverse @ (table[k, selected] - rows @ state)
             state = state + scaled @ white
@@ -267,7 +271,7 @@ class DisturbanceFilter:
         table = self._gathered(white)
         state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
         for k in range(len(self._steps) - 1, -1, -1):
-            transition, rows, inverse, scaled, selected, _ = self._steps[k]
+            transition, rows, inverse, scaled, selected = self._steps[k]
             weighed = inverse.T @ (table[k, selected] + scaled.T @ state)
             state = transition.T @ (state - rows.T @ weighed)
             table[k, selected] = weighed

@@ -322,7 +322,7 @@ class WeightedFit:
             without_nuisance = found.copy()
             without_nuisance[self.n_shared :] = 0.0
             shared.append(without_nuisance)
-        noise = np.zeros_like(covariance)
+        draws: list[list[FloatArray]] = []
         for _ in range(_DRAWS):
             drawn = [drive.sigma * rng.standard_normal(len(drive.values)) for drive in self.regression.drives]
             regression = self._on_inputs(drawn)
@@ -332,10 +332,12 @@ class WeightedFit:
             for own, found in zip(columns, shared, strict=True):
                 own[:, first + self.n_shared : first + len(found)] = 0.0
                 first += len(found)
-            for own_filter in linear.filters:
-                own_filter.whiten(columns)
-            stacked = np.concatenate(columns)[:, :-1]
-            noise += stacked.T @ stacked / _DRAWS
+            draws.append(columns)
+        together = [np.concatenate(columns, axis=1) for columns in zip(*draws, strict=True)]
+        for own_filter in linear.filters:
+            own_filter.whiten(together)
+        stacked = np.concatenate(together).reshape(-1, _DRAWS, len(covariance) + 1)[:, :, :-1]
+        noise = np.einsum("rdi,rdj->ij", stacked, stacked, optimize=True) / _DRAWS
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
