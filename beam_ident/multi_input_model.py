@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.output_prediction import OutputPrediction
@@ -168,6 +169,37 @@ class MultiInputModel:
         return np.stack([response for response, _ in found], axis=1), np.stack(
             [sd for _, sd in found], axis=1
         )
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B (n, n_inputs), C (1, n), D (1, n_inputs); every input enters its own delay later.
+
+        Notes
+        -----
+        Common poles have one set of states, in the observable form; other paths stand side by side.
+        """
+        parts = [self.path(name).state_space() for name in self.input_names]
+        through = np.concatenate([direct for _, _, _, direct in parts], axis=1)
+        if self.has_common_poles:
+            transition, entry, _, _ = parts[0]
+            return transition.T, np.concatenate([row.T for _, _, row, _ in parts], axis=1), entry.T, through
+        rows = np.concatenate([row for _, _, row, _ in parts], axis=1)
+        return (
+            block_diag(*(part[0] for part in parts)),
+            block_diag(*(part[1] for part in parts)),
+            rows,
+            through,
+        )
+
+    def to_scipy(self) -> Any:
+        """Return a :class:`scipy.signal.StateSpace` from all inputs; delays must be carried apart."""
+        from scipy.signal import StateSpace
+
+        if any(self.delays):
+            raise EstimationError(
+                f"scipy.signal has no delays and this model has {self.delays} s; use state_space() and delays, or "
+                "simulate()"
+            )
+        return StateSpace(*self.state_space())
 
     def to_control(self) -> Any:
         """Return a python-control ``TransferFunction`` with one column for each input."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 
 import numpy as np
@@ -26,13 +27,17 @@ class DelayCase(AgainstBound):
     snr_db: float
 
     def prepare(self) -> None:
-        """Compute the output without noise, and the bound."""
+        """Compute the output without noise."""
         self.clean = self.truth_model.simulate(self.drive, self.stamps)
         self.noise_sd = float(np.std(self.clean) / 10 ** (self.snr_db / 20))
         self.n_poles = self.truth_model.n_poles
         self.n_zeros = len(self.truth_model.numerator) - 1
         self.truth = self.truth_model.parameters
-        self.bound = self.estimate(self.record(10**6, _QUIET)).standard_deviations / _QUIET
+
+    @functools.cached_property
+    def bound(self) -> np.ndarray:
+        """Standard deviations at the limit."""
+        return self.estimate(self.record(10**6, _QUIET)).standard_deviations / _QUIET
 
     def record(self, seed: int, quiet: float = 1.0) -> TimeRecord:
         """Return a noisy record; ``quiet`` scales the noise."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 
 import numpy as np
@@ -50,8 +51,12 @@ class MultiInput(AgainstBound):
         self.stamps = stamps[rng.uniform(size=len(stamps)) > 0.1]
         self.clean = truth.simulate(self.drives, self.stamps)
         self.noise_sd = float(np.std(self.clean)) / 10.0
+
+    @functools.cached_property
+    def bound(self) -> np.ndarray:
+        """Standard deviations at the limit."""
         quiet = self.estimate(self.record(10**6, _QUIET))
-        self.bound = quiet.standard_deviations[: self.estimated] / _QUIET
+        return quiet.standard_deviations[: self.estimated] / _QUIET
 
     def record(self, seed: int, quiet: float = 1.0) -> TimeRecord:
         """Return a noisy record; ``quiet`` scales the noise."""

@@ -179,8 +179,69 @@ def test_records_that_say_nothing_are_refused():
         )
 
 
+def test_output_error_alone_ends_where_the_whole_chain_ends(result):
+    alone = estimate_transfer_function(benchmark_record(0, 10.0), 4, 1, "output_error")
+    assert alone.converged
+    sd = result.model.standard_deviations[:6]
+    np.testing.assert_allclose(
+        alone.model.parameters[:6], result.model.parameters[:6], atol=2e-2 * np.max(sd)
+    )
+    assert np.max(np.abs((alone.model.parameters - result.model.parameters)[:6] / sd)) < 0.02
+
+
+@pytest.mark.parametrize("method", ["auto", "output_error"])
+def test_dropped_and_scattered_stamps_cost_no_more_than_their_samples(method):
+    rng = np.random.default_rng(6)
+    drive = InputSignal("u", "", (0.0, PERIOD_S), prbs(2000))
+    truth = TransferFunctionModel(
+        PARAMETERS[4:], np.concatenate([[1.0], PARAMETERS[:4]]), 0.0, np.zeros((7, 7)), 0.0
+    )
+    stamps = PERIOD_S * (np.arange(1, 1990) + rng.uniform(-0.4, 0.4, 1989))
+    stamps = stamps[rng.uniform(size=len(stamps)) > 0.2]
+    clean = truth.simulate(drive, stamps)
+    noisy = clean + noise_level(clean, 20.0) * rng.standard_normal(len(clean))
+    found = estimate_transfer_function(
+        TimeRecord((drive,), (OutputSignal("y", "", stamps, noisy),)), 4, 1, method
+    ).model
+    sd = found.standard_deviations[:6]
+    assert np.max(np.abs((found.parameters[:6] - PARAMETERS) / sd)) < 4.0
+    everything = bound(drive.values, noise_level(clean, 20.0))
+    np.testing.assert_allclose(sd, everything / np.sqrt(len(stamps) / 2000), rtol=0.15)
+
+
+POOR = {
+    "noise": lambda u, n: (u, n),
+    "a sine": lambda u, n: (
+        np.sin(0.1 * np.arange(len(u))),
+        np.sin(0.1 * np.arange(len(u)) - 0.3) + 0.01 * n,
+    ),
+    "the input": lambda u, n: (u, u.copy()),
+    "one impulse": lambda u, n: (np.eye(1, len(u))[0], np.exp(-0.05 * np.arange(len(u)))),
+    "huge and tiny": lambda u, n: (1e12 * u, 1e-12 * n),
+}
+
+
+@pytest.mark.parametrize("record", POOR)
+@pytest.mark.parametrize(
+    "options", [{}, {"delay": "estimate"}, {"n_integrators": 1, "has_free_response": True}]
+)
+def test_poor_records_end_in_numbers_that_say_how_far_they_came(record, options):
+    rng = np.random.default_rng(1)
+    values = POOR[record](rng.standard_normal(250), rng.standard_normal(250))
+    drive, output = (
+        InputSignal("u", "", (0.0, 0.01), values[0]),
+        OutputSignal("y", "", (0.0, 0.01), values[1]),
+    )
+    found = estimate_transfer_function(TimeRecord((drive,), (output,)), 3, 2, **options)
+    assert np.all(np.isfinite(found.model.parameters))
+    assert np.all(np.isfinite(found.model.covariance))
+    assert np.all(found.model.poles.real <= 0.0)
+    assert found.iterations <= 75
+    assert found.converged or found.reason.startswith(("stopped", "stalled", "the data", "no step"))
+
+
 def test_an_order_far_too_high_is_flagged_or_fits_and_never_hangs():
-    found = estimate_transfer_function(benchmark_record(0, 10.0), 9, 8)
+    found = estimate_transfer_function(benchmark_record(0, 10.0, 1000), 9, 8)
     assert np.all(found.model.poles.real < 0.0)
     assert (
         not found.converged
