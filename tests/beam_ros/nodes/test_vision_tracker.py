@@ -72,7 +72,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrackerScene]:
 
 
 def _write_film(scene: TrackerScene, path) -> None:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 50.0, (640, 480))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (640, 480))
     for k in range(FILM_FRAMES):
         writer.write(cv2.cvtColor(scene.pixels(_film_x(k)), cv2.COLOR_GRAY2BGR))
     writer.release()
