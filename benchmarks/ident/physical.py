@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from beam_ident import identify
+from beam_ident import LogChirp, identify
 from beam_model import Damping
 from beam_model.physical_fit import ModalMeasurement, fit_beam
 from benchmarks.ident.rig import Rig
@@ -22,8 +22,8 @@ class PhysicalCase(AgainstBound):
     The filmed beam obeys the same theory, so that no discrepancy of theory is allowed for.
     """
 
-    def __init__(self) -> None:
-        self.rig = Rig(Damping(viscous=0.02, internal=1e-5))
+    def __init__(self, chirp: LogChirp | None = None) -> None:
+        self.rig = Rig(Damping(viscous=0.02, internal=1e-5), chirp)
         beam = self.rig.parameters
         self.start = replace(
             beam,

@@ -21,7 +21,7 @@ class Rig:
     names = ("z010", "z225", "z285")
     exposure = 5e-3
 
-    def __init__(self, damping: Damping = RATIOS) -> None:
+    def __init__(self, damping: Damping = RATIOS, chirp: LogChirp | None = None) -> None:
         self.parameters = BeamParameters.from_section(
             0.30,
             0.025,
@@ -50,8 +50,8 @@ class Rig:
             np.zeros((size, size)),
             np.ones(3),
         )
-        self.excitation = LogChirp().sample()
-        self.stamps = 0.01 * np.arange(1, 2999)
+        self.excitation = (chirp or LogChirp()).sample()
+        self.stamps = 0.01 * np.arange(1, round(100.0 * self.excitation.duration_s) - 1)
         self.clean = self.full.simulate(
             self.excitation.input_signal("acceleration"), self.stamps, self.exposure
         )
