@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from beam_ident.excitation import seeds
 from beam_ident.excitation.crest_optimisation import crest_factor, optimised_phases, schroeder_phases
+from beam_ident.excitation.periodic_sum import sum_of_lines
 from beam_ident.excitation.recipe import Recipe
-from beam_ident.excitation.windows import displacement_amplitude, sum_of_sines
+from beam_ident.excitation.windows import displacement_amplitude, window
 from beam_ident.piecewise import FloatArray
 
 PHASES = ("random", "schroeder", "crest")
@@ -149,8 +150,9 @@ class Multisine(Recipe):
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
-        omega = 2.0 * np.pi * self.lines_hz
-        return sum_of_sines(times_s, self._amplitudes(), omega, self._phases(), self.active_s, self.fade_s)
+        numbers = self._line_numbers()[0]
+        total = sum_of_lines(times_s, numbers, self._amplitudes(), self._phases(), self.line_period_s)
+        return np.asarray(window(times_s, self.active_s, self.fade_s, self.fade_s) * total)
 
     def _line_numbers(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the numbers of the excited lines and of the odd ones left out."""

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beam_ident.excitation import seeds
+from beam_ident.excitation.periodic_sum import sum_of_lines
 from beam_ident.excitation.recipe import Recipe
-from beam_ident.excitation.windows import displacement_amplitude, sum_of_sines
+from beam_ident.excitation.windows import displacement_amplitude, window
 from beam_ident.piecewise import FloatArray
 
 
@@ -56,21 +58,24 @@ class BandLimitedNoise(Recipe):
         self._not_negative("still_s")
         self._require(0 <= self.seed < 1 << 32, "seed", self.seed, "a whole number from 0 below 2^32")
         self._require(self.fade_s <= self.length_s / 2, "fade_s", self.fade_s, "at most half of length_s")
-        self._require(len(self._lines_hz()) > 0, "high_hz", self.high_hz, "a band of at least 1 / length_s")
+        self._require(
+            len(self._line_numbers()) > 0, "high_hz", self.high_hz, "a band of at least 1 / length_s"
+        )
 
     @property
     def duration_s(self) -> float:
         """Length [s], the still stretch included."""
         return self.length_s + self.still_s
 
-    def _lines_hz(self) -> FloatArray:
+    def _line_numbers(self) -> NDArray[np.intp]:
         first = max(math.ceil(self.low_hz * self.length_s - 1e-9), 1)
         last = math.floor(self.high_hz * self.length_s + 1e-9)
-        return np.arange(first, last + 1) / self.length_s
+        return np.arange(first, last + 1)
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
-        lines = self._lines_hz()
+        numbers = self._line_numbers()
+        lines = numbers / self.length_s
         omega = 2.0 * np.pi * lines
         # An octave around f holds f / sqrt(2) hertz of lines, which share the ceiling.
         ceiling = self.displacement_ceiling * np.sqrt(2.0 * math.sqrt(2.0) / (lines * self.length_s))
@@ -80,4 +85,5 @@ class BandLimitedNoise(Recipe):
         # Box and Muller: a Rayleigh radius and a uniform phase make two normal parts.
         radii = np.sqrt(-np.log1p(-drawn[0::2])) * amplitudes
         phases = 2.0 * np.pi * drawn[1::2]
-        return sum_of_sines(times_s, radii, omega, phases, self.length_s, self.fade_s)
+        shape = window(times_s, self.length_s, self.fade_s, self.fade_s)
+        return shape * sum_of_lines(times_s, numbers, radii, phases, self.length_s)

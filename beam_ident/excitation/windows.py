@@ -70,29 +70,3 @@ def displacement_amplitude(
     """
     amplitude = soft_minimum(displacement_ceiling, acceleration / omega**2)
     return amplitude if velocity_ceiling is None else soft_minimum(velocity_ceiling / omega, amplitude)
-
-
-def sum_of_sines(
-    times_s: FloatArray,
-    amplitudes: FloatArray,
-    omegas: FloatArray,
-    phases: FloatArray,
-    active_s: float,
-    fade_s: float,
-) -> FloatArray:
-    """Return a windowed sum of sines, computed only where the window is open.
-
-    Parameters
-    ----------
-    times_s : ndarray -- any times [s]
-    amplitudes, omegas, phases : ndarray, shape (n_lines,) -- omegas in rad/s, phases in rad
-    active_s, fade_s : float -- length of the window and of each of its ramps [s]
-    """
-    total = np.zeros(np.shape(times_s))
-    is_open = (times_s > 0.0) & (times_s < active_s)
-    times = np.asarray(times_s)[is_open]
-    inside = np.zeros_like(times)
-    for amplitude, omega, phase in zip(amplitudes, omegas, phases, strict=True):
-        inside += amplitude * np.sin(omega * times + phase)
-    total[is_open] = window(times, active_s, fade_s, fade_s) * inside
-    return total
