@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
@@ -30,6 +31,7 @@ from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
 
 _ITERATIONS = 60
+_ALIKE = 1e-6  # chance below which residuals are called alike
 _UNCERTAIN = 0.3  # relative standard deviation of a damping ratio beyond which it says little
 
 
@@ -299,7 +301,7 @@ def _result(
         converged=fit.converged,
         reason=fit.reason,
         iterations=fit.iterations,
-        warnings=_warnings(fit, misfit, sd),
+        warnings=_warnings(fit, misfit, sd, _likeness(fit, lines)),
     )
 
 
@@ -314,8 +316,29 @@ def _residue(omega: float, zeta: float, a: float, b: float) -> tuple[complex, Co
     return value, np.array([-value, by_zeta, 1.0 / bottom, unit / bottom])
 
 
-def _warnings(fit: PoleFit, misfit: LineMisfit, sd: FloatArray) -> tuple[str, ...]:
+def _likeness(fit: PoleFit, n_lines: int) -> float:
+    """Return the chance that independent errors are as alike from line to line as the residuals are.
+
+    Notes
+    -----
+    ``n |r|^2`` with r the correlation of neighbouring lines is exponentially distributed for each of the
+    pairs, so that twice the sum over N pairs is chi-squared with 2 N degrees of freedom.
+    """
+    total = 0.0
+    for residuals in fit.residuals:
+        values = residuals[:n_lines] + 1j * residuals[n_lines:]
+        power = float(np.sum(np.abs(values) ** 2))
+        total += n_lines * abs(np.vdot(values[:-1], values[1:])) ** 2 / max(power**2, 1e-300)
+    return float(chi2.sf(2.0 * total, 2 * len(fit.residuals)))
+
+
+def _warnings(fit: PoleFit, misfit: LineMisfit, sd: FloatArray, likeness: float) -> tuple[str, ...]:
     found = [misfit.warning] if misfit.warning else []
+    if likeness < _ALIKE:
+        found.append(
+            "the residuals of neighbouring lines are alike: modes are missing, or the noise is not independent from "
+            "line to line and the standard deviations are too small"
+        )
     if not fit.converged:
         found.append(f"the refinement did not converge: {fit.reason}")
     n = len(fit.omegas)

@@ -24,3 +24,11 @@ def test_the_page_on_the_frequency_domain_runs_from_top_to_bottom(capsys: pytest
     assert "no nonlinear distortion" in printed
     assert names["found"].response.frequencies_hz[-1] > 25.0  # type: ignore[attr-defined]
     assert abs(names["decay"].damping_ratios[0] / 0.02 - 1.0) < 0.05  # type: ignore[attr-defined]
+
+
+def test_the_page_on_modal_analysis_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    names = run_page("modal-analysis.md")
+    assert "nothing to warn of" in capsys.readouterr().out
+    analysis = names["analysis"]
+    assert len(analysis.damping_ratios) == 5  # type: ignore[attr-defined]
+    assert abs(names["circle"].damping_ratio / 0.017 - 1.0) < 0.05  # type: ignore[attr-defined]

@@ -39,6 +39,7 @@ def test_with_one_per_cent_of_noise_damping_is_within_one_per_cent():
     np.testing.assert_allclose(found.damping_ratios, DAMPING, rtol=0.01)
     np.testing.assert_allclose(found.frequencies_hz, FREQUENCIES_HZ, rtol=1e-3)
     assert found.misfit.is_noise
+    assert not found.warnings
     assert np.all(np.diag(found.assurance) > 1 - 1e-12)
     measured = found.shapes / np.linalg.norm(found.shapes, axis=0)
     assert np.all(np.abs(np.sum(np.conj(measured) * SHAPES, axis=0)) > 0.9999)
@@ -85,6 +86,9 @@ def test_a_mode_too_many_is_warned_of_and_one_that_is_not_there_refused():
         analyse_modes(chart, [80.0])
     few = analyse_modes(chart, FREQUENCIES_HZ[:3])
     assert "modes or distortion" in few.warnings[0]
+    unknown = FrequencyRecord(chart.record.omegas, chart.record.response)
+    blind = analyse_modes(stabilisation_chart(unknown, max_order=14), FREQUENCIES_HZ[:3])
+    assert any("neighbouring lines are alike" in warning for warning in blind.warnings)
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((300, 2, 1)) + 1j * rng.standard_normal((300, 2, 1))
     with pytest.raises(EstimationError, match="chose no mode"):
