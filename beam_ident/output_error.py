@@ -29,6 +29,7 @@ ComplexArray = NDArray[np.complex128]
 _MIN_SAMPLES = 20
 _NOISE_FLOOR = 1e-11
 _MAX_POLE = 1e4  # of the Nyquist frequency
+_LEAST_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
 _EARLIEST = 1.0  # sampling periods: an estimated delay may come out this much below zero
 
 
@@ -263,7 +264,11 @@ class OutputErrorProblem:
         uppers = tuple(upper_roots(self.polynomial(theta, block)) for block in range(len(self.orders)))
         largest = _MAX_POLE * self.nyquist / self.scale
         for upper, n in zip(uppers, self.orders, strict=True):
-            if np.any(upper.real >= 0.0) or len(full_roots(upper)) != n or np.max(np.abs(upper)) > largest:
+            if (
+                np.any(upper.real > -_LEAST_DAMPING * np.abs(upper))
+                or len(full_roots(upper)) != n
+                or np.max(np.abs(upper)) > largest
+            ):
                 return refused
         delays = self.delays(theta)
         if any(delays[k] < -_EARLIEST * self.period or delays[k] > self.length for k in self.free_delays):
