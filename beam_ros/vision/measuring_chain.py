@@ -26,8 +26,8 @@ Floats = npt.NDArray[np.float64]
 
 _BELIEVED_AFTER_FRAMES = 20
 """So many frames in a row that all come from the past mean that the camera's clock was set back."""
-_LOST_SIGHT_FRAMES = 10
-"""So many missing frames in a row are longer than a prediction reaches."""
+_LOST_SIGHT_FRAMES = 3
+"""With so many frames missing in a row a marker may be farther from its prediction than the tracker looks."""
 _LENS_SHIFT_PX = 0.25
 """Largest difference between two lenses' distortion, anywhere in the image, that still counts as the same [px]."""
 
