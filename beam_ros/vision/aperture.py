@@ -70,9 +70,16 @@ class Aperture(NamedTuple):
     noise: float
 
 
-def disc_steps(radius: float, edge: float) -> tuple[int, int]:
-    """Return the tabulated size nearest to a disc's radius and the standard deviation of its rim's blur [px]."""
-    return round(radius / _RADIUS_STEP_PX), max(2, round(edge / _EDGE_STEP_PX))
+def disc_steps(radius: float, edge: float, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
+    """Return the tabulated size nearest to a disc's radius and the standard deviation of its rim's blur [px].
+
+    Where it lies within three quarters of a step of the size `before`, that is kept: an average that wavers
+    between two sizes would tabulate both.
+    """
+    steps = radius / _RADIUS_STEP_PX, edge / _EDGE_STEP_PX
+    if max(abs(steps[0] - before[0]), abs(steps[1] - before[1])) < 0.75:
+        return before
+    return round(steps[0]), max(2, round(steps[1]))
 
 
 def aperture_at(
@@ -101,40 +108,56 @@ def aperture_at(
 
 @lru_cache(maxsize=4096)
 def _tabulated(phase_u: int, phase_v: int, radius_steps: int, edge_steps: int, smear_steps: int) -> Aperture:
-    """Compute weights and their gains; the gains from a blurred, smeared disc that is moved a little."""
-    u, v = phase_u / _PHASES_U, phase_v / _PHASES_V
-    radius, edge = radius_steps * _RADIUS_STEP_PX, edge_steps * _EDGE_STEP_PX
-    smear = smear_steps * _SMEAR_STEP_PX
-    length = _SLACK * smear
-    half_weight = radius + max(_RIM * edge, _LEAST_RIM_PX)
-    reach = half_weight + _REACH * _SOFTNESS_PX
-    left, right = math.ceil(u - length / 2 - reach), math.floor(u + length / 2 + reach)
-    top, bottom = math.ceil(v - reach), math.floor(v + reach)
-    x = np.arange(left, right + 1, dtype=np.float64)[None, :] - u
-    y = np.arange(top, bottom + 1, dtype=np.float64)[:, None] - v
-    beyond = np.hypot(np.maximum(np.abs(x) - length / 2, 0.0), y)
-    weight = np.where(beyond < reach, cumulative_normal((half_weight - beyond) / _SOFTNESS_PX), 0.0)
+    """Compute the weights about one point."""
+    left, top, x, y, weight = _weights(
+        phase_u / _PHASES_U, phase_v / _PHASES_V, radius_steps, edge_steps, smear_steps
+    )
+    gain_u, gain_v = _gains(radius_steps, edge_steps, smear_steps)
     along_u, along_v = weight * x, weight * y
-    shifts = (np.arange(2 * smear_steps + 1) + 0.5) / (2 * smear_steps + 1) * smear - smear / 2
-
-    def centre(move_u: float, move_v: float) -> tuple[float, float]:
-        disc = np.zeros_like(weight)
-        for shift in shifts:
-            disc += cumulative_normal((radius - np.hypot(x - move_u - shift, y - move_v)) / edge)
-        mass = float(np.sum(weight * disc))
-        return float(np.sum(along_u * disc)) / mass, float(np.sum(along_v * disc)) / mass
-
-    step = 1.0 / _PHASES_U
-    gain_u = (centre(step, 0.0)[0] - centre(-step, 0.0)[0]) / (2 * step)
-    gain_v = (centre(0.0, step)[1] - centre(0.0, -step)[1]) / (2 * step)
     return Aperture(
         left,
         top,
-        right - left + 1,
-        bottom - top + 1,
+        x.size,
+        y.size,
         np.stack([weight.ravel(), along_u.ravel(), along_v.ravel()]).astype(np.float32),
         (float(weight.sum()), float(along_u.sum()), float(along_v.sum())),
         gain_u,
         gain_v,
         math.sqrt(float(np.sum(along_u**2))) / gain_u,
     )
+
+
+def _weights(
+    u: float, v: float, radius_steps: int, edge_steps: int, smear_steps: int
+) -> tuple[int, int, Floats, Floats, Floats]:
+    """First column and row, distances (1, width) and (height, 1) from the point, weights (height, width)."""
+    half_weight = radius_steps * _RADIUS_STEP_PX + max(_RIM * edge_steps * _EDGE_STEP_PX, _LEAST_RIM_PX)
+    reach = half_weight + _REACH * _SOFTNESS_PX
+    half_length = _SLACK * smear_steps * _SMEAR_STEP_PX / 2
+    left, right = math.ceil(u - half_length - reach), math.floor(u + half_length + reach)
+    top, bottom = math.ceil(v - reach), math.floor(v + reach)
+    x = np.arange(left, right + 1, dtype=np.float64)[None, :] - u
+    y = np.arange(top, bottom + 1, dtype=np.float64)[:, None] - v
+    beyond = np.hypot(np.maximum(np.abs(x) - half_length, 0.0), y)
+    weight = np.where(beyond < reach, cumulative_normal((half_weight - beyond) / _SOFTNESS_PX), 0.0)
+    return left, top, x, y, weight
+
+
+@lru_cache(maxsize=256)
+def _gains(radius_steps: int, edge_steps: int, smear_steps: int) -> tuple[float, float]:
+    """How far the aperture lets the centre of a blurred, smeared disc follow when that is moved a little."""
+    radius, edge = radius_steps * _RADIUS_STEP_PX, edge_steps * _EDGE_STEP_PX
+    _, _, x, y, weight = _weights(0.0, 0.0, radius_steps, edge_steps, smear_steps)
+    count = 2 * smear_steps + 1
+    shifts = ((np.arange(count) + 0.5) / count - 0.5) * smear_steps * _SMEAR_STEP_PX
+
+    def centre(move_u: float, move_v: float) -> tuple[float, float]:
+        disc = np.zeros_like(weight)
+        for shift in shifts:
+            disc += cumulative_normal((radius - np.hypot(x - move_u - shift, y - move_v)) / edge)
+        disc *= weight
+        return float(np.sum(disc * x) / np.sum(disc)), float(np.sum(disc * y) / np.sum(disc))
+
+    # By symmetry the centre of a disc at the point itself is the point.
+    step = 1.0 / _PHASES_U
+    return centre(step, 0.0)[0] / step, centre(0.0, step)[1] / step

@@ -119,6 +119,7 @@ class Appearance:
     disc: tuple[int, int] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.disc = (0, 0)
         self.derive()
 
     @property
@@ -141,4 +142,4 @@ class Appearance:
         self.edge = math.sqrt(rim / share)
         seen = math.sqrt(max(squared - rim, 1.0))
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
-        self.disc = disc_steps(self.radius, self.edge)
+        self.disc = disc_steps(self.radius, self.edge, self.disc)
