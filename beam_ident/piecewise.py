@@ -23,7 +23,8 @@ BAND_LIMITED_DEGREE = 9
 FloatArray = NDArray[np.float64]
 
 _REGULAR_TOLERANCE = 1e-9  # knots closer than this [s] to k * period count as a regular grid
-_SNAP = 1e-6  # of a period: closer to a knot than this is on it
+_SNAP = 1e-6  # of a period: closer to a knot than this counts as after it
+_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # of an instant: what adding up periods may lose
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,8 @@ class PiecewisePolynomial:
         """Return the segment of every instant and the time since its knot [s].
 
         An instant that misses a knot by rounding alone belongs to the segment that begins
-        there: a held input has changed by then.
+        there: a held input has changed by then.  How far it misses is kept, for a likelihood
+        must stay smooth while a clock moves its instants over the knots.
         """
         last = len(self.coefficients) - 1
         slack = _SNAP * (self.period if self.period is not None else float(np.min(np.diff(self.knots))))
@@ -129,7 +131,8 @@ class PiecewisePolynomial:
             index = np.searchsorted(self.knots, times + slack, side="right") - 1
         index = np.clip(index, 0, last)
         offset = times - self.knots[index]
-        return index, np.where(np.abs(offset) <= slack, 0.0, offset)
+        rounding = _ROUNDING * float(np.max(np.abs(times), initial=0.0))
+        return index, np.where(np.abs(offset) <= rounding, 0.0, offset)
 
     def __call__(self, times: FloatArray, derivative: int = 0) -> FloatArray:
         """Return the signal, or one of its derivatives, at any instants."""

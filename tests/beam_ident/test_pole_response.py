@@ -104,3 +104,15 @@ def test_derivatives_are_exact(hold, exposure):
     step = 1e-8  # shorter than any distance between an instant and a knot
     numeric = (values(POLE, step).values - values(POLE, -step).values) / (2 * step)
     np.testing.assert_allclose(found.time_slopes, numeric, rtol=1e-5, atol=1e-5 * np.max(np.abs(numeric)))
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_the_response_is_smooth_where_instants_cross_a_knot(hold):
+    signal = make_signal(hold, irregular=False)
+    knot = float(signal.knots[200])
+    times = knot + 1e-10 * np.arange(-40.0, 41.0)
+    response = PoleResponses(np.array([POLE]), signal)
+    sampled = response.sample(Instants.on(signal, times, 0.0), signal.antiderivative())
+    # The imaginary part is a mode's displacement: its slope has no jump, whatever the hold.
+    steps = np.diff(sampled.values[0].imag)
+    np.testing.assert_allclose(steps, 1e-10 * sampled.time_slopes[0].imag[1:], rtol=1e-2)
