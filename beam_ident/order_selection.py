@@ -1,11 +1,11 @@
 """Which degrees a transfer function needs: the table of orders, and a choice.
 
-Every structure is estimated and listed with the figures that the literature tabulates
-(R_T^2, YIC, AIC, BIC, FIT, condition, convergence).  The choice is made by BIC among
-the structures that pass the gates: the fit converged, every pole is known well
-enough to mean something, and no pole is cancelled by a zero within their
-uncertainty.  YIC is shown because it is customary; for lightly damped modes it picks
-orders that are too low, and decides nothing here.
+Every structure is estimated, from one start and, where that may have led to a local optimum, from
+several.  All are listed with the figures that the literature tabulates (R_T^2, YIC, AIC, BIC,
+FIT, condition, convergence).  The choice is made by BIC among the structures that pass the
+gates: the fit converged, every pole is known well enough to mean something, and no pole is
+cancelled by a zero within their uncertainty.  YIC is shown because it is customary; for lightly
+damped modes it picks orders that are too low, and decides nothing here.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ import numpy as np
 from beam_ident.batches import Progress, map_records
 from beam_ident.errors import EstimationError
 from beam_ident.records import TimeRecord
+from beam_ident.refined_instruments import WHITE
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
 
+_FIRST_PART = 0.7  # of the progress: one start for every structure
+_VISIBLE = 1.0  # of -2 log-likelihood
+_NEAR = 2  # parameters
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
 
@@ -101,8 +105,18 @@ def select_transfer_function(
         raise EstimationError(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
-    jobs = [(record, n, m, options) for n, m in structures]
-    results = map_records(_attempt, jobs, n_workers, scheduler, progress)
+    quick = {"n_starts": 1} | options
+    jobs = [(record, n, m, quick) for n, m in structures]
+    results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
+    suspects = [] if "n_starts" in options else _suspects(structures, results)
+    jobs = [(record, *structures[k], options) for k in suspects]
+    again = (
+        map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
+    )
+    for k, outcome in zip(suspects, again, strict=True):
+        results[k] = _better(results[k], outcome)
+    if progress is not None and not suspects:
+        progress(f"{len(structures)} structures", 1.0)
     entries = [_entry(n, m, outcome) for (n, m), outcome in zip(structures, results, strict=True)]
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
     if not passed:
@@ -116,6 +130,45 @@ def select_transfer_function(
     assert isinstance(chosen, TransferFunctionResult)
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
+
+
+def _part(progress: Progress | None, start: float, end: float) -> Progress | None:
+    """Return a progress that reports a part of the whole."""
+    if progress is None:
+        return None
+    return lambda phrase, share: progress(phrase, start + (end - start) * share)
+
+
+def _suspects(structures: list[tuple[int, int]], results: list[TransferFunctionResult | str]) -> list[int]:
+    """Return which structures may have ended in a local optimum, and matter.
+
+    Those without any estimate; those that a structure inside them surpasses; and, where residuals
+    do not look like noise, those not larger than the best by BIC and not much smaller.
+    """
+    found = [(k, r) for k, r in enumerate(results) if not isinstance(r, str)]
+    suspects = [k for k, r in enumerate(results) if isinstance(r, str)]
+    if not found:
+        return suspects
+    n_best, m_best = structures[min(found, key=lambda item: item[1].bic)[0]]
+    misfits = {k: r.bic - sum(structures[k]) * math.log(len(r.measured)) for k, r in found}
+    for k, r in found:
+        n, m = structures[k]
+        inside = [j for j, _ in found if j != k and structures[j][0] <= n and structures[j][1] <= m]
+        is_surpassed = any(misfits[j] < misfits[k] - _VISIBLE for j in inside)
+        is_noise = r.converged and r.whiteness.p_value > WHITE
+        is_near = n_best + m_best - _NEAR <= n + m <= n_best + m_best and (n, m) != (n_best, m_best)
+        if is_surpassed or (is_near and not is_noise):
+            suspects.append(k)
+    return suspects
+
+
+def _better(
+    first: TransferFunctionResult | str, second: TransferFunctionResult | str
+) -> TransferFunctionResult | str:
+    """Return the estimate of lower cost."""
+    if isinstance(second, str):
+        return first
+    return second if isinstance(first, str) or second.bic <= first.bic else first
 
 
 def _attempt(job: tuple[TimeRecord, int, int, dict[str, Any]]) -> TransferFunctionResult | str:

@@ -43,7 +43,7 @@ _SRIVC_ITERATIONS = 20
 _LM_ITERATIONS = 50
 _PORTFOLIO = 7
 _INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
-_FINALISTS = 3
+FINALISTS = 3
 WHITE = 0.01
 _NO_START = (
     "no state-variable filter gave a stable start; give another cutoff, other degrees, or a longer record"
@@ -75,7 +75,7 @@ def portfolio(problem: OutputErrorProblem) -> list[float]:
 
 
 def estimate_denominator(
-    problem: OutputErrorProblem, method: Method, cutoff: float | None = None, n_finalists: int = _FINALISTS
+    problem: OutputErrorProblem, method: Method, cutoff: float | None = None, n_finalists: int = FINALISTS
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate a problem of one denominator without a start.
 
@@ -148,7 +148,8 @@ class _Chain:
         subspace = sorted(self._subspace_starts(), key=lambda state: state.cost)[:1]
         if not self.problem.free_delays:
             yield from subspace
-            yield from self._filtered_starts()[: self.n_finalists]
+            if self.n_finalists:
+                yield from self._filtered_starts()[: self.n_finalists]
             return
         filtered = self._filtered_starts()[: self.n_finalists]
         yield from filtered[:1] + subspace + filtered[1:]

@@ -24,7 +24,7 @@ from beam_ident.multi_input_model import MultiInputModel
 from beam_ident.output_error import Nuisances, OutputErrorProblem, OutputErrorState, Path, usable_samples
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
-from beam_ident.refined_instruments import METHODS, Method, Optimum, estimate_denominator
+from beam_ident.refined_instruments import FINALISTS, METHODS, Method, Optimum, estimate_denominator
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.validation import Scores, Whiteness
 
@@ -121,6 +121,7 @@ def estimate_transfer_function(
     output_name: str | None = ...,
     cutoff: float | None = ...,
     n_integrators: int = ...,
+    n_starts: int = ...,
 ) -> TransferFunctionResult: ...
 
 
@@ -138,6 +139,7 @@ def estimate_transfer_function(
     output_name: str | None = ...,
     cutoff: float | None = ...,
     n_integrators: int = ...,
+    n_starts: int = ...,
 ) -> MultiInputResult: ...
 
 
@@ -155,6 +157,7 @@ def estimate_transfer_function(
     output_name: str | None = None,
     cutoff: float | None = None,
     n_integrators: int = 0,
+    n_starts: int = FINALISTS + 1,
 ) -> TransferFunctionResult | MultiInputResult:
     """Estimate B(s)/A(s) from one input to one output, or one B_k(s)/A(s) from each of several.
 
@@ -182,6 +185,9 @@ def estimate_transfer_function(
     n_integrators : {0, 1, 2}
         Known poles at zero, beside those that are estimated; with a free response an unknown
         constant (and for two a ramp) is estimated too.
+    n_starts : int
+        Starts at most, tried in turn until the residuals look like noise; 1 is the quickest, for
+        comparing many structures.  Inputs with denominators of their own have starts of their own.
 
     Returns
     -------
@@ -195,6 +201,8 @@ def estimate_transfer_function(
     """
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    if n_starts < 1:
+        raise EstimationError(f"n_starts is {n_starts}; expected at least 1")
     if n_integrators not in range(_MAX_INTEGRATORS + 1):
         raise EstimationError(f"n_integrators is {n_integrators}; expected 0, 1 or 2")
     if output_name is None and len(record.outputs) > 1:
@@ -243,8 +251,10 @@ def estimate_transfer_function(
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
     orders = tuple(poles) if own_poles else (poles[0],)
     problem = OutputErrorProblem(paths, orders, times, values, output.exposure_s, nuisances)
-    estimate = estimate_denominator if len(orders) == 1 else estimate_additive
-    problem, optimum = estimate(problem, method, cutoff)
+    if len(orders) == 1:
+        problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
+    else:
+        problem, optimum = estimate_additive(problem, method, cutoff)
     if method == "rivc":
         problem, optimum = refine_with_noise_model(problem, optimum)
     return _result(problem, optimum, method, n_integrators, output.name, several)
