@@ -14,7 +14,7 @@ from beam_ident import (
 from beam_ident.delay_search import delay_profile
 from beam_ident.output_error import Nuisances, OutputErrorProblem, Path
 from beam_ident.transfer_function import TransferFunctionModel
-from benchmarks.ident.delay import DelayedBeam, DoublePole
+from benchmarks.ident.delay import DelayedBeam, DoublePole, LateBeam
 from tests.beam_ident.rao_garnier import PERIOD_S, noise_level, prbs
 
 SECOND_ORDER = (np.array([3.0, 90.0]), np.array([1.0, 2.0, 81.0]))
@@ -51,7 +51,13 @@ def test_a_fraction_of_a_sample_is_resolved_on_the_beam():
     case = DelayedBeam()
     model = case.estimate(case.record(0))
     assert abs(model.delay - 7.3e-3) < 3.3 * model.standard_deviations[-1]
-    assert abs(model.delay - 7.3e-3) < 5e-5
+    assert model.standard_deviations[-1] < 3e-5
+
+
+def test_two_points_with_common_modes_know_the_delay_five_times_better():
+    found = LateBeam().identify(0)
+    assert abs(found.latency - 7.3e-3) < min(3.3 * found.latency_sd, 5e-5)
+    assert found.latency_sd < 6e-6
 
 
 @pytest.mark.parametrize("hold", ["zoh", "linear", "cubic"])
