@@ -201,9 +201,14 @@ class MultiInputModel:
             )
         return StateSpace(*self.state_space())
 
-    def to_control(self) -> Any:
-        """Return a python-control ``TransferFunction`` with one column for each input."""
-        paths = [self.path(name).to_control() for name in self.input_names]
+    def to_control(self, pade_order: int | None = None) -> Any:
+        """Return a python-control ``TransferFunction`` with one column for each input.
+
+        Parameters
+        ----------
+        pade_order : int or None -- of the approximation that stands for delays
+        """
+        paths = [self.path(name).to_control(pade_order) for name in self.input_names]
         import control
 
         numerators = [[path.num[0][0] for path in paths]]

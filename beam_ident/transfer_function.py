@@ -307,19 +307,27 @@ class TransferFunctionModel:
             )
         return TransferFunction(self.numerator, self.denominator)
 
-    def to_control(self) -> Any:
-        """Return a python-control ``TransferFunction`` (needs the package ``control``)."""
+    def to_control(self, pade_order: int | None = None) -> Any:
+        """Return a python-control ``TransferFunction`` (needs the package ``control``).
+
+        Parameters
+        ----------
+        pade_order : int or None
+            Order of the Pade approximation that stands for the delay; python-control has no exact one.
+        """
         try:
             import control
         except ImportError as err:
             raise EstimationError("python-control is not installed; `pip install control` brings it") from err
-        if self.delay != 0.0:
+        rational = control.tf(self.numerator, self.denominator)
+        if self.delay == 0.0:
+            return rational
+        if pade_order is None:
             raise EstimationError(
-                f"python-control has no exact delays and this model has one of {self.delay:.6g} s; use a "
-                "Pade "
-                "approximation of your own, or simulate()"
+                f"python-control has no exact delays and this model has one of {self.delay:.6g} s; give "
+                "pade_order, or use simulate()"
             )
-        return control.tf(self.numerator, self.denominator)
+        return rational * control.tf(*control.pade(self.delay, pade_order))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""

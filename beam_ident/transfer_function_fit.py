@@ -234,6 +234,11 @@ def estimate_transfer_function(
                 "(beyond that use the additive modal form: identify())"
             )
     delays = [_prior(value) for value in _one_each("delay", delay, drives)]
+    if any(prior.is_free for prior in delays) and method in ("srivc", "ivsvf", "lssvf"):
+        raise EstimationError(
+            f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
+            "or 'rivc'"
+        )
     for drive in drives:
         if np.ptp(drive.values) == 0.0 and not has_free_response and drive.values[0] == 0.0:
             raise EstimationError(f"input {drive.name!r} is zero throughout; it excites nothing")

@@ -104,3 +104,11 @@ def test_the_profile_is_lowest_at_the_delay():
 def test_delays_that_mean_nothing_are_refused(delay):
     with pytest.raises(EstimationError, match=r"delay|prior"):
         estimate_transfer_function(late_record(0.0), 2, 1, delay=delay)
+
+
+@pytest.mark.parametrize("method", ["srivc", "ivsvf", "lssvf"])
+def test_estimators_that_take_a_delay_as_given_do_not_pretend_to_find_it(method):
+    with pytest.raises(EstimationError, match="takes delays as given"):
+        estimate_transfer_function(late_record(0.1), 2, 1, method, delay="estimate")
+    found = estimate_transfer_function(late_record(0.1, snr_db=40.0), 2, 1, method, delay=0.1)
+    assert found.scores.fit_percent > 80.0
