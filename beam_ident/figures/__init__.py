@@ -4,6 +4,7 @@ Every function returns a :class:`matplotlib.figure.Figure` made without pyplot, 
 nothing global is touched; matplotlib is imported only when a figure is asked for.
 """
 
+from beam_ident.figures.excitation import excitation_figure
 from beam_ident.figures.identification import (
     fit_figure,
     frequency_response_figure,
@@ -18,6 +19,7 @@ from beam_ident.figures.validation import validation_figure
 
 __all__ = [
     "coherence_figure",
+    "excitation_figure",
     "fit_figure",
     "frequency_response_figure",
     "pole_figure",

@@ -9,7 +9,8 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from beam_ident import EstimationError, estimate_transfer_function, figures, identify, validate
+from beam_ident import EstimationError, LogChirp, estimate_transfer_function, figures, identify, validate
+from beam_ident.excitation import Prbs
 from beam_ident.frequency_response import local_polynomial_response, welch_response
 from tests.beam_ident import rao_garnier
 from tests.beam_ident.truth import beam_record
@@ -74,6 +75,16 @@ def test_a_validation_shows_every_output_with_its_scores(modal):
     titles = [axis.get_title(loc="left") for axis in figure.axes]
     for output in result.outputs:
         assert any(f"FIT {output.scores.fit_percent:.2f} %" in title for title in titles)
+
+
+def test_an_excitation_is_drawn_with_its_band_and_the_modes_of_a_model(modal):
+    excitation = LogChirp(start_hz=1.0, end_hz=45.0, sweep_s=4.0, still_s=1.0).sample(1e-3)
+    figure = figures.excitation_figure(excitation, modal[1].model)
+    assert len(figure.axes) == 4
+    marks = [line.get_xdata()[0] for line in figure.axes[3].lines[1:]]
+    assert np.allclose(marks, modal[1].model.frequencies_hz)
+    force = Prbs(drive="force").sample_input(1e-3, 2.0, "N")
+    assert len(figures.excitation_figure(force).axes) == 2
 
 
 def test_estimates_of_other_signals_are_refused(rational, modal):
