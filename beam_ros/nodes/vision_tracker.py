@@ -14,6 +14,7 @@ from beam_ros import messages
 from beam_ros.beam_line import BeamLineFitter, line_marker
 from beam_ros.nodes.frame_averaging import FrameAveraging
 from beam_ros.nodes.frame_sources import frame_source
+from beam_ros.nodes.large_messages import keep_freed_memory
 from beam_ros.nodes.shell import RigNode, run_node
 from beam_ros.vision.calibration import LinearCalibration
 from beam_ros.vision.calibration_procedure import CalibrationProcedure
@@ -236,4 +237,5 @@ class VisionTracker(RigNode):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node."""
+    keep_freed_memory()
     return run_node(VisionTracker, argv)
