@@ -12,8 +12,8 @@ trackpy and pyidi are optional: a method that is not installed is said to be abs
 and belongs in an environment of its own: `--only pyidi` there. Times are processor time of one thread; set
 OPENBLAS_NUM_THREADS=1.
 
-`--speed` measures the tracker alone at two image sizes, the search for markers, the renderer and the reading of
-images.
+`--speed` measures the tracker alone at two image sizes, the search for markers, the renderer, the reading of
+images, and the tracking of whole files.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import importlib
 import json
 import math
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ from beam_ros.vision import CameraParameters, TrackerParameters
 from beam_ros.vision.images import grey_image
 from beam_ros.vision.rendering import SceneRenderer
 from beam_ros.vision.tracking import MarkerTracker
+from beam_ros.vision.video import VideoFile, track_frames
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
 WARM_UP = 20
@@ -303,6 +305,35 @@ def speed() -> list[dict[str, Any]]:
     return rows
 
 
+def file_speed() -> list[dict[str, Any]]:
+    """Measure reading and tracking of files at 640x480, decoding included, and of frames that are there already."""
+    camera = CameraParameters()
+    rng = np.random.default_rng(1)
+    renderer = SceneRenderer(camera, HEIGHTS)
+    x = 0.01 * np.sin(0.2 * np.arange(100)[:, None] + np.arange(4.0))
+    frames = [renderer.render(row, rng) for row in x]
+    rows: list[dict[str, Any]] = []
+
+    def note(what: str, milliseconds: float) -> None:
+        rows.append({"what": what, "size": "640x480", "ms": milliseconds})
+        print(f"  {what:44s} 640x480    {milliseconds:8.3f} ms  {1e3 / milliseconds:6.0f} frames/s")
+
+    def track(source: Callable[[], Any]) -> float:
+        tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 4)
+        return best_ms(lambda: track_frames(source(), tracker), 10) / len(frames)
+
+    note("track frames in memory", track(lambda: enumerate(frames)))
+    with tempfile.TemporaryDirectory() as folder:
+        for code in ("MJPG", "FFV1"):
+            path = Path(folder) / f"{code}.avi"
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 100.0, (640, 480), False)
+            for frame in frames:
+                writer.write(frame)
+            writer.release()
+            note(f"read and track a grey {code} file", track(VideoFile(path).frames))
+    return rows
+
+
 def main() -> int:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(
@@ -315,7 +346,11 @@ def main() -> int:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     print(f"OpenCV {cv2.__version__}, NumPy {np.__version__}, Python {sys.version.split()[0]}")
-    rows = speed() if arguments.speed else compare(arguments.frames, arguments.only or list(METHODS))
+    rows = (
+        speed() + file_speed()
+        if arguments.speed
+        else compare(arguments.frames, arguments.only or list(METHODS))
+    )
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return 0
