@@ -19,6 +19,7 @@ from beam_ident.records import InputSignal
 _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
+_STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
 _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 
@@ -44,7 +45,7 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     """
     least = 1.5 / length_s
     values = drive.values - drive.values[0]
-    if not np.any(values):
+    if not np.any(values) or np.std(values) < _STILL * drive.sigma:
         return Band(least, max(0.5 * output_rate_hz, 2.0 * least), False)
     times, step = drive.times_s, drive.period_s
     if step is None:

@@ -392,7 +392,8 @@ class _Search:
         self.progress("weighing by the noise as it is", 0.97)
         model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         smoothing = None
-        if max(_noise_share(model, drive) for drive in regression.drives) > _NEGLIGIBLE_SHARE:
+        shares = [_noise_share(model, drive) for drive in regression.drives]
+        if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
             smoothing = Smoothing(self.band.high_hz)
             regression = self.regression = ModalRegression(
                 self.records, regression.structure, self.input_name, smoothing

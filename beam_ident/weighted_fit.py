@@ -128,6 +128,8 @@ class WeightedFit:
             travelled += change
             if not np.max(np.abs(travelled / reach)[: self.n_theta]) < farthest:
                 reason = "weighing by the noise moves the poles further than noise can; weights are equal"
+                if self.smoothing is not None:
+                    reason = f"{reason}. Check the sigma that is stated for the input"
                 return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
             if not np.max(np.abs(change[: len(fit.omegas)])) < _LARGEST_STEP:
                 break

@@ -74,6 +74,24 @@ def test_unmodelled_motion_is_not_weighed_as_if_it_were_noise():
     assert np.max(np.abs(z_scores(found.model))[:6]) > 10.0
 
 
+def test_an_input_noise_that_is_stated_far_too_large_is_not_believed():
+    found = identify(with_encoder_noise(3, 1e-8, 1e-4), n_modes=3)
+    assert not found.converged
+    assert any("Check the sigma" in text for text in found.warnings)
+    assert np.max(np.abs(z_scores(found.model)[:6])) < 4.0
+
+
+def test_a_hub_that_shows_nothing_but_its_encoders_noise_stands_still():
+    times = np.arange(0.0, 10.0, 0.01)
+    pole = complex(-0.05, 20.0)
+    rng = np.random.default_rng(0)
+    values = np.real(1e-3 * np.exp(pole * times)) + 1e-6 * rng.standard_normal(len(times))
+    drive = InputSignal("hub", "m", (0.0, 0.01), 1e-7 * rng.standard_normal(1001), "cubic", 1e-7)
+    found = identify(TimeRecord((drive,), (OutputSignal("tip", "m", times, values),)))
+    assert found.model.poles[0] == pytest.approx(pole, rel=1e-4)
+    assert any("stands still" in text for text in found.warnings)
+
+
 @pytest.mark.verify
 @pytest.mark.parametrize(
     "make",
