@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from beam_ident.bandwidth import Band, excited_band
 from beam_ident.blas_threads import on_one_thread
@@ -22,11 +21,12 @@ from beam_ident.clock_search import clock_places
 from beam_ident.errors import EstimationError
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.levenberg_marquardt import HOPELESS
-from beam_ident.modal_fit import MIN_DAMPING, ModalFit, Prior, fit_modes
+from beam_ident.modal_fit import ModalFit, Prior, fit_modes
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
 from beam_ident.modal_structure import ModalStructure, StructureKind
+from beam_ident.mode_gates import mode_complaint
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.validation import Scores, Whiteness
@@ -38,8 +38,6 @@ MAX_MODES = 10
 
 Progress = Callable[[str, float], None]
 
-_MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
-_SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on a reader is told
 _ITERATIONS = 40
@@ -47,7 +45,11 @@ _TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
 _CLOCK_STARTS = 3
 _CLOCK_ROUNDS = 3
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
-_SHORT = 8  # iterations of a trial fit
+_SMALLEST = 1e-100  # size of an output
+_SHORT = 8  # iterations of a fit on the way
+_MANY_MODES = (
+    12  # from here on most are spurious: a given order is reached by short fits, the last one in full
+)
 _TRIES_PER_ORDER = 2
 
 
@@ -216,6 +218,12 @@ def _silent(phrase: str, share: float) -> None:
 
 def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
     for name, values in zip(regression.output_names, regression.values, strict=True):
+        size = float(np.max(np.abs(values)))
+        if size > 0.0 and not _SMALLEST < size < 1.0 / _SMALLEST:
+            raise EstimationError(
+                f"output {name!r} reaches {size:.3g}, whose square is beyond what can be computed with; expected "
+                f"{_SMALLEST:g} to {1.0 / _SMALLEST:g}. Check its unit, or its sensor"
+            )
         if np.ptp(values) == 0.0:
             raise EstimationError(
                 f"output {name!r} is constant ({values[0]:g}) over {len(values)} samples; nothing can be "
@@ -284,6 +292,8 @@ class _Search:
 
         What promises a higher likelihood on thinned data is fitted there, and then on all of it.
         """
+        if len(fit.omegas) > _MANY_MODES:
+            return fit
         thinned = self.scan.regression
         priors = self.latency, self.clock_rate
         for _ in range(_CLOCK_ROUNDS):
@@ -305,9 +315,11 @@ class _Search:
     def run(self, n_modes: int | None, max_modes: int) -> None:
         limit = n_modes if n_modes is not None else max_modes
         self.max_iterations = _ITERATIONS if n_modes is not None else _TRIAL_ITERATIONS
+        thorough = self.max_iterations
         while len(self.chosen.omegas) < limit:
             current = self.chosen
             n = len(current.omegas)
+            self.max_iterations = _SHORT if _MANY_MODES <= n < limit - 1 else thorough
             if n_modes is None and not self._affords(n + 1):
                 break
             excluded: list[float] = []
@@ -500,38 +512,3 @@ def _noise_share(model: ModalModel, drive: InputSignal) -> float:
         return 0.0
     omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive)
     return input_noise_share(model.frequency_response(omegas).response, omegas, drive, model.noise_sd)
-
-
-def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: Band) -> str:
-    """Return why a mode cannot be trusted, or an empty string when it can."""
-    n = len(fit.omegas)
-    omega, zeta = float(fit.omegas[mode]), float(fit.zetas[mode])
-    hertz = omega / (2.0 * np.pi)
-    if zeta <= 2.0 * MIN_DAMPING:
-        return f"the damping ratio at {hertz:.4g} Hz ran to zero"
-    if not 0.5 * band.low_hz < hertz < 1.3 * band.high_hz:
-        return f"the frequency ran out of the excited band, to {hertz:.4g} Hz"
-    frequency_sd = math.sqrt(max(float(fit.covariance[mode, mode]), 0.0))
-    damping_sd = math.sqrt(max(float(fit.covariance[n + mode, n + mode]), 0.0))
-    if not frequency_sd < _MAX_FREQUENCY_SD:
-        return f"the frequency at {hertz:.4g} Hz is known to {100 * frequency_sd:.1f} % only"
-    if not damping_sd < zeta:
-        return f"the damping ratio at {hertz:.4g} Hz is {zeta:.2g} +- {damping_sd:.2g}"
-    index, values = [], []
-    place = len(fit.covariance) - sum(len(c) for c in fit.coefficients)
-    n_own = regression.n_nuisance(n)
-    n_plain = n_own - 2 * n if regression.structure.has_free_response else n_own
-    for found in fit.coefficients:
-        columns = [regression.n_shared_fixed + mode] if band.is_excited else []
-        if regression.structure.has_free_response and not band.is_excited:
-            own = regression.n_shared_fixed + n + n_plain + 2 * mode
-            columns += [own, own + 1]
-        index += [place + c for c in columns]
-        values += [found[c] for c in columns]
-        place += len(found)
-    amplitudes = np.array(values)
-    covariance = fit.covariance[np.ix_(index, index)]
-    statistic = float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0])
-    if statistic < chi2.isf(_SIGNIFICANCE, len(amplitudes)):
-        return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
-    return ""

@@ -218,6 +218,13 @@ def make_small(values, n_input=2000):
     return TimeRecord((drive,), (OutputSignal("tip", "m", (0.0, 0.01), values),))
 
 
+def still_record() -> TimeRecord:
+    """Return a record of noise under an input that does not move."""
+    drive = InputSignal("hub", "m", (0.0, 0.001), np.full(2000, 0.1), "linear")
+    noise = np.random.default_rng(0).normal(size=190)
+    return TimeRecord((drive,), (OutputSignal("tip", "m", (0.0, 0.01), noise),))
+
+
 @pytest.mark.parametrize(
     ("call", "says"),
     [
@@ -227,6 +234,10 @@ def make_small(values, n_input=2000):
         (lambda: identify(make_small(np.arange(150.0)), n_modes=0), "n_modes is 0"),
         (lambda: identify(make_small(np.arange(150.0)), n_modes=41), "n_modes is 41"),
         (lambda: identify(make_small(np.arange(150.0)), "torque"), "structure is 'torque'"),
+        (lambda: identify(make_small(1e200 * np.random.default_rng(0).normal(size=190))), "reaches 2.4e"),
+        (lambda: identify(make_small(1e-200 * np.random.default_rng(0).normal(size=190))), "reaches 2.4e"),
+        (lambda: identify(still_record()), "no mode between"),
+        (lambda: identify(make_small(np.arange(150.0)), max_modes=0), "max_modes is 0"),
         (lambda: identify([]), "no record"),
         (lambda: identify(make_small(np.random.default_rng(0).normal(size=190))), "stands out of the noise"),
         (lambda: Prior(0.0, -1.0), "expected a finite mean and sd >= 0"),
@@ -235,6 +246,21 @@ def make_small(values, n_input=2000):
 def test_hopeless_requests_are_refused_with_what_is_wrong(call, says):
     with pytest.raises(EstimationError, match=says):
         call()
+
+
+def test_more_modes_than_there_are_end_with_a_warning_for_each_that_is_not_there():
+    found = identify(beam_record(1), n_modes=5)
+    assert found.model.n_modes == 5
+    assert sum(text.startswith("Mode ") for text in found.warnings) >= 2
+    real = [int(np.argmin(np.abs(found.model.natural_frequencies - omega))) for omega in OMEGAS]
+    np.testing.assert_allclose(found.model.natural_frequencies[real], OMEGAS, rtol=2e-3)
+
+
+@pytest.mark.verify
+def test_the_highest_order_ends():
+    found = identify(beam_record(1), n_modes=40)
+    assert found.model.n_modes <= 40
+    assert found.warnings
 
 
 def test_a_held_position_is_refused_as_it_makes_the_deflection_jump():
