@@ -70,6 +70,26 @@ class OrderSelection:
     table: tuple[StructureEntry, ...]
     chosen: TransferFunctionResult
 
+    def __str__(self) -> str:
+        """Return the table as text, a line for every structure, the chosen one marked by an arrow."""
+        heads = ("poles", "zeros", "R_T^2", "YIC", "FIT %", "AIC", "BIC", "condition", "converged")
+        lines = ["   " + " ".join(f"{head:>10}" for head in heads) + "  refused because"]
+        for e in self.table:
+            figures = (
+                f"{e.n_poles:d}",
+                f"{e.n_zeros:d}",
+                f"{e.r_squared:.5f}",
+                f"{e.yic:.2f}",
+                f"{e.fit_percent:.2f}",
+                f"{e.aic:.1f}",
+                f"{e.bic:.1f}",
+                f"{e.condition:.1e}",
+                "yes" if e.converged else "no",
+            )
+            mark = "-> " if e.is_chosen else "   "
+            lines.append(mark + " ".join(f"{f:>10}" for f in figures) + f"  {e.refused_because}".rstrip())
+        return "\n".join(lines)
+
 
 def select_transfer_function(
     record: TimeRecord,

@@ -24,6 +24,9 @@ def test_the_true_degrees_are_chosen_and_the_table_says_why_others_were_not(snr_
     assert seen[-1] == 1.0
     bics = [e.bic for e in selection.table]
     assert bics == sorted(bics)
+    lines = str(selection).splitlines()
+    assert lines[0].split()[:7] == ["poles", "zeros", "R_T^2", "YIC", "FIT", "%", "AIC"]
+    assert [line.split()[1:3] for line in lines if line.startswith("->")] == [["4", "1"]]
 
 
 def test_processes_give_the_same_table():
