@@ -134,13 +134,37 @@ def test_two_records_share_a_model_and_halve_its_variance():
     assert np.max(np.abs(z_scores(both))) < 4.0
 
 
-def test_offset_ramp_and_a_moving_start_do_not_bias_the_poles():
-    record = beam_record(8).between(3.0, 13.0)
+def drifted(record: TimeRecord, offset: float, drift_per_s: float) -> TimeRecord:
     outputs = tuple(
-        OutputSignal(o.name, "m", o.times_s, o.values + 1e-3 + 5e-5 * o.times_s, o.exposure_s)
+        OutputSignal(o.name, "m", o.times_s, o.values + offset + drift_per_s * o.times_s, o.exposure_s)
         for o in record.outputs
     )
-    moved = TimeRecord(record.inputs, outputs)
+    return TimeRecord(record.inputs, outputs)
+
+
+def test_experiments_of_different_kinds_share_the_beam_and_keep_their_own_offset_drift_and_start():
+    multisine = Multisine(n_periods=1, line_period_s=8.0, still_s=4.0)
+    records = [
+        drifted(beam_record(10).between(2.0, 12.0), 1e-3, 5e-5),
+        drifted(beam_record(11, multisine).between(1.0, 10.0).select(["z225", "z285"]), -2e-3, -1e-4),
+    ]
+    found = identify(records, n_modes=3, **EXACT_CLOCK)
+    assert np.max(np.abs(z_scores(found.model))) < 4.0
+    assert len(found.output("z225").residuals) > len(found.output("z010").residuals)
+    for output in found.outputs:
+        assert output.noise_sd == pytest.approx(4e-6, rel=0.08)  # 900 samples: 2.4 %
+
+
+def test_one_part_of_a_record_is_validated_by_the_other():
+    record = beam_record(12)
+    model = identify(record.between(0.0, 10.0), n_modes=3).model
+    for output in validate(model, record.between(10.0, 17.0)).outputs:
+        assert 0.85 < output.noise_ratio < 1.15
+
+
+def test_offset_ramp_and_a_moving_start_do_not_bias_the_poles():
+    record = beam_record(8).between(3.0, 13.0)
+    moved = drifted(record, 1e-3, 5e-5)
     model = identify(moved, n_modes=3).model
     assert np.max(np.abs(z_scores(model))) < 4.0
     without = identify(
