@@ -33,10 +33,11 @@ from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 
 MAX_MODES = 10
 
-_EVENLY, _STANDING_OUT = 40, 30
+_EVENLY, _STANDING_OUT = 24, 16
 _EXCITED_IMAGE = 1e-2
 _SCAN_DAMPING = (0.002, 0.01, 0.05, 0.25)
 _SCAN_IMAGE = 0.05
+_LARGEST = 1e60  # squares of squares must not overflow
 _EDGE = 1.1  # how far outside the measured band a pole may stand
 
 
@@ -180,10 +181,29 @@ def line_weights(record: FrequencyRecord, output: int, drive: int) -> FloatArray
         variance = record.variance[:, output, drive]
         largest = float(np.max(np.abs(values[seen]), initial=0.0))
         # A variance of zero would be an infinite weight: rounding is the least there is.
-        floor = max((1e-13 * largest) ** 2, 1e-300)
+        floor = max((1e-10 * largest) ** 2, 1e-300)
         weights = np.sqrt(2.0 / np.maximum(variance, floor))
     weights = np.where(seen, weights, 0.0)
     return np.concatenate([weights, weights])
+
+
+def require_responses(record: FrequencyRecord) -> None:
+    """Raise EstimationError where a response has no finite value, is zero at every line, or of an absurd size."""
+    for j, output in enumerate(record.output_names):
+        for i, drive in enumerate(record.input_names):
+            values = record.response[:, j, i]
+            largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+            if largest > 0.0 and not 1.0 / _LARGEST < largest < _LARGEST:
+                raise EstimationError(
+                    f"frequency record {record.name!r}: the response of {output!r} to {drive!r} reaches "
+                    f"{largest:.3g}; expected between {1.0 / _LARGEST:g} and {_LARGEST:g}. Use other units"
+                )
+            if not largest > 0.0:
+                what = "zero" if np.any(np.isfinite(values)) else "missing"
+                raise EstimationError(
+                    f"frequency record {record.name!r}: the response of {output!r} to {drive!r} is {what} at every "
+                    "line; leave it out with select()"
+                )
 
 
 def stacked_values(values: ComplexArray) -> FloatArray:
@@ -261,8 +281,7 @@ def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, laten
             raise EstimationError(
                 f"frequency records {first.name!r} and {record.name!r} have different outputs; use select() first"
             )
-        if not np.any(np.isfinite(record.response)):
-            raise EstimationError(f"frequency record {record.name!r} has no finite value")
+        require_responses(record)
     known = [record.variance is not None for record in data]
     if any(known) and not all(known):
         raise EstimationError(

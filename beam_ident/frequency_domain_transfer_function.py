@@ -16,7 +16,7 @@ import numpy as np
 
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
-from beam_ident.frequency_domain_fit import line_weights, stacked_values
+from beam_ident.frequency_domain_fit import line_weights, require_responses, stacked_values
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.levenberg_marquardt import minimise
 from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
@@ -97,7 +97,7 @@ class _Likelihood:
         a = np.concatenate([[1.0], theta[:n]])
         b = theta[n : n + m + 1]
         lines = np.zeros(0, dtype=np.complex128)
-        if n and np.max(np.roots(a).real) >= 0.0:
+        if not np.all(np.isfinite(theta)) or (n and np.max(np.roots(a).real) >= 0.0):
             return _State(theta, math.inf, lines, np.zeros(0), np.zeros((0, 0)))
         s = self.s
         inverse = 1.0 / np.polyval(a, s)
@@ -240,6 +240,7 @@ def fit_frequency_transfer_function(
         raise EstimationError(
             f"{n_poles} poles and {n_zeros} zeros; expected 1 to 30 poles, and no more zeros"
         )
+    require_responses(record)
     prior = delay if isinstance(delay, Prior) else Prior(float(delay), 0.0)
     likelihood = _Likelihood(record, n_poles, n_zeros, prior)
     if likelihood.n_rows < 2 * likelihood.n_theta:

@@ -34,6 +34,7 @@ def stabilisation_figure(chart: StabilisationChart, analysis: ModalAnalysis | No
     Lines mark the modes: those of the refinement where one is given, else the chart's own choice.
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     axis = figure.subplots()
@@ -63,6 +64,7 @@ def stabilisation_figure(chart: StabilisationChart, analysis: ModalAnalysis | No
     axis.set_xlim(float(chart.record.frequencies_hz[0]), float(chart.record.frequencies_hz[-1]))
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("order")
+    axis.yaxis.set_major_locator(MaxNLocator(integer=True))
     axis.legend(loc="upper right", fontsize=8, title="stable in", title_fontsize=8)
     return figure
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.errors import EstimationError
+from beam_ident.frequency_domain_fit import require_responses
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.piecewise import FloatArray
 
@@ -68,6 +69,7 @@ def polyreference_poles(record: FrequencyRecord, max_order: int) -> tuple[OrderP
         raise EstimationError(
             f"{n_lines} lines cannot carry an order of {max_order}; ask for a lower max_order or measure more lines"
         )
+    require_responses(record)
     size = np.sqrt(np.mean(np.abs(record.response) ** 2, axis=(0, 2)))
     response = record.response / np.where(size > 0.0, size, 1.0)[:, None]
     low, high = float(record.omegas[0]), float(record.omegas[-1])

@@ -125,6 +125,13 @@ def test_what_cannot_be_fitted_is_refused():
         fit_frequency_modes(record, "receptance", n_modes=0)
     with pytest.raises(EstimationError, match="Ask for fewer modes"):
         fit_frequency_modes(record.between(1.0, 1.5), "receptance", n_modes=4)
+    for factor, message in (
+        (0.0, "zero at every line"),
+        (np.nan, "missing at every line"),
+        (1e200, "other units"),
+    ):
+        with pytest.raises(EstimationError, match=message):
+            fit_frequency_modes(FrequencyRecord(record.omegas, factor * record.response), "receptance")
     wide = FrequencyRecord(record.omegas, np.ones((400, 1, 2)))
     with pytest.raises(EstimationError, match="a modal model has one"):
         fit_frequency_modes(wide, "receptance")

@@ -48,6 +48,9 @@ def test_what_cannot_be_analysed_is_refused():
         polyreference_poles(record, 0)
     with pytest.raises(EstimationError, match="lower max_order"):
         polyreference_poles(FrequencyRecord(LINES[:10], record.response[:10, :1]), 30)
+    dead = record.response * np.array([1.0, 0.0, 1.0, 1.0, 1.0])[:, None]
+    with pytest.raises(EstimationError, match="'y2' to 'u1' is zero"):
+        polyreference_poles(FrequencyRecord(LINES, dead), 4)
     holes = record.response.copy()
     holes[3] = np.nan
     with pytest.raises(EstimationError, match="not measured"):
