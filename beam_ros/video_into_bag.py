@@ -13,6 +13,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,11 @@ def synchronise_with_hub(
         raise BagError(
             f"{hub.topic} carries no positions: expected them to synchronise the video by; record the hub's encoder"
         )
+    # Nobody knows what the hub did in a gap: its longest stretch without one decides.
+    borders = [int(np.searchsorted(hub.stamps_ns, gap.end_ns)) for gap in hub.gaps]
+    first, last = max(pairwise([0, *borders, len(hub.stamps_ns)]), key=lambda piece: piece[1] - piece[0])
     seen = np.isfinite(hub.positions)
+    seen[:first] = seen[last:] = False
     return synchronise(
         (hub.stamps_ns[seen] - hub.stamps_ns[0]) * 1e-9,
         hub.positions[seen],
@@ -311,6 +316,7 @@ def _write(
     summary: dict[str, Any],
 ) -> tuple[Path, Path]:
     """Write the bag beside its place, then put it there; returns where it and the old one are."""
+    source = source.resolve()
     place = source if target is None else target
     try:
         place.parent.mkdir(parents=True, exist_ok=True)

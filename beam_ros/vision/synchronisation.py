@@ -26,6 +26,8 @@ _CONVERGED_S = 1e-7
 _MINIMUM_FRAMES = 20
 _LEAST_CORRELATION = 0.8
 _LEAST_OVERLAP = 0.5
+_LEAST_MOTION = 1e-3
+"""A marker that moves by less than this share of the hub's way stands still."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def synchronise(
             f"least {_MINIMUM_FRAMES} of each"
         )
     t, x = t[seen], x[seen]
-    if np.std(hub_x) == 0 or np.std(x) == 0:
+    if np.ptp(hub_x) == 0 or np.ptp(x) <= _LEAST_MOTION * np.ptp(hub_x):
         raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
     offset, correlation = _coarse_offset(hub_t, hub_x, t, x)
     if correlation < _LEAST_CORRELATION:

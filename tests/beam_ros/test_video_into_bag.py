@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beam_ros.bags.reading import Bag
+from beam_ros.bags.batches import decode_batch
+from beam_ros.bags.reading import Bag, Unreadable, join_batches
 from beam_ros.bags.writing import BagWriter
 from beam_ros.cli.main import main
 from beam_ros.identification import identify_bag
@@ -82,6 +83,20 @@ def test_the_video_finds_its_time_in_the_hubs() -> None:
         assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
         assert abs(found.drift) <= 4 * found.drift_sd
         assert found.gain == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_gap_in_the_hubs_record_does_not_move_the_time_found() -> None:
+    tracked = track_video(VideoFile(VIDEO), Rig.from_file(RIG_FILE))
+    with Bag(RECORDINGS / "chirp_6s") as opened:
+        batches = [decode_batch(message.data) for message in opened.raw_messages("hub/measured")]
+        hub = opened.hub_samples()
+    # A second and a half is lost in the middle of the motion.
+    lossy = join_batches("hub/measured", batches[:80] + batches[155:], Unreadable())
+    assert lossy.lost > 1000
+    found = synchronise_with_hub(tracked, lossy, has_exact_rate=True)
+    begun_s = (TRUTH["first_frame_ns"] - int(hub.stamps_ns[0])) * 1e-9
+    assert abs(found.offset_s - begun_s) < 0.4e-3
+    assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
 
 
 def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
