@@ -2,6 +2,7 @@
 
 from beam_ident.batches import map_records
 from beam_ident.closed_loop import ClosedLoopResult, SampledController, estimate_in_closed_loop
+from beam_ident.common_pole_fit import CommonPoleResult, estimate_common_poles
 from beam_ident.comparison import ModelComparison, compare_models
 from beam_ident.cross_validation import OutputValidation, ValidationResult, validate
 from beam_ident.errors import (
@@ -54,6 +55,7 @@ __all__ = [
     "AxisLimits",
     "BandLimitedNoise",
     "ClosedLoopResult",
+    "CommonPoleResult",
     "Doublet",
     "EstimationError",
     "ExcitationError",
@@ -103,6 +105,7 @@ __all__ = [
     "assess_repeatability",
     "compare_models",
     "compare_step_responses",
+    "estimate_common_poles",
     "estimate_in_closed_loop",
     "estimate_transfer_function",
     "excitation_report",

@@ -373,14 +373,22 @@ class OutputErrorProblem:
         step[self.n_a :] = np.clip(step[self.n_a :], -self.period, self.period)
         return np.asarray(theta + step)
 
-    def covariance(self, state: OutputErrorState) -> JointCovariance:
-        """Return the joint covariance of theta and the linear coefficients at an optimum."""
+    def covariance(self, state: OutputErrorState, also: FloatArray | None = None) -> JointCovariance:
+        """Return the joint covariance of theta and the linear coefficients at an optimum.
+
+        Parameters
+        ----------
+        state : OutputErrorState
+        also : ndarray or None, shape (n_theta, n_theta) -- information on theta from elsewhere
+        """
         assert state.solution is not None
         n_all = len(state.theta) + len(state.coefficients)
         rss = float(state.residuals @ state.residuals)
         variance = rss / max(len(self.values) - n_all, 1)
         jacobian = self.jacobian(state)
         information = self._information(state, jacobian, variance)
+        if also is not None:
+            information = information + also
         sensitivity = -state.solution.coefficients(jacobian)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         scaled = information * np.outer(scale, scale)

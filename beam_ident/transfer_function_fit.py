@@ -333,13 +333,13 @@ def _result(
         "ramp": float(state.coefficients[place + terms.has_offset]) if terms.has_ramp else 0.0,
     }
     noise_sd = math.sqrt(joint.variance) if len(problem.noise) == 1 else float(np.std(residuals))
-    model = _physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
+    model = physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
     if several:
         return MultiInputResult(model=model, **figures)
     return TransferFunctionResult(model=model.path(0), **figures)
 
 
-def _physical_model(
+def physical_model(
     problem: OutputErrorProblem,
     state: OutputErrorState,
     covariance: FloatArray,
