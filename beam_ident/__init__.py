@@ -33,7 +33,15 @@ from beam_ident.excitation import (
     excitation_report,
     predict_amplitudes,
 )
+from beam_ident.free_decay import FreeDecay, fit_free_decay
+from beam_ident.frequency_domain_fit import FrequencyDomainResult, fit_frequency_modes
+from beam_ident.frequency_domain_transfer_function import (
+    FrequencyTransferFunctionResult,
+    fit_frequency_transfer_function,
+)
+from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.identification import IdentificationResult, OrderEntry, OutputFit, identify
+from beam_ident.modal_analysis import ModalAnalysis, StabilisationChart, analyse_modes, stabilisation_chart
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel
 from beam_ident.modal_structure import ModalStructure
@@ -61,6 +69,10 @@ __all__ = [
     "ExcitationError",
     "ExcitationLimitError",
     "ExcitationReport",
+    "FreeDecay",
+    "FrequencyDomainResult",
+    "FrequencyRecord",
+    "FrequencyTransferFunctionResult",
     "HeldInput",
     "IdentificationError",
     "IdentificationResult",
@@ -68,6 +80,7 @@ __all__ = [
     "InputSignal",
     "LinearChirp",
     "LogChirp",
+    "ModalAnalysis",
     "ModalFrequencyResponse",
     "ModalModel",
     "ModalStructure",
@@ -92,6 +105,7 @@ __all__ = [
     "SampledExcitation",
     "Scores",
     "Sine",
+    "StabilisationChart",
     "Step",
     "StepComparison",
     "SteppedSine",
@@ -102,6 +116,7 @@ __all__ = [
     "TransferFunctionResult",
     "ValidationResult",
     "Whiteness",
+    "analyse_modes",
     "assess_repeatability",
     "compare_models",
     "compare_step_responses",
@@ -109,10 +124,14 @@ __all__ = [
     "estimate_in_closed_loop",
     "estimate_transfer_function",
     "excitation_report",
+    "fit_free_decay",
+    "fit_frequency_modes",
+    "fit_frequency_transfer_function",
     "identify",
     "map_records",
     "predict_amplitudes",
     "select_transfer_function",
+    "stabilisation_chart",
     "subspace_model",
     "validate",
 ]

@@ -187,7 +187,8 @@ class _Input:
         if hold != "zoh":
             rate = own.derivative()
             # Where two derivatives are asked of straight lines, the spline through the ticks has them.
-            smooth = PiecewisePolynomial.from_samples(grid, samples, "cubic").derivative()
+            source: Hold = "cubic" if hold == "linear" else hold
+            smooth = PiecewisePolynomial.from_samples(grid, samples, source).derivative()
             found = [instants.mean(smooth.derivative(), smooth)[0], instants.mean(rate, own)[0]]
         return found + [instants.mean(chain[k], chain[k + 1])[0] for k in range(3)]
 

@@ -21,7 +21,7 @@ def predicted(record, omegas):
     return at(omegas) + np.sum(folding.weights * at(folding.omegas), axis=1) + 900.0 * folding.tails[:, 4]
 
 
-@pytest.mark.parametrize("hold", ["zoh", "linear", "cubic"])
+@pytest.mark.parametrize("hold", ["zoh", "linear", "cubic", "band_limited"])
 @pytest.mark.parametrize(("step", "offset", "exposure"), [(1, 0.0, 0.0), (2, 0.003, 0.006), (4, 0.0, 0.0)])
 def test_hold_exposure_and_folding_are_accounted_for_exactly(hold, step, offset, exposure):
     # With four ticks a sample the outputs' half rate is 12.5 Hz, and lines up to 37.3 Hz fold onto bins of their own.
