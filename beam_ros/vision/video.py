@@ -75,7 +75,8 @@ class VideoFile:
         if not self.path.is_file():
             raise VideoError(f"{self.path}: no such video file; check the path")
         capture = cv2.VideoCapture(str(self.path))
-        if not capture.isOpened():
+        # Some versions open whatever has a name, and find nothing in it.
+        if not capture.isOpened() or capture.get(cv2.CAP_PROP_FRAME_WIDTH) < 1:
             capture.release()
             raise VideoError(
                 f"{self.path}: no video that OpenCV {cv2.__version__} can read; convert it, for example with "
