@@ -23,6 +23,10 @@ def test_the_page_on_the_frequency_domain_runs_from_top_to_bottom(capsys: pytest
     printed = capsys.readouterr().out
     assert "no nonlinear distortion" in printed
     assert names["found"].response.frequencies_hz[-1] > 25.0  # type: ignore[attr-defined]
+    stepped, beam = names["stepped"], names["beam"]
+    truth = beam.frequency_response(stepped.omegas).response  # type: ignore[attr-defined]
+    scores = abs(stepped.response[:, :, 0] - truth) / stepped.sd[:, :, 0]  # type: ignore[attr-defined]
+    assert scores.max() < 3.5
     assert abs(names["decay"].damping_ratios[0] / 0.02 - 1.0) < 0.05  # type: ignore[attr-defined]
 
 
