@@ -236,7 +236,12 @@ def measure(
 
         def start(arguments: Sequence[str], core: int, output: Any) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
-                arguments, env=environment, stdout=output, stderr=log, preexec_fn=_core(core)
+                arguments,
+                cwd=Path(__file__).parents[1],
+                env=environment,
+                stdout=output,
+                stderr=log,
+                preexec_fn=_core(core),
             )
             stack.callback(process.wait, 15.0)
             stack.callback(process.send_signal, signal.SIGINT)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
+from beam_ros.nodes.frame_sources import WAITING_FRAMES
 from beam_ros.nodes.shell import RigNode
 from beam_ros.vision.errors import CalibrationError
 from beam_ros.vision.measuring_chain import Measurement
@@ -28,6 +29,7 @@ class FrameAverage:
 
     deadline: float
     future: Future
+    to_skip: int = WAITING_FRAMES
     columns: list[list[float]] = field(default_factory=list)
     sigmas: list[list[float]] = field(default_factory=list)
 
@@ -53,13 +55,16 @@ class FrameAveraging:
     async def next_frames(self) -> FrameAverage:
         """Wait for the frames from now on, so that an average never reaches back to another position.
 
+        As many frames as may have waited for this process when it was asked are left out first.
+
         Raises
         ------
         CalibrationError
             They do not come.
         """
         wanted = int(self._node.rig.number("tracker.averaged_frames"))
-        patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS * wanted / self._node.rig.number("camera.rate"))
+        due_s = (WAITING_FRAMES + wanted) / self._node.rig.number("camera.rate")
+        patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS * due_s)
         average = FrameAverage(time.monotonic() + patience_s, Future())
         self._averages.append(average)
         await average.future
@@ -74,6 +79,9 @@ class FrameAveraging:
         """Hand a frame to those who wait."""
         wanted = int(self._node.rig.number("tracker.averaged_frames"))
         for average in list(self._averages):
+            if average.to_skip > 0:
+                average.to_skip -= 1
+                continue
             average.columns.append(measurement.corrected_px.tolist())
             average.sigmas.append(measurement.sigma_px.tolist())
             if len(average.columns) >= wanted:

@@ -16,7 +16,7 @@ from beam_ros.vision.images import GreyImage
 from beam_ros.vision.lens import Lens
 
 _LOOK_ROUND_S = 0.2
-_WAITING_FRAMES = 30
+WAITING_FRAMES = 30
 """Frames that may wait while the process is held up: a third of a second at 100 a second."""
 
 
@@ -78,7 +78,7 @@ class CameraTopics:
         self.silence = (
             f"no frames on {node.resolve_topic_name(images.name)}: start a camera, or set tracker.source"
         )
-        self._images = MatchedSubscription(node, images, self._on_image, depth=_WAITING_FRAMES, raw=True)
+        self._images = MatchedSubscription(node, images, self._on_image, depth=WAITING_FRAMES, raw=True)
         self._infos = MatchedSubscription(node, infos, self._on_info, depth=1)
         node.create_timer(_LOOK_ROUND_S, self._look_round)
 

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -228,6 +229,7 @@ def test_a_camera_that_comes_back_with_another_quality_of_service_is_heard(scene
     scene.end_camera("changing")
     camera = subprocess.Popen(
         [sys.executable, "-m", "tests.beam_ros.nodes.best_effort_camera", "/changing/camera/image_raw"],
+        cwd=Path(__file__).parents[3],
         env=child_environment(),
         start_new_session=True,
     )
