@@ -27,6 +27,7 @@ from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_tr
 _FIRST_PART = 0.7  # of the progress: one start for every structure
 _VISIBLE = 1.0  # of -2 log-likelihood
 _NEAR = 2  # parameters
+_STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
 
@@ -129,7 +130,7 @@ def select_transfer_function(
     jobs = [(record, n, m, quick) for n, m in structures]
     results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
     suspects = [] if "n_starts" in options else _suspects(structures, results)
-    jobs = [(record, *structures[k], options) for k in suspects]
+    jobs = [(record, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
     again = (
         map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
     )
