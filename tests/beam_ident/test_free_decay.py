@@ -31,11 +31,11 @@ def test_two_modes_ring_at_irregular_stamps_and_are_found_exactly():
 
 def test_intervals_cover():
     scores = []
-    for seed in range(12):
+    for seed in range(8):
         found = fit_free_decay(decays(0.1, seed), n_modes=2)
         estimate = np.concatenate([found.natural_frequencies - OMEGAS, found.damping_ratios - ZETAS])
         scores.append(estimate / np.concatenate([found.natural_frequency_sd, found.damping_ratio_sd]))
-    assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.3  # 48 scores: 1 +- 0.1
+    assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.3  # 32 scores: 1 +- 0.13
 
 
 def test_outputs_with_clocks_of_their_own_share_the_poles():

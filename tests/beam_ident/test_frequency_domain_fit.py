@@ -68,14 +68,15 @@ def test_modes_above_half_the_frame_rate_are_found_where_they_are():
 
 def test_intervals_cover_and_the_misfit_is_that_of_noise():
     scores, misfits = [], []
-    for seed in range(30):
+    for seed in range(16):
         found = fitted(modal_record(seed=seed), n_modes=2)
         estimate, sd = flat(found.model)
         scores.append((estimate - TRUTH) / sd)
         misfits.append((found.misfit.chi_squared - found.misfit.expected) / found.misfit.sd)
-    # 30 x 10 scores: 95 +- 2 % of correlated ones inside 1.96.
-    assert 0.90 < np.mean(np.abs(scores) < 1.96) < 0.99
-    assert abs(np.mean(misfits)) < 0.6
+    # 16 x 10 scores: 95 +- 2.5 % of correlated ones inside 1.96.
+    assert 0.88 < np.mean(np.abs(scores) < 1.96) <= 1.0
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
+    assert abs(np.mean(misfits)) < 0.8
     assert np.max(np.abs(misfits)) < 4.0
 
 

@@ -6,6 +6,7 @@ import pytest
 from beam_ident import EstimationError
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.modal_analysis import analyse_modes, stabilisation_chart
+from beam_ident.modal_analysis.refinement import _residue
 from tests.beam_ident.modal_analysis.chain import (
     DAMPING,
     FREQUENCIES_HZ,
@@ -93,3 +94,17 @@ def test_a_mode_too_many_is_warned_of_and_one_that_is_not_there_refused():
     noise = rng.standard_normal((300, 2, 1)) + 1j * rng.standard_normal((300, 2, 1))
     with pytest.raises(EstimationError, match="chose no mode"):
         analyse_modes(stabilisation_chart(FrequencyRecord(LINES[:300], noise), max_order=10))
+
+
+def test_the_gradient_of_a_residue_is_exact():
+    place = np.array([np.log(300.0), 0.2, 2.0, -1.5])
+
+    def residue(x):
+        return _residue(float(np.exp(x[0])), x[1], x[2], x[3])[0]
+
+    gradient = _residue(300.0, *place[1:])[1]
+    for k in range(4):
+        step = np.zeros(4)
+        step[k] = 1e-6
+        slope = (residue(place + step) - residue(place - step)) / 2e-6
+        assert abs(gradient[k] - slope) < 1e-8 * np.max(np.abs(gradient))
