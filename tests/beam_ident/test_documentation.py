@@ -6,15 +6,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "identification.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_the_code_of_the_page_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) >= 7
+def run_page(name: str) -> dict[str, object]:
+    page = DOCS / name
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(blocks) >= 4
     namespace: dict[str, object] = {}
     for block in blocks:
-        exec(compile(block, str(PAGE), "exec"), namespace)
+        exec(compile(block, str(page), "exec"), namespace)
+    return namespace
+
+
+def test_the_page_on_transfer_functions_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    run_page("transfer-functions.md")
+    printed = capsys.readouterr().out
+    assert "b0 = " in printed
+    assert "ms" in printed
+
+
+def test_the_page_on_identification_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    namespace = run_page("identification.md")
     printed = capsys.readouterr().out
     assert "peak travel" in printed
     assert "4.4" in printed
