@@ -29,6 +29,7 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "rosbags": None,
     "mcap": None,
     "control": None,
+    "distributed": None,
 }
 
 
