@@ -21,10 +21,9 @@ from scipy.signal import fftconvolve, firwin, kaiserord
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal
 
-_PASS, _STOP = 1.15, 1.6  # edges of the low-pass, in multiples of the excited band's end
-_ATTENUATION_DB = (
-    120.0  # its ripple in the pass band is an error of the input, and must stay below the gains' 1e-5
-)
+_PASS, _STOP = 1.08, 1.4  # edges of the low-pass, in multiples of the excited band's end
+# The ripple in the pass band is an error of the input, and must stay below the gains' 1e-5.
+_ATTENUATION_DB = 120.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Smoothing:
 
     Parameters
     ----------
-    high_hz : float -- end of the excited band; what lies above 1.6 times it is removed
+    high_hz : float -- end of the excited band; what lies above 1.4 times it is removed
     """
 
     high_hz: float

@@ -62,6 +62,7 @@ class _Linearisation:
     residuals: FloatArray
     lengths: tuple[int, ...]
     filters: tuple[DisturbanceFilter, ...] = ()
+    disturbances: tuple[tuple[InputDisturbance, Observations], ...] = ()
 
 
 class WeightedFit:
@@ -153,6 +154,7 @@ class WeightedFit:
             )
         ]
         filters: list[DisturbanceFilter] = []
+        disturbances: list[tuple[InputDisturbance, Observations]] = []
         if self.smoothing is not None:
             disturbances = self._disturbances(point)
             filters = [d.filter(o, self.variances) for d, o in disturbances]
@@ -174,7 +176,7 @@ class WeightedFit:
             columns = [self._filtered(j, c) / np.sqrt(self.variances[j]) for j, c in enumerate(columns)]
         stacked = np.concatenate(columns)
         lengths = tuple(len(c) for c in columns)
-        return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters))
+        return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters), tuple(disturbances))
 
     def _columns(self, blocks: Sequence[ColumnBlock], coefficients: Sequence[FloatArray]) -> list[FloatArray]:
         """Return the derivatives of every output by all parameters, and room for one column more."""
@@ -314,20 +316,19 @@ class WeightedFit:
 
         Notes
         -----
-        Of the information H at a noisy input, G is that of the noise itself and ``H - G`` that
-        of the true input (Fuller, Measurement Error Models, 1987, sec. 2.2), with G from a few
-        seeded draws.
+        Of the information H at the most likely input, G is that of what is left of the noise
+        there, which is independent of the weighed residuals.  So the score varies with H and
+        answers to a change of the parameters with ``H - G``: the covariance is ``(H - G)^-1 H
+        (H - G)^-1``, with G from a few seeded draws (Fuller, Measurement Error Models, 1987).
         """
-        rng = np.random.default_rng(0)
         shared = []
         for found in point.coefficients:
             without_nuisance = found.copy()
             without_nuisance[self.n_shared :] = 0.0
             shared.append(without_nuisance)
         draws: list[list[FloatArray]] = []
-        for _ in range(_DRAWS):
-            drawn = [drive.sigma * rng.standard_normal(len(drive.values)) for drive in self.regression.drives]
-            regression = self._on_inputs(drawn)
+        for left in self._left_noise(point, linear, shared):
+            regression = self._on_inputs(left, is_smooth=True)
             blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
             columns = self._columns(blocks, shared)
             first = self.n_theta
@@ -344,8 +345,39 @@ class WeightedFit:
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
-        spread = (root @ turned) / np.sqrt(1.0 - np.clip(shares, 0.0, _MOST_FEIGNED))
+        spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MOST_FEIGNED))
         return np.asarray((spread @ spread.T) * np.outer(scale, scale))
+
+    def _left_noise(
+        self, point: _Point, linear: _Linearisation, shared: list[FloatArray]
+    ) -> list[list[FloatArray]]:
+        """Return draws of what noise is left on every record's most likely input."""
+        assert self.smoothing is not None
+        rng = np.random.default_rng(0)
+        regression = self.regression
+        inputs: list[list[FloatArray]] = []
+        residuals = [np.empty((len(values), _DRAWS)) for values in regression.values]
+        for draw in range(_DRAWS):
+            noise = []
+            for drive in regression.drives:
+                values = drive.sigma * rng.standard_normal(len(drive.values))
+                raw = InputSignal(drive.name, drive.unit, drive.times_s, values, drive.hold)
+                noise.append(self.smoothing.of(raw).values)
+            inputs.append(noise)
+            blocks = self._on_inputs(noise, is_smooth=True).blocks(
+                point.omegas, point.zetas, point.clock, gradients=False
+            )
+            for output, block in enumerate(regression.block_of):
+                own = np.sqrt(self.variances[output]) * rng.standard_normal(len(residuals[output]))
+                residuals[output][:, draw] = own - blocks[block].matrix @ shared[output]
+        for own_filter in linear.filters:
+            own_filter.whiten(residuals)
+            own_filter.weigh(residuals)
+        for draw, noise in enumerate(inputs):
+            weighted = [values[:, draw] for values in residuals]
+            for index, (disturbance, observations) in enumerate(linear.disturbances):
+                noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
+        return inputs
 
     def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
         """Return the fit, with what correlation is left in the innovations in its covariance."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,9 +32,13 @@ class PhysicalCase(AgainstBound):
             damping=Damping(viscous=1.3 * beam.damping.viscous, internal=1.3 * beam.damping.internal),
         )
         self.truth = np.array([beam.time_scale**-2, beam.damping.viscous, beam.damping.internal])
+
+    @cached_property
+    def bound(self) -> np.ndarray:
+        """Return the standard deviations stated for one record."""
         sd = self.run(10**6).sd
         assert sd is not None
-        self.bound = sd
+        return sd
 
     def run(self, seed: int) -> Outcome:
         """Identify one record and fit the beam to its modes."""
