@@ -13,11 +13,19 @@ from beam_ident.figures.identification import (
     spectrum_figure,
     time_figure,
 )
+from beam_ident.figures.modal_analysis import (
+    assurance_figure,
+    circle_figure,
+    stabilisation_figure,
+    synthesis_figure,
+)
 from beam_ident.figures.poles import pole_zero_figure
 from beam_ident.figures.responses import coherence_figure, response_over_model_figure
 from beam_ident.figures.validation import validation_figure
 
 __all__ = [
+    "assurance_figure",
+    "circle_figure",
     "coherence_figure",
     "excitation_figure",
     "fit_figure",
@@ -27,6 +35,8 @@ __all__ = [
     "residual_figure",
     "response_over_model_figure",
     "spectrum_figure",
+    "stabilisation_figure",
+    "synthesis_figure",
     "time_figure",
     "validation_figure",
 ]

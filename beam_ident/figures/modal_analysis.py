@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beam_ident.errors import EstimationError
-from beam_ident.figures.canvas import COLOURS, stacked_axes
+from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, stacked_axes
 from beam_ident.modal_analysis.circle_fit import CircleFit
 from beam_ident.modal_analysis.refinement import ModalAnalysis
 from beam_ident.modal_analysis.stabilisation import DAMPING, FREQUENCY, NEW, STABLE, StabilisationChart
@@ -20,12 +20,10 @@ if TYPE_CHECKING:
 
 _MARKS: tuple[tuple[int, str, str, str], ...] = (
     (NEW, ".", "#c4cbd3", "new"),
-    (FREQUENCY, "v", "#a16207", "frequency"),
-    (DAMPING, "d", "#1d4ed8", "and damping"),
-    (STABLE, "s", "#0f766e", "and shape"),
+    (FREQUENCY, "v", COLOURS[4], "frequency"),
+    (DAMPING, "d", COLOURS[0], "and damping"),
+    (STABLE, "s", COLOURS[2], "and shape"),
 )
-_INDICATOR = "#7a8794"
-_CHOSEN = "#c2410c"
 
 
 def stabilisation_figure(chart: StabilisationChart, analysis: ModalAnalysis | None = None) -> Figure:
@@ -40,10 +38,8 @@ def stabilisation_figure(chart: StabilisationChart, analysis: ModalAnalysis | No
     axis = figure.subplots()
     behind = axis.twinx()
     for curve in chart.indicator.T:
-        behind.semilogy(
-            chart.record.frequencies_hz, np.maximum(curve, 1e-300), color=_INDICATOR, linewidth=0.8
-        )
-    behind.set_ylabel("mode indicator (singular values)", color=_INDICATOR)
+        behind.semilogy(chart.record.frequencies_hz, np.maximum(curve, 1e-300), color=MEASURED, linewidth=0.8)
+    behind.set_ylabel("mode indicator (singular values)", color=MEASURED)
     for stability, marker, colour, label in _MARKS:
         chosen = [pole for pole in chart.poles if pole.stability == stability]
         axis.plot(
@@ -57,7 +53,7 @@ def stabilisation_figure(chart: StabilisationChart, analysis: ModalAnalysis | No
         )
     modes = chart.frequencies_hz if analysis is None else analysis.frequencies_hz
     for hertz in modes:
-        axis.axvline(float(hertz), color=_CHOSEN, linewidth=0.8, linestyle="--")
+        axis.axvline(float(hertz), color=MODEL, linewidth=0.8, linestyle="--")
     # The poles stay in front of the indicator.
     axis.set_zorder(behind.get_zorder() + 1)
     axis.patch.set_visible(False)
@@ -147,8 +143,8 @@ def circle_figure(fit: CircleFit) -> Figure:
     axis = figure.subplots()
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
     circle = fit.centre + fit.radius * turn
-    axis.plot(circle.real, circle.imag, color=_CHOSEN, linewidth=1.0, label="circle")
-    axis.plot(fit.points.real, fit.points.imag, ".", color=_INDICATOR, markersize=4.0, label="measured")
+    axis.plot(circle.real, circle.imag, color=MODEL, linewidth=1.0, label="circle")
+    axis.plot(fit.points.real, fit.points.imag, ".", color=MEASURED, markersize=4.0, label="measured")
     axis.set_aspect("equal")
     axis.set_xlabel("real part of the mobility")
     axis.set_ylabel("imaginary part")
