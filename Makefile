@@ -6,6 +6,9 @@ VENV ?= .venv
 ARGS ?=
 MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
 
+# One worker takes what runs in real time, the other the rest (see tests/conftest.py).
+WORKERS = -n 2 --dist loadgroup
+
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 
 # The matrices here are small: more threads only take the processors from the real-time nodes.
@@ -25,7 +28,7 @@ demo: ## the whole experiment without hardware (ARGS: see `beam demo --help`)
 	@$(SETUP) -- beam demo $(ARGS)
 
 test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
-	@$(SETUP) --extras ros,test -- python -m pytest $(ARGS)
+	@$(SETUP) --extras ros,test -- python -m pytest $(WORKERS) $(ARGS)
 
 verify: ## the figures of the documentation at full length, an hour at most
 	@$(SETUP) --extras ros,test -- python -m pytest --verify $(ARGS)
@@ -43,7 +46,7 @@ test-matrix: ## the tests on several Pythons, newest and oldest requirements (MA
 		fi; \
 		echo "== $$cell"; tried="$$tried $$cell"; \
 		$(PYTHON) bootstrap.py --venv .venv-$$cell --python $$python --extras ros,test --constraint $$constraint \
-			-- python -m pytest $(ARGS) || failed="$$failed $$cell"; \
+			-- python -m pytest $(WORKERS) $(ARGS) || failed="$$failed $$cell"; \
 	done; \
 	if [ -n "$$failed" ]; then echo "== failed:$$failed"; exit 1; fi; \
 	if [ -z "$$tried" ]; then echo "== none of $(MATRIX) could be tried; expected one Python of 3.10 to 3.13"; exit 2; fi; \

@@ -16,19 +16,21 @@ RIG = [*REPORT, "opencv-python-headless>=4.6", "pyserial>=3.5"]
 WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.14"'
 ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
+# A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
+DASK = ["distributed>=2024.1"]
+
 # setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls.
 TEST = [
     "pytest>=8",
+    "pytest-xdist>=3.4",
     "hypothesis>=6.100",
     "control>=0.10",
     "scikit-fem>=10",
     "colcon-common-extensions",
     "colcon-ros",
     "setuptools<80",
+    *DASK,
 ]
-
-# A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
-DASK = ["distributed>=2024.1"]
 
 DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3"]
 

@@ -20,8 +20,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+REAL_TIME = tuple(Path(__file__).parent / "beam_ros" / room for room in ("bags", "hub", "launching", "nodes"))
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep `verify` tests to `--verify`, and skip `ros` tests where ROS 2 is truly absent."""
+    """Keep `verify` tests to `--verify`, skip `ros` tests where ROS 2 is truly absent, and keep groups together.
+
+    With several workers (`-n 2 --dist loadgroup`) one takes all that runs in real time, so that
+    no two rigs compete for a processor; of the rest every file stays in one.
+    """
+    if config.pluginmanager.hasplugin("xdist"):
+        for item in items:
+            is_in_real_time = item.get_closest_marker("ros") or any(map(item.path.is_relative_to, REAL_TIME))
+            item.add_marker(pytest.mark.xdist_group("real time" if is_in_real_time else str(item.path)))
     is_verifying = config.getoption("--verify")
     left_out = [item for item in items if (item.get_closest_marker("verify") is not None) != is_verifying]
     if left_out:
