@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from beam_ident.delay_search import delay_candidates
 from beam_ident.errors import EstimationError
@@ -45,6 +46,10 @@ _PORTFOLIO = 7
 _INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
 FINALISTS = 3
 WHITE = 0.01
+_SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
+_MOST_STEPS_BESIDE = 40  # on each side
+_SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
+_WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
 _NO_START = (
     "no state-variable filter gave a stable start; give another cutoff, other degrees, or a longer record"
 )
@@ -137,7 +142,51 @@ class _Chain:
                 break
         if best is None:
             raise EstimationError(_NO_START)
+        for place in range(len(self.problem.free_delays)):
+            best = self._at_another_delay(best, self.problem.n_a + place)
         return best
+
+    def _at_another_delay(self, found: Optimum, place: int) -> Optimum:
+        """Return an optimum, or the better one that lies at another delay beside it.
+
+        A free numerator makes up for a delay that is wrong by part of a period of the fastest
+        mode almost entirely: the poles stay where they are and the residuals look white.  So the
+        poles are kept, delays on both sides are tried in half samples, and the deepest
+        minimum among them is refined.
+        """
+        problem, state = self.problem, found.state
+        problem.scale = state.scale
+        step = 0.5 * problem.period
+        fastest = float(np.max(np.abs(np.concatenate(state.uppers)))) * state.scale
+        reach = min(math.ceil(2.0 * np.pi / fastest / step) + _SAMPLES_BESIDE, _MOST_STEPS_BESIDE)
+        thetas = np.tile(state.theta, (2 * reach + 1, 1))
+        thetas[:, place] += step * np.arange(-reach, reach + 1)
+        tried = [
+            problem.state(theta, slopes=False) if abs(k - reach) > 1 and theta[place] >= 0.0 else None
+            for k, theta in enumerate(thetas)
+        ]
+        costs = np.array([math.inf if other is None else other.cost for other in tried])
+        costs[reach] = state.cost
+        padded = np.concatenate([[math.inf], costs, [math.inf]])
+        is_minimum = (costs <= padded[:-2]) & (costs <= padded[2:]) & np.isfinite(costs)
+        is_minimum[reach] = False
+        if not np.any(is_minimum):
+            return found
+        at = thetas[int(np.argmin(np.where(is_minimum, costs, math.inf)))]
+
+        def cost_at(delay: float) -> float:
+            at[place] = delay
+            return problem.state(at, slopes=False).cost
+
+        bounds = (max(at[place] - step, 0.0), at[place] + step)
+        at[place] = minimize_scalar(
+            cost_at, bounds=bounds, method="bounded", options={"xatol": _SHARPNESS * problem.period}
+        ).x
+        deepest = problem.state(at, slopes=False)
+        if not deepest.cost <= state.cost + _WORSE_BESIDE:
+            return found
+        other = self._refined(deepest)
+        return other if other.state.cost < state.cost else found
 
     def _in_turn(self) -> Iterator[OutputErrorState]:
         """Yield starts in the order in which they are worth the work of refining them.

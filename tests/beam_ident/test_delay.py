@@ -54,6 +54,13 @@ def test_a_fraction_of_a_sample_is_resolved_on_the_beam():
     assert model.standard_deviations[-1] < 3e-5
 
 
+def test_a_numerator_that_makes_up_for_a_wrong_delay_is_seen_through():
+    # In this record the first start ends 9 ms late, in a local optimum with white residuals.
+    case = DelayedBeam()
+    model = case.estimate(case.record(105))
+    assert abs(model.delay - 7.3e-3) < 4.0 * model.standard_deviations[-1]
+
+
 def test_two_points_with_common_modes_know_the_delay_five_times_better():
     found = LateBeam().identify(0)
     assert abs(found.latency - 7.3e-3) < min(3.3 * found.latency_sd, 5e-5)
