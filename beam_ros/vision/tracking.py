@@ -8,13 +8,13 @@ A measurement that fails a gate is reported as not valid, with the reason, in th
 then looked for in its own row, within a distance from where it was last seen that grows with every frame.
 Other spots of its kind in that row (rivals) are watched while the marker is still seen. Where the two met,
 or where the one spot in view may be the rival, the marker stays lost until the rival has left: nothing is
-invented and identities are never exchanged.
+invented and identities are never exchanged. Markers that were lost together are looked for from edge to edge of
+their rows at once (`beam_ros.vision.jumps`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -23,23 +23,22 @@ import numpy.typing as npt
 
 from beam_ros.vision.appearance import Appearance, Light
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
+from beam_ros.vision.jumps import TOGETHER_FRAMES, Move, is_common, moved_together
+from beam_ros.vision.marker_state import MarkerState
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.spots import Gates, Reason, Spot, SpotMeter
+from beam_ros.vision.rivals import FORGET_AFTER_FRAMES, Track, associated, continued, present
+from beam_ros.vision.spot_search import alike_spots
+from beam_ros.vision.spots import Reason, Spot, SpotMeter
 from beam_ros.vision.timing import FrameTiming
 
 _ACQUISITION_THRESHOLDS = (0.5, 0.3, 0.7)
 """Fractions of the image's strongest contrast at which spots are looked for."""
-_SEARCH_THRESHOLD = 0.5
-"""Fraction of a marker's own contrast at which it is looked for."""
-_FORGET_AFTER_FRAMES = 100
-"""A marker lost for longer is looked for in the whole image and in any light; a rival unseen for longer is
-forgotten."""
 _LONELY_FRAMES = 25
 """A marker given up must be the only spot of its kind in its row for so many frames to be followed again."""
-_RIVAL_MEMORY_FRAMES = 10
-"""A rival that has gone from view while the marker is seen is remembered for so many frames."""
 _CHORES_EVERY_FRAMES = 8
 """Noise and levels are measured anew, and rivals looked for, once in so many frames."""
+_COMPANY_EVERY_FRAMES = 64
+"""Whether a marker is alone in its whole row is looked at once in so many frames, a multiple of the above."""
 
 
 class MarkerMeasurement(NamedTuple):
@@ -84,40 +83,6 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
-@dataclass
-class _Track:
-    """A spot of a marker's kind in the marker's row that is not (known to be) the marker."""
-
-    u: float
-    velocity: float
-    frame: int
-
-    def predicted(self, frame: int) -> float:
-        return self.u + self.velocity * (frame - self.frame)
-
-
-@dataclass
-class _Marker:
-    """State of one marker between frames."""
-
-    known_row: float | None
-    light: Light | None = None
-    appearance: Appearance | None = None
-    gates: Gates | None = None
-    is_followed: bool = False
-    u: float = math.nan
-    v: float = math.nan
-    velocity: float = 0.0
-    hold_error: float = 1.0
-    linear_error: float = 1.0
-    lost_frames: int = 0
-    centre: float = math.nan
-    swing: float = 0.0
-    lonely_since: int = 0
-    is_mixed: bool = False
-    rivals: list[_Track] = field(default_factory=list)
-
-
 class MarkerTracker:
     """Follows the markers of one beam.
 
@@ -144,9 +109,10 @@ class MarkerTracker:
         self.n_markers = n_markers
         self.timing = timing
         self._meter = SpotMeter(parameters)
-        self._markers: list[_Marker] = []
+        self._markers: list[MarkerState] = []
         self._shape: tuple[int, int] | None = None
         self._frame = 0
+        self._are_all_lost = False
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -154,9 +120,10 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forget every marker; the next frame starts with acquisition."""
         rows = self.parameters.expected_rows_px
-        self._markers = [_Marker(None if rows is None else rows[k]) for k in range(self.n_markers)]
+        self._markers = [MarkerState(None if rows is None else rows[k]) for k in range(self.n_markers)]
         self._shape = None
         self._frame = 0
+        self._are_all_lost = False
 
     @property
     def is_acquired(self) -> bool:
@@ -210,6 +177,10 @@ class MarkerTracker:
                 measurements.append(self._invalid(marker, missing[k], stamp_ns, math.nan))
             else:
                 measurements.append(self._follow(image, marker, stamp_ns, k))
+        lost = [k for k, measurement in enumerate(measurements) if not measurement.is_valid]
+        if lost or self._are_all_lost:
+            for k in self._rejoin(image, lost):
+                measurements[k] = self._follow(image, self._markers[k], stamp_ns, k)
         return FrameResult(stamp_ns, tuple(measurements))
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
@@ -217,10 +188,12 @@ class MarkerTracker:
             return stamp_ns
         return self.timing.row_middle(stamp_ns, row)
 
-    def _invalid(self, marker: _Marker, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
+    def _invalid(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
         """Count a lost frame; after many, give the marker's place up."""
+        if marker.lost_frames == 0:
+            marker.note_loss(self._frame)
         marker.lost_frames += 1
-        if marker.is_followed and marker.lost_frames > _FORGET_AFTER_FRAMES:
+        if marker.is_followed and marker.lost_frames > FORGET_AFTER_FRAMES:
             marker.is_followed = False
             marker.lonely_since = self._frame
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
@@ -229,7 +202,9 @@ class MarkerTracker:
             math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
         )
 
-    def _follow(self, image: npt.NDArray[Any], marker: _Marker, stamp_ns: int, k: int) -> MarkerMeasurement:
+    def _follow(
+        self, image: npt.NDArray[Any], marker: MarkerState, stamp_ns: int, k: int
+    ) -> MarkerMeasurement:
         """Measure a marker where it should be, or look around for it."""
         light, appearance, gates = marker.light, marker.appearance, marker.gates
         meter, parameters = self._meter, self.parameters
@@ -248,9 +223,11 @@ class MarkerTracker:
                 reason = meter.judge(spot, gates)
                 if reason == "ok" and not self._is_own(spot.u, predicted, marker):
                     reason = "ambiguous"
-                if reason != "ok" and self._may_have_met(spot, marker, appearance):
+            if reason != "ok":
+                marker.note_loss(self._frame)
+                if spot is not None and self._may_have_met(spot, marker, appearance):
                     marker.is_mixed = True
-                    marker.rivals.append(_Track(marker.u, 0.0, self._frame - 1))
+                    marker.rivals.append(Track(marker.u, 0.0, self._frame - 1))
         if spot is None:
             spot, reason = self._search(image, marker, light, appearance)
             if reason == "ok" and spot is not None and self._is_taken(spot, k):
@@ -263,12 +240,19 @@ class MarkerTracker:
             centre = meter.refine(image, spot, light, appearance)
         if centre is None:
             return self._invalid(marker, "border", stamp_ns, spot.area)
-        self._remember(marker, light, appearance, spot, is_fresh=is_fresh)
+        if is_fresh or marker.lost_at == self._frame:
+            marker.moved = spot.u - marker.lost_u
+        marker.remember(spot.u, spot.v)
+        if not appearance.is_settled:
+            meter.settle(spot, light, appearance)
+            marker.gates = meter.gates(light, appearance)
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
         if is_due or is_fresh or marker.rivals:
             others = self._spots(image, marker, light, appearance, own=spot.u)[0]
             if others or marker.rivals:
-                marker.rivals = _continued(marker.rivals, others, self._frame, parameters.max_gate_px)
+                marker.rivals = continued(marker.rivals, others, self._frame, parameters.max_gate_px)
+        if (self._frame + k) % _COMPANY_EVERY_FRAMES == 0:
+            marker.is_accompanied = bool(self._in_whole_row(image, k, own=spot.u))
         if is_due and not marker.rivals:
             self._adapt(image, marker, light, appearance, spot)
         return MarkerMeasurement(
@@ -280,21 +264,21 @@ class MarkerTracker:
             spot.area,
         )
 
-    def _is_own(self, u: float, predicted: float, marker: _Marker) -> bool:
+    def _is_own(self, u: float, predicted: float, marker: MarkerState) -> bool:
         """True when a spot at u is near the prediction, and nearer to it than to any rival's."""
         distance = abs(u - predicted)
         if distance > self.parameters.max_jump_px:
             return False
         return all(2 * distance < abs(u - rival.predicted(self._frame)) for rival in marker.rivals)
 
-    def _may_have_met(self, spot: Spot, marker: _Marker, appearance: Appearance) -> bool:
+    def _may_have_met(self, spot: Spot, marker: MarkerState, appearance: Appearance) -> bool:
         """True when a spot that failed its gates may be the marker and a rival in one."""
         near = 2 * self.parameters.marker_diameter_px
         return spot.area > 1.1 * appearance.area or any(
             abs(rival.predicted(self._frame) - marker.u) < near for rival in marker.rivals
         )
 
-    def _is_crowded(self, marker: _Marker, u: float) -> bool:
+    def _is_crowded(self, marker: MarkerState, u: float) -> bool:
         """True when a rival may reach into the region about u."""
         near = self._meter.half + self._meter.radius + 4
         return any(abs(rival.predicted(self._frame) - u) < near for rival in marker.rivals)
@@ -311,29 +295,8 @@ class MarkerTracker:
             for j, other in enumerate(self._markers)
         )
 
-    def _remember(
-        self, marker: _Marker, light: Light, appearance: Appearance, spot: Spot, *, is_fresh: bool
-    ) -> None:
-        """Carry a valid measurement into the state."""
-        if is_fresh:
-            marker.velocity = 0.0
-            marker.hold_error = marker.linear_error = 1.0
-            marker.lost_frames = 0
-            marker.is_mixed = False
-        else:
-            step = spot.u - marker.u
-            marker.hold_error += 0.2 * (abs(step) - marker.hold_error)
-            marker.linear_error += 0.2 * (abs(step - marker.velocity) - marker.linear_error)
-            marker.velocity = step
-        marker.u, marker.v = spot.u, spot.v
-        marker.centre += 0.01 * (spot.u - marker.centre)
-        marker.swing = max(0.99 * marker.swing, abs(spot.u - marker.centre))
-        if not appearance.is_settled:
-            self._meter.settle(spot, light, appearance)
-            marker.gates = self._meter.gates(light, appearance)
-
     def _adapt(
-        self, image: npt.NDArray[Any], marker: _Marker, light: Light, appearance: Appearance, spot: Spot
+        self, image: npt.NDArray[Any], marker: MarkerState, light: Light, appearance: Appearance, spot: Spot
     ) -> None:
         """Measure what changes slowly: light, noise, and what follows from them."""
         meter = self._meter
@@ -345,7 +308,7 @@ class MarkerTracker:
     def _spots(
         self,
         image: npt.NDArray[Any],
-        marker: _Marker,
+        marker: MarkerState,
         light: Light,
         appearance: Appearance,
         own: float = math.nan,
@@ -370,41 +333,16 @@ class MarkerTracker:
         right = min(width, math.ceil(marker.u + reach) + 1)
         top = max(0, math.floor(appearance.row - parameters.row_gate_px) - meter.half)
         bottom = min(height, math.ceil(appearance.row + parameters.row_gate_px) + meter.half + 1)
-        spots: list[Spot] = []
         reason: Reason = "hidden"
         nearest = math.inf
-        if right > left and bottom > top:
-            centres = meter.centres(
-                image[top:bottom, left:right], light.background, _SEARCH_THRESHOLD * light.contrast
-            )
-            for x, y, is_crowded in centres:
-                if abs(left + x - own) < radius:
-                    continue
-                candidate = meter.candidate(
-                    image,
-                    left + x,
-                    top + y,
-                    light.background,
-                    known_noise=1.2 * light.noise,
-                    is_narrow=is_crowded,
-                )
-                why: Reason = "shape"
-                if candidate is not None:
-                    spot, own_light = candidate
-                    why = meter.judge(spot, meter.gates(own_light, appearance))
-                    if abs(own_light.contrast / light.contrast - 1) > parameters.brightness_tolerance:
-                        why = "brightness"
-                    if why == "ok":
-                        if all(abs(spot.u - other.u) > 1.0 for other in spots):
-                            spots.append(spot)
-                        continue
-                distance = abs(left + x - marker.u)
-                if why != "jump" and distance < nearest:
-                    nearest, reason = distance, why
-        return spots, reason, left + meter.half, right - meter.half
+        alike, others = alike_spots(meter, image, (left, top, right, bottom), light, appearance, own)
+        for u, why in others:
+            if why != "jump" and abs(u - marker.u) < nearest:
+                nearest, reason = abs(u - marker.u), why
+        return [spot for spot, _ in alike], reason, left + meter.half, right - meter.half
 
     def _search(
-        self, image: npt.NDArray[Any], marker: _Marker, light: Light, appearance: Appearance
+        self, image: npt.NDArray[Any], marker: MarkerState, light: Light, appearance: Appearance
     ) -> tuple[Spot | None, Reason]:
         """Look for a marker that is not where it should be."""
         parameters = self.parameters
@@ -416,14 +354,14 @@ class MarkerTracker:
             parameters.max_gate_px,
         )
         spots, reason, left, right = self._spots(image, marker, light, appearance)
-        tracks, free = _associated(
+        tracks, free = associated(
             marker.rivals, spots, self._frame, gate if marker.is_mixed else parameters.max_jump_px
         )
         near = [spot for spot in free if abs(spot.u - marker.u) <= gate]
         if not marker.is_mixed and len(near) == 1:
             free.remove(near[0])
-        tracks += [_Track(spot.u, 0.0, self._frame) for spot in free]
-        marker.rivals = _present(tracks, self._frame, left, right, parameters.max_jump_px)
+        tracks += [Track(spot.u, 0.0, self._frame) for spot in free]
+        marker.rivals = present(tracks, self._frame, left, right, parameters.max_jump_px)
         if not marker.is_mixed:
             if len(near) == 1:
                 return near[0], "ok"
@@ -437,6 +375,89 @@ class MarkerTracker:
             marker.rivals = []
             return spots[0], "ok"
         return None, "ambiguous" if spots else reason
+
+    # -- markers that have jumped --------------------------------------------------------------------------
+
+    def _in_whole_row(
+        self, image: npt.NDArray[Any], k: int, own: float = math.nan
+    ) -> list[tuple[Spot, Light]]:
+        """Spots with a marker's appearance in its row from edge to edge, the row as wide as it may have moved."""
+        marker, parameters, meter = self._markers[k], self.parameters, self._meter
+        light, appearance = marker.light, marker.appearance
+        assert light is not None
+        assert appearance is not None
+        row, expected = appearance.row, parameters.expected_rows_px
+        reach = parameters.expected_row_tolerance_px
+        centre = row if expected is None else expected[k]
+        for j, other in enumerate(self._markers):
+            if j != k and other.appearance is not None:
+                reach = min(reach, abs(other.appearance.row - row) / 2)
+        low = min(centre - reach, row - parameters.row_gate_px)
+        high = max(centre + reach, row + parameters.row_gate_px)
+        height, width = image.shape
+        window = 0, max(0, math.floor(low) - meter.half), width, min(height, math.ceil(high) + meter.half + 1)
+        return alike_spots(meter, image, window, light, appearance, own, (low, high))[0]
+
+    def _rejoin(self, image: npt.NDArray[Any], lost: list[int]) -> list[int]:
+        """Follow markers that were lost together where they have jumped to, once two frames show them there."""
+        markers = self._markers
+        if len(lost) < self.n_markers:
+            self._are_all_lost = False
+        elif not self._are_all_lost:
+            self._are_all_lost = True
+            latest = max(marker.lost_at for marker in markers)
+            for marker in markers:
+                # What one marker met before the others were lost is no part of the jump.
+                if marker.lost_at < latest - TOGETHER_FRAMES and (marker.is_mixed or marker.rivals):
+                    marker.is_doubtful = True
+        found: dict[int, tuple[Spot, Light]] = {}
+        for k in lost:
+            marker = markers[k]
+            together = sum(abs(other.lost_at - marker.lost_at) <= TOGETHER_FRAMES for other in markers)
+            if marker.appearance is None or not (
+                is_common(together, self.n_markers) or (self._are_all_lost and self.n_markers > 1)
+            ):
+                continue
+            spots = self._in_whole_row(image, k)
+            if len(spots) > 1:
+                marker.is_doubtful = True
+            if len(spots) != 1 or marker.is_doubtful or self._is_taken(spots[0][0], k):
+                continue
+            spot, before = spots[0][0], marker.sighting
+            marker.sighting = self._frame, spot.u
+            if (
+                before is not None
+                and before[0] == self._frame - 1
+                and abs(spot.u - before[1]) <= self.parameters.max_jump_px
+            ):
+                found[k] = spots[0]
+        rejoined = moved_together(
+            {k: self._move(markers[k], spot.u - markers[k].lost_u, spot.v) for k, (spot, _) in found.items()},
+            {k: self._move(m, m.moved, m.v) for k, m in enumerate(markers) if m.lost_frames == 0},
+            self.n_markers,
+            max_difference=self.parameters.max_jump_px,
+            max_row_difference=self.parameters.row_gate_px,
+        )
+        self._move_rows([self._move(markers[k], 0.0, found[k][0].v).across for k in rejoined])
+        for k in rejoined:
+            markers[k].moved = found[k][0].u - markers[k].lost_u
+            self._introduce(image, markers[k], *found[k])
+        return rejoined
+
+    def _move(self, marker: MarkerState, along: float, v: float) -> Move:
+        """Move of a marker by so much along u, to a row v."""
+        return Move(marker.lost_at, along, 0.0 if marker.appearance is None else v - marker.appearance.row)
+
+    def _move_rows(self, across: list[float]) -> None:
+        """Follow a camera that was moved across the rows."""
+        if not across or max(abs(move) for move in across) <= self.parameters.row_gate_px:
+            return
+        move = sum(across) / len(across)
+        for marker in self._markers:
+            if marker.appearance is not None and marker.light is not None:
+                marker.appearance.row += move
+                marker.known_row = marker.appearance.row
+                marker.gates = self._meter.gates(marker.light, marker.appearance)
 
     # -- acquisition ---------------------------------------------------------------------------------------
 
@@ -499,7 +520,7 @@ class MarkerTracker:
                 reasons[k] = "ambiguous" if near else "not_acquired"
         return reasons
 
-    def _is_expected(self, marker: _Marker, spot: Spot, light: Light) -> bool:
+    def _is_expected(self, marker: MarkerState, spot: Spot, light: Light) -> bool:
         """True when a spot lies in the marker's row and, if the marker was seen before, looks like it."""
         row = marker.known_row
         if row is None or abs(spot.v - row) > self.parameters.expected_row_tolerance_px:
@@ -508,53 +529,11 @@ class MarkerTracker:
             return True
         return self._meter.judge(spot, self._meter.gates(light, marker.appearance)) == "ok"
 
-    def _introduce(self, image: npt.NDArray[Any], marker: _Marker, spot: Spot, light: Light) -> None:
+    def _introduce(self, image: npt.NDArray[Any], marker: MarkerState, spot: Spot, light: Light) -> None:
         """Start to follow a spot as this marker."""
         marker.light = light
         if marker.appearance is None:
             marker.appearance = self._meter.appearance(spot, light)
         marker.gates = self._meter.gates(light, marker.appearance)
         marker.known_row = marker.appearance.row
-        marker.u, marker.v, marker.centre = spot.u, spot.v, spot.u
-        marker.velocity = marker.swing = 0.0
-        marker.hold_error = marker.linear_error = 1.0
-        marker.lost_frames = 0
-        marker.is_followed = True
-        marker.is_mixed = False
-        marker.rivals = []
-
-
-def _associated(
-    tracks: list[_Track], spots: list[Spot], frame: int, reach: float
-) -> tuple[list[_Track], list[Spot]]:
-    """Continue tracks by the nearest spots; returns the tracks and the spots that belong to none."""
-    free = list(spots)
-    continued = []
-    for track in tracks:
-        predicted = track.predicted(frame)
-        nearest = min(free, key=lambda spot: abs(spot.u - predicted), default=None)
-        if nearest is not None and abs(nearest.u - predicted) <= reach:
-            free.remove(nearest)
-            elapsed = max(1, frame - track.frame)
-            continued.append(_Track(nearest.u, (nearest.u - track.u) / elapsed, frame))
-        else:
-            continued.append(track)
-    return continued, free
-
-
-def _continued(tracks: list[_Track], spots: list[Spot], frame: int, reach: float) -> list[_Track]:
-    """Tracks of these spots, with velocities where an earlier track leads to them; and of those just gone."""
-    continued, free = _associated(tracks, spots, frame, reach)
-    return [track for track in continued if frame - track.frame <= _RIVAL_MEMORY_FRAMES] + [
-        _Track(spot.u, 0.0, frame) for spot in free
-    ]
-
-
-def _present(tracks: list[_Track], frame: int, left: float, right: float, reach: float) -> list[_Track]:
-    """Tracks but those that have left the columns looked at, or have not been seen for long."""
-    return [
-        track
-        for track in tracks
-        if track.frame == frame
-        or (left + reach < track.u < right - reach and frame - track.frame <= _FORGET_AFTER_FRAMES)
-    ]
+        marker.place(spot.u, spot.v)
