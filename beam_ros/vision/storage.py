@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -26,8 +27,13 @@ def load_calibration(path: Path) -> LinearCalibration:
     except ParameterFileError as err:
         raise CalibrationError(f"calibration file {err}") from err
     if not isinstance(document, dict):
-        raise CalibrationError(f"{path}: holds no calibration; expected what tracker/fit_calibration writes")
-    return LinearCalibration.from_dict(document)
+        raise CalibrationError(
+            f"{path}: holds no calibration; expected one written by `beam calibrate --save`"
+        )
+    try:
+        return LinearCalibration.from_dict(document)
+    except CalibrationError as err:
+        raise CalibrationError(f"{path}: {err}") from err
 
 
 def save_calibration(calibration: LinearCalibration, path: Path) -> None:
@@ -45,6 +51,9 @@ def save_calibration(calibration: LinearCalibration, path: Path) -> None:
             yaml.dump(calibration.to_dict(), stream)
         os.replace(partial, path)
     except OSError as err:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise CalibrationError(
-            f"{path}: cannot be written ({err.strerror}); give tracker.save_calibration a writable path"
+            f"{path}: cannot be written ({err.strerror}); give a path of a file that can (--save, or "
+            "tracker.save_calibration)"
         ) from err
