@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,12 @@ from beam_ros.errors import UsageError
 from beam_ros.identification import described_rig
 from beam_ros.messages import BagTypes
 from beam_ros.rig import Rig
-from beam_ros.vision.calibration_procedure import CalibrationFit, CalibrationProcedure
+from beam_ros.vision.calibration_procedure import (
+    SWING_NOISES,
+    SWING_PX,
+    CalibrationFit,
+    CalibrationProcedure,
+)
 from beam_ros.vision.errors import CalibrationError
 from beam_ros.vision.lens import Lens, lens_to_dict
 
@@ -148,6 +153,7 @@ def calibrate_from_bags(
     procedure: CalibrationProcedure | None = None
     lens: Lens | None = None
     used: list[str] = []
+    warnings: list[str] = []
     for path in paths:
         with Bag(path) as bag:
             bag.require("beam/markers")
@@ -170,11 +176,18 @@ def calibrate_from_bags(
             )
         tolerance = max(_STILL_M, _STILL_RESOLUTIONS * sensor.sd_m)
         rests = find_rests(sensor.stamps_ns, sensor.positions, tolerance)
-        count = _capture(procedure, rests, seen, sensor, lens, frames)
+        count, swings = _capture(procedure, rests, seen, sensor, lens, frames)
+        if swings:
+            warnings.append(
+                f"{path}: {len(swings)} of {len(swings) + count} positions are left out, for the beam still swung "
+                f"by up to {max(swings):.2g} px (sd) there: move with less jerk, or rest longer"
+            )
         if count == 0:
             raise CalibrationError(
-                f"{path}: {sensor.name} rests {len(rests)} times for {_LEAST_REST_S:g} s or more, and in none of "
-                f"them are there {_LEAST_FRAMES} frames with every marker; expected the hub to stop at several "
+                warnings[-1]
+                if swings
+                else f"{path}: {sensor.name} rests {len(rests)} times for {_LEAST_REST_S:g} s or more, and in none "
+                f"of them are there {_LEAST_FRAMES} frames with every marker; expected the hub to stop at several "
                 "positions for a second or more each"
             )
         used.append(str(path))
@@ -191,7 +204,7 @@ def calibrate_from_bags(
             "lens": lens_to_dict(lens),
         }
     )
-    return fit, rig
+    return replace(fit, warnings=(*warnings, *fit.warnings)), rig
 
 
 def _reference(bag: Bag, rig: Rig, reference: str, sd_m: float | None) -> _Reference:
@@ -260,9 +273,9 @@ def _capture(
     sensor: _Reference,
     lens: Lens | None,
     frames: int,
-) -> int:
-    """Capture a point of every rest that has frames; returns their number."""
-    count = 0
+) -> tuple[int, list[float]]:
+    """Capture a point of every rest that has frames; returns their number, and how rests that swing do [px]."""
+    count, swings = 0, []
     u = seen.u_px if lens is None else lens.undistort(seen.u_px, seen.v_px)[0]
     whole = np.all(np.isfinite(u), axis=1)
     for rest in rests:
@@ -271,8 +284,13 @@ def _capture(
         ]
         if len(chosen) < _LEAST_FRAMES:
             continue
-        # The noise of a frame shows in the differences from frame to frame, whatever else moves slowly.
-        noise = np.std(np.diff(u[chosen], axis=0), axis=0, ddof=1) / math.sqrt(2.0)
+        # The noise of a frame shows in third differences, which leave next to nothing of a swing: their
+        # coefficients 1, 3, 3, 1 square to 20.
+        noise = np.sqrt(np.mean(np.diff(u[chosen], n=3, axis=0) ** 2, axis=0) / 20.0)
+        scatter = np.std(u[chosen], axis=0, ddof=1)
+        if np.any(scatter > np.maximum(SWING_NOISES * noise, SWING_PX)):
+            swings.append(float(np.max(scatter)))
+            continue
         window = (sensor.stamps_ns >= seen.stamps_ns[chosen[0]]) & (
             sensor.stamps_ns <= seen.stamps_ns[chosen[-1]]
         )
@@ -281,4 +299,4 @@ def _capture(
             u[chosen], np.broadcast_to(np.maximum(noise, 1e-4), u[chosen].shape), position, sensor.sd_m
         )
         count += 1
-    return count
+    return count, swings

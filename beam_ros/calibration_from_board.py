@@ -104,6 +104,11 @@ def calibrate_from_board(
         warnings.append(
             f"the corners lie {scale.residual_rms_px:.2f} px (RMS) off a plane board: is it flat, sharp and still?"
         )
+    if lens_fit is not None and lens_fit.residual_rms_px > _LARGE_RESIDUAL_PX:
+        warnings.append(
+            f"the lens leaves the corners {lens_fit.residual_rms_px:.2f} px (RMS) off: expected less than "
+            f"{_LARGE_RESIDUAL_PX:g}; take sharper pictures, of a flat board held still"
+        )
     warnings.append(
         "the zeros are the rig file's origin, +- 1 px; call tracker/tare at rest at home to measure them"
     )

@@ -20,6 +20,10 @@ from beam_ros.vision.errors import CalibrationError
 
 MINIMUM_POINTS = 3
 RECOMMENDED_POINTS = 20
+SWING_NOISES = 10.0
+"""A beam whose markers scatter by more than so many standard deviations of the noise is not at rest, ..."""
+SWING_PX = 0.5
+"""... unless it is by less than this [px]."""
 
 Floats = npt.NDArray[np.float64]
 
@@ -293,7 +297,7 @@ class CalibrationProcedure:
             seen = np.isfinite(positions[:, k])
             scatter = float(np.std(positions[seen, k], ddof=1)) if count > 1 else 0.0
             stated = float(np.sqrt(np.mean(sigmas[seen, k] ** 2)))
-            if count >= 10 and scatter > max(10 * stated, 0.5):
+            if count >= 10 and scatter > max(SWING_NOISES * stated, SWING_PX):
                 raise CalibrationError(
                     f"{what}: it moves by {scatter:.3g} px (sd) where the noise is {stated:.3g} px; "
                     "expected a beam "

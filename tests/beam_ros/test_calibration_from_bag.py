@@ -28,8 +28,13 @@ REST_S, MOVE_S = 1.0, 0.25
 THERE_AND_BACK = np.concatenate([np.linspace(-0.03, 0.03, 8), np.linspace(0.03, -0.03, 8)[1:-1]])
 
 
-def record(path: Path, stops=THERE_AND_BACK, *, play_px=0.0, bend_px_m2=0.0, laser_m=None) -> Path:
-    """A bag in which the hub stops at positions; `play_px` is where moves in +x end up ahead of others."""
+def record(
+    path: Path, stops=THERE_AND_BACK, *, play_px=0.0, bend_px_m2=0.0, laser_m=None, swing_px=0.0, swings=()
+) -> Path:
+    """A bag in which the hub stops at positions; `play_px` is where moves in +x end up ahead of others.
+
+    At the stops numbered `swings` the upper markers swing at 4.4 Hz with the amplitude `swing_px`.
+    """
     rng = np.random.default_rng(3)
     times = np.arange(0.0, len(stops) * (REST_S + MOVE_S), 1e-3)
     stop, within = np.divmod(times, REST_S + MOVE_S)
@@ -55,6 +60,8 @@ def record(path: Path, stops=THERE_AND_BACK, *, play_px=0.0, bend_px_m2=0.0, las
             stamp_ns = START + k * 1_000_000
             x = positions[k]
             u = ZEROS + SCALES * x + bend_px_m2 * x**2 + 0.5 * play_px * directions[k]
+            if stop[k] in swings:
+                u = u + swing_px * np.sin(2 * np.pi * 4.4 * times[k]) * np.array([0.0, 0.7, 1.0])
             rows = np.zeros(3, dtype=messages.MARKER_DTYPE)
             rows["u"], rows["v"] = u + NOISE_PX * rng.standard_normal(3), 400.0
             rows["id"], rows["valid"] = np.arange(3), 1
@@ -111,6 +118,19 @@ def test_play_and_curvature_are_seen_and_told(tmp_path: Path, capsys: pytest.Cap
     assert all(marker["is_curved"] for marker in result["markers"].values())
     assert result["markers"]["z010"]["curvature_px_m2"] == pytest.approx(20.0, rel=0.1)
     assert any("distortion" in warning for warning in result["warnings"])
+
+
+def test_positions_where_the_beam_still_swings_are_left_out_and_told(tmp_path: Path) -> None:
+    fit, _ = calibrate_from_bags([record(tmp_path / "some", swing_px=3.0, swings=(2, 5))])
+    assert fit.calibration.provenance["n_points"] == len(THERE_AND_BACK) - 2
+    assert "2 of 14 positions are left out" in fit.warnings[0]
+    assert (
+        "by up to 2.2 px" in fit.warnings[0]
+    )  # 3 px over the square root of 2, over no whole number of periods
+    deviations = np.sqrt([matrix[0][0] for matrix in fit.calibration.covariance])
+    assert np.all(np.abs(np.array(fit.calibration.pixels_per_metre) - SCALES) < 4 * deviations)
+    with pytest.raises(CalibrationError, match=r"14 of 14 positions .* rest longer"):
+        calibrate_from_bags([record(tmp_path / "all", swing_px=3.0, swings=range(14))])
 
 
 def test_a_laser_is_a_reference_and_its_uncertainty_travels(tmp_path: Path) -> None:
