@@ -6,8 +6,9 @@ so that a seed gives the same bag to the last byte of every message.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,12 @@ from beam_ros.hub.axis import VirtualAxis
 from beam_ros.hub.contract import HostTime, HubReport, RequestKind
 from beam_ros.hub.plant import beam_on_axis
 from beam_ros.hub.simulated_hub import SimulatedHub
+from beam_ros.measured_frames import displacement_messages, markers_message
 from beam_ros.messages import BagTypes
 from beam_ros.rig import Rig
 
-FloatArray = NDArray[np.float64]
-Measure = Callable[[Exposure], tuple[tuple[int, ...], FloatArray]]
+Measure = Callable[[Exposure], Iterator[tuple[str, Any]]]
+"""From an exposure to the topics and messages that tell of it."""
 
 START_NS = 1_700_000_000_000_000_000
 """Made-up real time at which every simulated experiment begins [ns, UNIX]."""
@@ -50,7 +52,8 @@ def simulate(
     ----------
     rig : Rig
     path : Path -- the bag's folder; must not exist
-    with_camera : bool -- render every frame and track it; else displacements carry white noise
+    with_camera : bool -- render every frame and track it, for beam/markers too; else displacements carry white
+        noise
     on_frame : callable, optional -- given every exposure and its image; displacements stay out of the bag, as where
         a camera only leaves a file
     on_progress : callable -- called with simulated seconds so far and in all
@@ -76,21 +79,16 @@ def simulate(
         run = _Run(hub, bag, types)
         run.step()
         film = Film(rig, model, hub.snapshots, hub.reached_ns)
-        measure = _tracked(rig, film) if with_camera else _noisy(rig, film)
+        measure = (_tracked if with_camera else _noisy)(rig, film, types)
         render = None if on_frame is None else _rendered(rig, film)
-        names = rig.marker_names
 
         def record_displacements() -> None:
             for exposure in film.due(hub.reached_ns):
                 if on_frame is not None and render is not None:
                     on_frame(exposure, render(exposure))
                     continue
-                stamps, u = measure(exposure)
-                for stamp_ns in sorted(set(stamps)):
-                    chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
-                    seen = [names[k] for k in chosen]
-                    message = messages.displacement(types, stamp_ns, seen, u[chosen])
-                    bag.write_message("beam/displacement", run.now_ns, message)
+                for topic, message in measure(exposure):
+                    bag.write_message(topic, run.now_ns, message)
 
         run.after_step = record_displacements
         run.ask("home")
@@ -164,13 +162,17 @@ class _Run:
             self._completed[number] = "" if outcome.success else outcome.message
 
 
-def _noisy(rig: Rig, film: Film) -> Measure:
+def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     rng = np.random.default_rng(int(rig.number("simulation.seed")))
     noise = rig.number("simulation.displacement_noise")
 
-    def measure(exposure: Exposure) -> tuple[tuple[int, ...], FloatArray]:
+    names = rig.marker_names
+
+    def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         u = film.mean_displacement(exposure)
-        return film.marker_stamps(exposure), u + noise * rng.standard_normal(len(u))
+        u = u + noise * rng.standard_normal(len(u))
+        for _, message in displacement_messages(types, names, film.marker_stamps(exposure), u):
+            yield "beam/displacement", message
 
     return measure
 
@@ -186,19 +188,23 @@ def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], NDArray[np.uint8]]:
     return lambda exposure: renderer.render(exposure.markers, rng, exposure.strip)
 
 
-def _tracked(rig: Rig, film: Film) -> Measure:
+def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     from beam_ros.vision.calibration import LinearCalibration
-    from beam_ros.vision.tracking import MarkerTracker
+    from beam_ros.vision.measuring_chain import MeasuringChain
 
-    n_markers = len(rig.marker_names)
+    names, heights = rig.marker_names, rig.numbers("markers.heights")
     render = _rendered(rig, film)
-    tracker = MarkerTracker(rig.tracker_parameters(), n_markers, film.timing)
-    calibration = LinearCalibration.from_camera(film.camera, n_markers)
+    calibration = LinearCalibration.from_camera(film.camera, len(names))
+    chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)
 
-    def measure(exposure: Exposure) -> tuple[tuple[int, ...], FloatArray]:
-        result = tracker.process(render(exposure), exposure.stamp_ns)
-        columns = [marker.u_px for marker in result.markers]
-        found = calibration.displacement(columns, [marker.sigma_px for marker in result.markers])
-        return tuple(marker.stamp_ns for marker in result.markers), found.x_m
+    def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
+        seen = chain.measure(exposure.stamp_ns, render(exposure))
+        found = seen.displacement
+        for _, message in displacement_messages(types, names, seen.stamps_ns, found.x_m):
+            yield "beam/displacement", message
+        yield (
+            "beam/markers",
+            markers_message(types, seen.stamp_ns, heights, found.x_m, found.sigma_m, seen.u_px, seen.v_px),
+        )
 
     return measure

@@ -26,6 +26,7 @@ from beam_ros.bags.reading import Bag, HubSamples
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.identification import VIDEO_TOPIC, described_rig
+from beam_ros.measured_frames import displacement_messages, markers_message
 from beam_ros.messages import BagTypes
 from beam_ros.rig import Rig
 from beam_ros.vision.calibration import LinearCalibration
@@ -152,6 +153,11 @@ def _remarks(
 ) -> Iterator[str]:
     if n_frames < video.n_frames:
         yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
+    if video.n_times is not None and video.n_times > n_frames:
+        yield (
+            f"{video.n_times} frame times are given for {n_frames} frames: where frames are missing but at the end, "
+            "the times are not theirs"
+        )
     for name, counts in zip(names, reasons, strict=True):
         if counts.get("ok", 0) < _LEAST_SEEN * n_frames:
             yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"
@@ -391,23 +397,16 @@ def _video_messages(
 ) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time and message of every frame, in the order of time."""
     for k, stamps in enumerate(stamps_ns):
-        for stamp_ns in sorted(set(stamps.tolist())):
-            chosen = np.flatnonzero(stamps == stamp_ns)
-            names = [tracked.names[j] for j in chosen]
-            yield (
-                "beam/displacement",
-                stamp_ns,
-                messages.displacement(types, stamp_ns, names, tracked.x_m[k, chosen]),
-            )
-        rows = np.zeros(len(tracked.names), dtype=messages.MARKER_DTYPE)
-        rows["x"], rows["z"] = tracked.x_m[k], tracked.heights
-        rows["x_m"], rows["sigma_m"] = tracked.x_m[k], tracked.sigma_m[k]
-        rows["u"], rows["v"] = tracked.u_px[k], tracked.v_px[k]
-        rows["id"] = np.arange(len(tracked.names))
-        rows["valid"] = np.isfinite(tracked.x_m[k])
+        for stamp_ns, message in displacement_messages(types, tracked.names, stamps.tolist(), tracked.x_m[k]):
+            yield "beam/displacement", stamp_ns, message
         latest_ns = int(stamps.max())
-        yield (
-            "beam/markers",
+        message = markers_message(
+            types,
             latest_ns,
-            messages.marker_cloud(types, messages.MarkerCloud(latest_ns, rows)),
+            tracked.heights,
+            tracked.x_m[k],
+            tracked.sigma_m[k],
+            tracked.u_px[k],
+            tracked.v_px[k],
         )
+        yield "beam/markers", latest_ns, message

@@ -19,7 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", nargs="?", type=Path, metavar="PLAN.yaml", help="rig and excitation")
     parser.add_argument("--bag", type=Path, required=True, metavar="OUT", help="folder of the new bag")
     parser.add_argument("--seed", type=int, help="seed of the noise (simulation.seed)")
-    parser.add_argument("--camera", action="store_true", help="render and track every frame (needs OpenCV)")
+    parser.add_argument(
+        "--camera",
+        action="store_true",
+        help="render and track every frame, beam/markers too (needs OpenCV)",
+    )
     add_parameters(parser)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from beam_ros import messages
 from beam_ros.beam_line import BeamLineFitter, line_marker
+from beam_ros.measured_frames import displacement_messages, markers_message
 from beam_ros.nodes.frame_averaging import FrameAveraging
 from beam_ros.nodes.frame_sources import frame_source
 from beam_ros.nodes.large_messages import keep_freed_memory
@@ -115,19 +116,19 @@ class VisionTracker(RigNode):
 
     def _publish(self, measurement: Measurement) -> None:
         found, stamps = measurement.displacement, measurement.stamps_ns
-        for stamp_ns in sorted(set(stamps)):
-            chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
-            names = [self._names[k] for k in chosen]
-            self._displacement.publish(messages.displacement(self.types, stamp_ns, names, found.x_m[chosen]))
+        for _, message in displacement_messages(self.types, self._names, stamps, found.x_m):
+            self._displacement.publish(message)
         self._diagnosis.frame_measured(measurement, self.now_ns() - measurement.stamp_ns)
-        rows = np.zeros(len(self._names), dtype=messages.MARKER_DTYPE)
-        rows["x"], rows["z"] = found.x_m, self._heights
-        rows["x_m"], rows["sigma_m"] = found.x_m, found.sigma_m
-        rows["u"], rows["v"] = measurement.u_px, measurement.v_px
-        rows["id"] = np.arange(len(self._names))
-        rows["valid"] = np.isfinite(measurement.u_px)
         self._markers.publish(
-            messages.marker_cloud(self.types, messages.MarkerCloud(measurement.stamp_ns, rows))
+            markers_message(
+                self.types,
+                measurement.stamp_ns,
+                self._heights,
+                found.x_m,
+                found.sigma_m,
+                measurement.u_px,
+                measurement.v_px,
+            )
         )
 
     def _draw(self, measurement: Measurement, image: GreyImage) -> None:

@@ -21,6 +21,8 @@ from beam_ros.vision.errors import VideoError
 from beam_ros.vision.tracking import MarkerTracker
 
 _NS = 1_000_000_000
+_LATEST_S = 9_150_000_000
+"""Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,6 +41,7 @@ class VideoFile:
     width, height : int -- [px]
     rate_hz : float -- frame rate; NaN where only times are given
     n_frames : int -- what the file claims; 0 where it does not say
+    n_times : int or None -- how many frame times were given
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class VideoFile:
         finally:
             capture.release()
         self._times = None if frame_times_ns is None else [int(time) for time in frame_times_ns]
+        self.n_times = None if self._times is None else len(self._times)
         if self._times is not None:
             if any(
                 later <= earlier for earlier, later in zip(self._times[:-1], self._times[1:], strict=True)
@@ -214,12 +218,18 @@ def read_frame_times(path: Path) -> tuple[int, ...]:
             continue
         try:
             # Decimal keeps the nanoseconds of times since 1970, which a float does not.
-            times.append(int((Decimal(words[0]) * _NS).to_integral_value()))
-        except (InvalidOperation, OverflowError, ValueError) as err:
+            seconds = Decimal(words[0])
+        except InvalidOperation as err:
             if number > 1:
                 raise VideoError(
                     f"{path}: line {number} is {line!r}; expected a time in seconds first"
                 ) from err
+            continue
+        if not (seconds.is_finite() and abs(seconds) < _LATEST_S):
+            raise VideoError(
+                f"{path}: line {number} is {line!r}; expected a time in seconds that ends before the year 2260"
+            )
+        times.append(int((seconds * _NS).to_integral_value()))
     if not times:
         raise VideoError(f"{path}: holds no frame times; expected one time in seconds a line")
     return tuple(times)

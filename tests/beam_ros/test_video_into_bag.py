@@ -155,14 +155,16 @@ def test_a_new_bag_leaves_the_old_one_and_a_second_video_replaces_the_first(
 def test_frame_times_of_the_users_come_before_the_files(bag: Path, tmp_path: Path) -> None:
     times = tmp_path / "times.csv"
     period = 0.01 * (1 + 2e-3)
-    lines = [f"{1.7e9 + k * period:.9f}, {k}" for k in range(len(TRUTH["columns_px"]))]
+    lines = [f"{1.7e9 + k * period:.9f}, {k}" for k in range(len(TRUTH["columns_px"]) + 3)]
     times.write_text("\n".join(["time_s, frame", *lines]) + "\n", encoding="utf-8")
     assert (
         main(["track", str(VIDEO), "--into", str(bag), "--rig-file", str(RIG_FILE), "--times", str(times)])
         == 0
     )
     with Bag(bag) as opened:
-        found = opened.texts("tracker/video")[-1]["synchronisation"]
+        summary = opened.texts("tracker/video")[-1]
+    found = summary["synchronisation"]
+    assert any("669 frame times are given for 666 frames" in note for note in summary["notes"])
     # These frame times are 0.2 % too far apart, and the low marker tells.
     assert found["drift"] == pytest.approx(-2e-3, abs=4 * found["drift_sd"])
     assert found["drift_sd"] < 2e-4
@@ -192,6 +194,8 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     cut.write_bytes(VIDEO.read_bytes()[:3000])
     (tmp_path / "times.txt").write_text("0.0\n0.01\nsoon\n", encoding="utf-8")
     (tmp_path / "few.txt").write_text("0.0\n0.01\n", encoding="utf-8")
+    for name, time in (("far", "1e12"), ("vast", "1e999999")):
+        (tmp_path / f"{name}.txt").write_text(f"0.0\n0.01\n{time}\n", encoding="utf-8")
     (tmp_path / "wrong.yaml").write_text("a: 1\n", encoding="utf-8")
     other = LinearCalibration.from_camera(Rig.from_file().camera_parameters(), 3)
     save_calibration(other, tmp_path / "other.yaml")
@@ -210,7 +214,13 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         (VIDEO, [*rig, "--rate", "400"], "at 400 frames/s"),
         (VIDEO, [*rig, "--times", str(tmp_path / "times.txt")], "line 3 is 'soon'"),
         (VIDEO, [*rig, "--times", str(tmp_path / "few.txt")], "2 frame times for more frames"),
-        (VIDEO, [*rig, "--calibration", str(tmp_path / "wrong.yaml")], "no linear calibration"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "far.txt")], "line 3 is '1e12'"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "vast.txt")], "line 3 is '1e999999'"),
+        (
+            VIDEO,
+            [*rig, "--calibration", str(tmp_path / "wrong.yaml")],
+            "wrong.yaml: file holds no linear calib",
+        ),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "other.yaml")], "expected 640 x 480"),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "two.yaml")], "holds for 2 markers"),
     ):
