@@ -5,6 +5,7 @@ import pytest
 
 from beam_ros.vision import CameraParameters, TrackerParameters
 from beam_ros.vision.disturbances import Disturbances, Occluder, SecondSpot
+from beam_ros.vision.jumps import NEVER, Move, moved_together
 from beam_ros.vision.rendering import SceneRenderer
 from beam_ros.vision.tracking import MarkerTracker
 
@@ -183,3 +184,49 @@ def test_two_spots_in_a_marker_row_after_a_jump_leave_that_marker_lost():
     twin = Disturbances(spots=(SecondSpot(120.0, float(camera.rows(HEIGHTS[1]))),))
     lost = frames_lost(camera, renderer, tracker, rng, 150 * PIXEL, disturbances=twin)
     assert lost == [1, 12, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("found", "seen", "believed"),
+    [
+        # All markers, wherever each is and whenever it was lost, but in rows that moved together.
+        ({0: (50, 40, 0), 1: (90, -60, 0), 2: (10, 5, 0)}, {}, [0, 1, 2]),
+        ({0: (50, 40, 8), 1: (90, -60, 8), 2: (10, 5, 9)}, {}, [0, 1, 2]),
+        ({0: (50, 40, 0), 1: (50, 40, 9), 2: (50, 40, -9)}, {}, []),
+        # Most markers, by the same way and at the same time; another way is another spot's.
+        ({0: (50, 40, 0), 1: (51, 30, 0)}, {}, [0, 1]),
+        ({0: (50, 40, 0), 1: (50, -40, 0)}, {}, []),
+        ({0: (50, 40, 0), 1: (60, 40, 0)}, {}, []),
+        # One alone only in company of those that are seen again where they have moved by the same way.
+        ({0: (50, 40, 0)}, {}, []),
+        ({0: (50, 40, 0)}, {1: (50, 0, 0), 2: (50, 0, 0)}, []),
+        ({0: (50, 40, 0)}, {1: (50, 35, 0), 2: (NEVER, 0, 0)}, [0]),
+    ],
+)
+def test_what_is_believed_of_three_markers(found, seen, believed):
+    chosen = moved_together(
+        {k: Move(*move) for k, move in found.items()},
+        {k: Move(*move) for k, move in seen.items()},
+        3,
+        max_difference=24.0,
+        max_row_difference=5.0,
+    )
+    assert sorted(chosen) == believed
+
+
+def test_a_single_marker_is_never_believed_to_have_jumped():
+    move = {0: Move(5, 100.0, 0.0)}
+    assert moved_together(move, {}, 1, max_difference=24.0, max_row_difference=5.0) == []
+
+
+def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_the_jump():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(82)
+    settle(renderer, tracker, rng)
+    twin = Disturbances(spots=(SecondSpot(320.0 + 110.0, float(camera.rows(HEIGHTS[0]))),))
+    for k in range(40):
+        kick = 150 * PIXEL if k >= 20 else 0.0
+        x = swing(k) + kick
+        x[0] = np.nan
+        result = tracker.process(renderer.render(x, rng, disturbances=twin), k)
+        assert [marker.is_valid for marker in result.markers] == [False] + [k != 20] * 3
