@@ -21,12 +21,18 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter, sosfilt, zpk2sos
 
+from beam_ident.argument_checks import require_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.noise_correlation import autocorrelation, autoregression, score_covariance
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial, regular_period
 from beam_ident.rational_response import ComplexArray, RationalResponse, full_roots, upper_roots
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.structure_gates import (
+    criterion_of_nothing,
+    information_criterion,
+    transfer_function_warnings,
+)
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import estimate_transfer_function
 from beam_ident.validation import Scores, Whiteness
@@ -99,6 +105,7 @@ class ClosedLoopResult:
     converged : bool
     reason : str
     iterations : int
+    warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
     model: TransferFunctionModel
@@ -113,6 +120,7 @@ class ClosedLoopResult:
     converged: bool
     reason: str
     iterations: int
+    warnings: tuple[str, ...]
 
 
 @on_one_thread
@@ -152,6 +160,9 @@ def estimate_in_closed_loop(
     input and R the covariance of the whitened residuals.  An autoregression needs regular stamps;
     with irregular ones the noise is taken as white.
     """
+    require_record(record)
+    require_whole_number("n_poles", n_poles, 0)
+    require_whole_number("n_zeros", n_zeros, 0)
     if n_zeros >= n_poles:
         raise EstimationError(
             f"{n_poles} poles and {n_zeros} zeros; a sampled controller cannot act on an output that "
@@ -217,6 +228,7 @@ class _Loop:
         if nuisances[1]:
             middle, length = self.times.mean(), self.times[-1] - self.times[0]
             columns.append((self.times - middle) / length)
+        self.has_offset, self.has_ramp = nuisances
         self.nuisances = np.stack(columns, axis=1) if columns else np.empty((len(self.times), 0))
         self.measured_drive = drive.signal(margin_s=output.exposure_s, from_rest=True)
         self.measured_integral = self.measured_drive.antiderivative()
@@ -402,17 +414,22 @@ class _Loop:
             input_name=self.drive.name,
             output_name=self.output_name,
         )
+        of_nothing = criterion_of_nothing(self.times, self.values, self.has_offset, self.has_ramp)
+        n_parameters = len(theta) + self.nuisances.shape[1]
+        whiteness = Whiteness.of(white)
+        is_worth_it = information_criterion(residuals, n_parameters) < of_nothing
         return ClosedLoopResult(
-            model,
-            self.times,
-            self.values,
-            self.values - residuals,
-            residuals,
-            self.noise,
-            Scores.of(self.values, residuals),
-            Whiteness.of(white),
-            condition,
-            converged,
-            reason,
-            iterations,
+            model=model,
+            times_s=self.times,
+            measured=self.values,
+            modelled=self.values - residuals,
+            residuals=residuals,
+            noise_coefficients=self.noise,
+            scores=Scores.of(self.values, residuals),
+            whiteness=whiteness,
+            condition=condition,
+            converged=converged,
+            reason=reason,
+            iterations=iterations,
+            warnings=transfer_function_warnings([model], whiteness, is_worth_it, converged, reason),
         )

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.levenberg_marquardt import minimise
@@ -23,6 +24,11 @@ from beam_ident.output_error import Nuisances, OutputErrorProblem, OutputErrorSt
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import TimeRecord
 from beam_ident.refined_instruments import estimate_denominator
+from beam_ident.structure_gates import (
+    criterion_of_nothing,
+    information_criterion,
+    transfer_function_warnings,
+)
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.transfer_function_fit import physical_model
 from beam_ident.validation import Scores, Whiteness
@@ -44,6 +50,7 @@ class CommonPoleResult:
     converged : bool
     reason : str
     iterations : int -- of the joint fit
+    warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
     models: tuple[TransferFunctionModel, ...]
@@ -52,6 +59,7 @@ class CommonPoleResult:
     converged: bool
     reason: str
     iterations: int
+    warnings: tuple[str, ...]
 
     def model(self, output_name: str) -> TransferFunctionModel:
         """Return the transfer function of one output by its name."""
@@ -118,16 +126,24 @@ def estimate_common_poles(
     EstimationError
         Impossible degrees, too few samples, a constant output, or no output that gives a start.
     """
+    require_record(record)
     if input_name is None and len(record.inputs) > 1:
         raise EstimationError(
             f"record {record.name!r} has {len(record.inputs)} inputs; say which one by its name"
         )
     drive = record.inputs[0] if input_name is None else record.input(input_name)
-    zeros = [n_zeros] * len(record.outputs) if isinstance(n_zeros, int | np.integer) else list(n_zeros)
+    require_input(drive, is_needed=not has_free_response)
+    zeros = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(record.outputs)
     if len(zeros) != len(record.outputs):
         raise EstimationError(
             f"n_zeros has {len(zeros)} entries for {len(record.outputs)} outputs; expected one for each"
         )
+    for name, value in (
+        ("n_poles", n_poles),
+        ("n_integrators", n_integrators),
+        *(("n_zeros", m) for m in zeros),
+    ):
+        require_whole_number(name, value, 0)
     if (
         n_integrators not in range(3)
         or not 1 <= n_poles <= _MAX_POLES
@@ -147,6 +163,7 @@ def estimate_common_poles(
             keep = keep & (output.times_s >= drive.span_s[0] + delay + 0.5 * output.exposure_s)
         path = Path.of(drive, m, 0, Prior(delay), n_integrators, output.exposure_s)
         times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
+        require_output(output.name, values)
         problem = OutputErrorProblem((path,), (n_poles,), times, values, output.exposure_s, nuisances)
         problems.append(problem)
         starts.append(estimate_denominator(problem, "auto")[1].state)
@@ -164,11 +181,26 @@ def estimate_common_poles(
         noise_sd = math.sqrt(covariance.variance)
         model = physical_model(problem, own, covariance.values, n_integrators, noise_sd, output.name)
         models.append(model.path(0))
+    whiteness = tuple(Whiteness.of(own.residuals) for own in states)
+    warnings: list[str] = []
+    for problem, own, found, of_residuals in zip(problems, states, models, whiteness, strict=True):
+        n_own = n_poles + len(own.coefficients)
+        of_nothing = criterion_of_nothing(
+            problem.times, problem.values, nuisances.has_offset, nuisances.has_ramp
+        )
+        is_worth_it = information_criterion(own.residuals, n_own) < of_nothing
+        warnings += [
+            f"Output {found.output_name}: {said}"
+            for said in transfer_function_warnings([found], of_residuals, is_worth_it, True, "")
+        ]
+    if not minimum.converged:
+        warnings.insert(0, f"The fit did not converge: {minimum.reason}.")
     return CommonPoleResult(
         models=tuple(models),
         scores=tuple(Scores.of(p.values, s.residuals) for p, s in zip(problems, states, strict=True)),
-        whiteness=tuple(Whiteness.of(s.residuals) for s in states),
+        whiteness=whiteness,
         converged=minimum.converged,
         reason=minimum.reason,
         iterations=minimum.iterations,
+        warnings=tuple(warnings),
     )

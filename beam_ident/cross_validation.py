@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_output, require_record
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.linear_solution import LinearSolution
@@ -24,6 +25,7 @@ from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.validation import InputCorrelation, Scores, Whiteness
 
 _FAIR_FIT = 80.0
+_MIN_SAMPLES = 20
 _GOOD_FIT = 95.0
 
 
@@ -91,8 +93,15 @@ def validate(
     Raises
     ------
     EstimationError
-        The record lacks an input or every output of the model.
+        The record lacks an input or every output of the model, has too few samples, or an output
+        that is constant.
     """
+    require_record(record)
+    if not isinstance(model, ModalModel | TransferFunctionModel | MultiInputModel):
+        raise EstimationError(
+            f"model is a {type(model).__name__}; expected a ModalModel, a TransferFunctionModel or a MultiInputModel "
+            "(.model of a result)"
+        )
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
     present = [name for name in names if name in record.output_names]
     inputs = model.input_names if isinstance(model, MultiInputModel) else (model.input_name,)
@@ -177,6 +186,12 @@ def _output_validation(
     noise_sd: float,
     drive: FloatArray,
 ) -> OutputValidation:
+    require_output(name, values)
+    if len(values) < _MIN_SAMPLES:
+        raise EstimationError(
+            f"output {name!r} has {len(values)} samples that were seen while the input was known; expected at least "
+            f"{_MIN_SAMPLES} to validate with"
+        )
     scores, of_deflection = Scores.of(values, residuals), Scores.of(deflection, residuals)
     correlation = InputCorrelation.of(residuals, drive)
     ratio = float(np.std(residuals)) / max(noise_sd, 1e-300)

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beam_ident.argument_checks import require_output, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
-from beam_ident.mode_search import PoleOrder, search_modes
+from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 from beam_ident.records import OutputSignal
@@ -29,6 +30,7 @@ _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
 _MOST_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
+_MOST_MODES = 20
 _MAX_MODES = 6
 
 
@@ -53,6 +55,8 @@ class FreeDecay:
     orders : tuple of PoleOrder
     converged : bool
     reason : str
+    iterations : int
+    warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
     natural_frequencies: FloatArray
@@ -70,6 +74,8 @@ class FreeDecay:
     orders: tuple[PoleOrder, ...]
     converged: bool
     reason: str
+    iterations: int
+    warnings: tuple[str, ...]
 
     @property
     def frequencies_hz(self) -> FloatArray:
@@ -142,7 +148,7 @@ def fit_free_decay(
     Raises
     ------
     EstimationError
-        Too few samples, or nothing that rings.
+        Too few samples, an output that is constant, or nothing that rings.
 
     Notes
     -----
@@ -152,8 +158,7 @@ def fit_free_decay(
     if not signals:
         raise EstimationError("no output to fit a decay to; give at least one")
     limit = max_modes if n_modes is None else n_modes
-    if not 0 < limit <= 20:
-        raise EstimationError(f"the number of modes is {limit}; expected 1 to 20")
+    require_whole_number("max_modes" if n_modes is None else "n_modes", limit, 1, _MOST_MODES)
     kept = [(s.times_s >= start_s) & (s.times_s <= end_s) & s.is_valid for s in signals]
     for signal, keep in zip(signals, kept, strict=True):
         if np.count_nonzero(keep) < max(_MIN_SAMPLES, 3 * limit if n_modes is not None else 0):
@@ -163,6 +168,8 @@ def fit_free_decay(
             )
     times = [s.times_s[keep] for s, keep in zip(signals, kept, strict=True)]
     values = [s.values[keep] for s, keep in zip(signals, kept, strict=True)]
+    for signal, own in zip(signals, values, strict=True):
+        require_output(signal.name, own)
     start = min(float(t[0]) for t in times)
     bases = tuple(_DecayBasis(t - start, s.exposure_s) for t, s in zip(times, signals, strict=True))
     sizes = [max(float(np.std(v)), 1e-300) for v in values]
@@ -181,7 +188,7 @@ def fit_free_decay(
             f"nothing rings in {', '.join(s.name for s in signals)} ({orders[-1].refused_because}). Give the stretch "
             "of the free decay, or ask for a number of modes to see the best candidate"
         )
-    return _result(fit, orders, signals, np.array(sizes), start)
+    return _result(fit, orders, signals, np.array(sizes), start, band)
 
 
 class _Periodogram:
@@ -214,12 +221,21 @@ def _result(
     signals: tuple[OutputSignal, ...],
     sizes: FloatArray,
     start: float,
+    band: tuple[float, float],
 ) -> FreeDecay:
     n = len(fit.omegas)
     scale = np.concatenate([fit.omegas, np.ones(n)])
     covariance = fit.covariance[: 2 * n, : 2 * n] * np.outer(scale, scale)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     residuals = tuple(size * e for size, e in zip(sizes, fit.residuals, strict=True))
+    whiteness = tuple(Whiteness.of(e) for e in residuals)
+    warnings = mode_warnings(fit, band)
+    coloured = [s.name for s, own in zip(signals, whiteness, strict=True) if not own.is_white]
+    if coloured:
+        warnings.append(
+            f"the residuals of {', '.join(coloured)} are not white, and the standard deviations take them to be: "
+            "modes are missing, the noise is coloured, or what was seen is no free decay"
+        )
     return FreeDecay(
         natural_frequencies=fit.omegas,
         natural_frequency_sd=sd[:n],
@@ -232,8 +248,10 @@ def _result(
         output_names=tuple(s.name for s in signals),
         residuals=residuals,
         noise_sd=np.sqrt(fit.variances) * sizes,
-        whiteness=tuple(Whiteness.of(e) for e in residuals),
+        whiteness=whiteness,
         orders=orders,
         converged=fit.converged,
         reason=fit.reason,
+        iterations=fit.iterations,
+        warnings=tuple(warnings),
     )

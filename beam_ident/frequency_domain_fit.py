@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
@@ -27,11 +28,12 @@ from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_structure import ModalStructure, StructureKind
-from beam_ident.mode_search import PoleOrder, search_modes
+from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 
 MAX_MODES = 10
+_MOST_MODES = 40
 
 _EVENLY, _STANDING_OUT = 24, 16
 _EXCITED_IMAGE = 1e-2
@@ -249,8 +251,7 @@ def fit_frequency_modes(
     prior = Prior(0.0, 0.0) if latency is None else latency
     problem = _problem(data, form, prior)
     limit = max_modes if n_modes is None else n_modes
-    if not 0 < limit <= 40:
-        raise EstimationError(f"the number of modes is {limit}; expected 1 to 40")
+    require_whole_number("max_modes" if n_modes is None else "n_modes", limit, 1, _MOST_MODES)
     lines = sum(record.n_lines for record in data)
     if n_modes is not None and 2 * lines < 4 * n_modes + 4:
         raise EstimationError(
@@ -264,7 +265,7 @@ def fit_frequency_modes(
             f"{data[0].frequencies_hz[-1]:.4g} Hz ({orders[-1].refused_because or 'no candidate'}). Excite more, or "
             "ask for a number of modes to see the best candidate"
         )
-    return _result(problem, data, form, chosen, orders)
+    return _result(problem, data, form, chosen, orders, proposals.band)
 
 
 def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, latency: Prior) -> PoleProblem:
@@ -372,6 +373,7 @@ def _result(
     structure: ModalStructure,
     fit: PoleFit,
     orders: tuple[PoleOrder, ...],
+    band: tuple[float, float],
 ) -> FrequencyDomainResult:
     freedom = min(record.degrees_of_freedom for record in data)
     covariance = _real_covariance(problem, data, fit) * weighting_loss(freedom)
@@ -390,8 +392,7 @@ def _result(
         chi_squared = float(sum(e @ e for e in fit.residuals))
         misfit = LineMisfit.of(chi_squared, problem.n_rows, fit.n_parameters, len(fit.coefficients), freedom)
     warnings = [misfit.warning] if misfit.warning else []
-    if not fit.converged:
-        warnings.append(f"the fit did not converge: {fit.reason}")
+    warnings += mode_warnings(fit, band)
     return FrequencyDomainResult(
         model=model,
         records=data,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_domain_fit import line_weights, require_responses, stacked_values
@@ -22,8 +23,11 @@ from beam_ident.levenberg_marquardt import minimise
 from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.modal_fit import Prior
 from beam_ident.piecewise import FloatArray
+from beam_ident.structure_gates import information_criterion, structure_complaint
 from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.transfer_function_fit import DelayLike, delay_prior
 
+_MAX_POLES = 30
 _SK_ITERATIONS = 20
 _ITERATIONS = 60
 _DELAY_STEPS = 60
@@ -214,7 +218,7 @@ def _stable(a: FloatArray) -> FloatArray:
 
 @on_one_thread
 def fit_frequency_transfer_function(
-    record: FrequencyRecord, n_poles: int, n_zeros: int, delay: Prior | float = 0.0
+    record: FrequencyRecord, n_poles: int, n_zeros: int, delay: DelayLike = 0.0
 ) -> FrequencyTransferFunctionResult:
     """Fit ``B(s)/A(s) e^(-sT)`` to frequency data of one input and one output.
 
@@ -222,8 +226,8 @@ def fit_frequency_transfer_function(
     ----------
     record : FrequencyRecord
     n_poles, n_zeros : int -- degrees of A and B, ``0 <= n_zeros <= n_poles``
-    delay : float or Prior
-        The delay T [s] where it is known, or what is known of it; ``Prior(0, inf)`` looks for it
+    delay : float, Prior or "estimate"
+        The delay T [s] where it is known, or what is known of it; "estimate" is ``Prior(0, inf)`` and looks for it
         up to sixty steps of 0.4 / (highest frequency).
 
     Raises
@@ -236,12 +240,14 @@ def fit_frequency_transfer_function(
             f"frequency record {record.name!r} has {record.n_outputs} outputs and {record.n_inputs} inputs; a "
             "transfer function takes one of each. Use select()"
         )
-    if not (1 <= n_poles <= 30 and 0 <= n_zeros <= n_poles):
+    for what, value in (("n_poles", n_poles), ("n_zeros", n_zeros)):
+        require_whole_number(what, value, 0)
+    if not (1 <= n_poles <= _MAX_POLES and n_zeros <= n_poles):
         raise EstimationError(
-            f"{n_poles} poles and {n_zeros} zeros; expected 1 to 30 poles, and no more zeros"
+            f"{n_poles} poles and {n_zeros} zeros; expected 1 to {_MAX_POLES} poles, and no more zeros"
         )
     require_responses(record)
-    prior = delay if isinstance(delay, Prior) else Prior(float(delay), 0.0)
+    prior = delay_prior(delay)
     likelihood = _Likelihood(record, n_poles, n_zeros, prior)
     if likelihood.n_rows < 2 * likelihood.n_theta:
         raise EstimationError(
@@ -296,6 +302,13 @@ def fit_frequency_transfer_function(
     warnings = [misfit.warning] if misfit.warning else []
     if not converged:
         warnings.append(f"the fit did not converge: {reason}")
+    seen = likelihood.weights > 0.0
+    of_nothing = information_criterion((likelihood.weights * likelihood.values)[seen], 0)
+    if not information_criterion(state.residuals[seen], size) < of_nothing:
+        warnings.append("the model explains no more than chance would: by BIC none at all is better")
+    complaint = structure_complaint(model)
+    if complaint:
+        warnings.append(complaint)
     return FrequencyTransferFunctionResult(
         model, record, state.lines, misfit, converged, reason, found.iterations, tuple(warnings)
     )

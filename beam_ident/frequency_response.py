@@ -17,6 +17,7 @@ except over single missing samples.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -24,6 +25,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import csd, welch
 
+from beam_ident.argument_checks import require_moving_input, require_output, require_whole_number
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.piecewise import FloatArray, Instants, regular_period
@@ -31,6 +33,7 @@ from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
 SpectralMethod = Literal["h1", "h2", "hv", "reference"]
 
+_MAX_DEGREE = 10  # of local polynomials: beyond it their powers tell nothing apart
 _MOST_MISSING = 0.02
 
 
@@ -76,6 +79,7 @@ def _pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | Non
             f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
         )
     values[missing] = np.interp(times[missing], times[~missing], values[~missing])
+    require_output(output.name, values)
 
     def seen(source: InputSignal) -> FloatArray:
         signal = source.signal()
@@ -98,6 +102,7 @@ def _for_every_output(
             "input_name"
         )
     drive = record.inputs[0] if input_name is None else record.input(input_name)
+    require_moving_input(drive)
     reference = None if reference_name is None else record.input(reference_name)
     outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
     found = [estimate(_pair(drive, output, reference)) for output in outputs]
@@ -172,6 +177,10 @@ def welch_response(
 
 def _welch(pair: _Pair, method: SpectralMethod, segment_s: float | None) -> _Estimate:
     n = len(pair.output)
+    if segment_s is not None and not (math.isfinite(segment_s) and segment_s > 0.0):
+        raise EstimationError(
+            f"segment_s is {segment_s}; expected a time > 0, or None for an eighth of the record"
+        )
     length = n // 8 if segment_s is None else round(segment_s / pair.period)
     if not 16 <= length <= n:
         raise EstimationError(f"segments of {length} samples in a record of {n}; expected 16 to {n}")
@@ -228,7 +237,7 @@ def local_polynomial_response(
     Raises
     ------
     EstimationError
-        Irregular stamps, a record too short for the polynomials.
+        Irregular stamps, a record too short for the polynomials, an input or output that is constant.
 
     Notes
     -----
@@ -237,8 +246,7 @@ def local_polynomial_response(
     (line spacing is one over the length of the record).  Neighbouring lines share data, so
     that their errors depend on each other.
     """
-    if degree < 0:
-        raise EstimationError(f"degree is {degree}; expected 0 or more")
+    require_whole_number("degree", degree, 0, _MAX_DEGREE)
     unknowns = 2 * (degree + 1)
     width = unknowns if half_width is None else half_width
     if 2 * width + 1 <= unknowns:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
 from beam_ident.bandwidth import Band, excited_band
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.clock_search import clock_places
@@ -35,6 +36,7 @@ from beam_ident.weighted_fit import WeightedFit
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
 MAX_MODES = 10
+_MOST_MODES = 40
 
 Progress = Callable[[str, float], None]
 
@@ -45,11 +47,9 @@ _TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
 _CLOCK_STARTS = 3
 _CLOCK_ROUNDS = 3
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
-_SMALLEST = 1e-100  # size of an output
 _SHORT = 8  # iterations of a fit on the way
-_MANY_MODES = (
-    12  # from here on most are spurious: a given order is reached by short fits, the last one in full
-)
+# From here on most are spurious: a given order is reached by short fits, the last one in full.
+_MANY_MODES = 12
 _TRIES_PER_ORDER = 2
 
 
@@ -195,12 +195,18 @@ def identify(
         A record from which nothing can be identified: too few samples for the order,
         a constant output, an input and outputs at rest, an impossible order.
     """
-    records = [record] if isinstance(record, TimeRecord) else list(record)
+    records = list(record) if isinstance(record, Sequence) else [record]
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
-    if n_modes is not None and not 1 <= n_modes <= 40:
-        raise EstimationError(f"n_modes is {n_modes}; expected 1 to 40, or None to let the data decide")
-    if max_modes < 1:
-        raise EstimationError(f"max_modes is {max_modes}; expected at least 1")
+    for one in records:
+        require_record(one)
+    if n_modes is not None:
+        require_whole_number("n_modes", n_modes, 1, _MOST_MODES)
+    require_whole_number("max_modes", max_modes, 1, _MOST_MODES)
+    for name, prior in (("latency", latency), ("clock_rate", clock_rate)):
+        if prior is not None and not isinstance(prior, Prior):
+            raise EstimationError(
+                f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
+            )
     report = progress if progress is not None else _silent
     regression = ModalRegression(records, terms, input_name)
     _refuse_hopeless(regression, n_modes)
@@ -217,25 +223,15 @@ def _silent(phrase: str, share: float) -> None:
 
 
 def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
+    for drive in regression.drives:
+        require_input(drive, is_needed=False)
     for name, values in zip(regression.output_names, regression.values, strict=True):
-        size = float(np.max(np.abs(values)))
-        if size > 0.0 and not _SMALLEST < size < 1.0 / _SMALLEST:
-            raise EstimationError(
-                f"output {name!r} reaches {size:.3g}, whose square is beyond what can be computed with; expected "
-                f"{_SMALLEST:g} to {1.0 / _SMALLEST:g}. Check its unit, or its sensor"
-            )
-        if np.ptp(values) == 0.0:
-            raise EstimationError(
-                f"output {name!r} is constant ({values[0]:g}) over {len(values)} samples; nothing can be "
-                "identified from "
-                "it. Check the sensor, or leave this output out"
-            )
+        require_output(name, values)
         needed = 4 * (regression.n_shared_fixed + regression.n_nuisance(n_modes or 1) + 3 * (n_modes or 1))
         if len(values) < needed:
             raise EstimationError(
                 f"output {name!r} has {len(values)} usable samples for {n_modes or 1} modes; expected at "
-                f"least {needed}. "
-                "Record longer or ask for fewer modes"
+                f"least {needed}. Record longer or ask for fewer modes"
             )
 
 

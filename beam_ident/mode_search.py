@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from beam_ident.modal_fit import MIN_DAMPING
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import PoleFit, PoleProblem, fit_poles, scan_poles
 
@@ -90,25 +91,50 @@ def _complaint(problem: PoleProblem, band: tuple[float, float], trial: PoleFit, 
         return "too few data for its parameters"
     if not trial.converged:
         return f"the fit did not converge: {trial.reason}"
-    n, n_theta = len(trial.omegas), trial.n_parameters - trial.coefficients.size
-    width = trial.coefficients.shape[1]
-    n_columns = trial.n_columns
-    n_fixed = width - n * n_columns
-    for mode in range(n):
-        hertz = trial.omegas[mode] / (2.0 * np.pi)
-        if not band[0] <= trial.omegas[mode] <= band[1]:
-            return f"a pole at {hertz:.4g} Hz stands outside the measured band"
-        spread = math.sqrt(max(float(trial.covariance[mode, mode]), 0.0))
-        if spread > _MAX_FREQUENCY_SD:
-            return f"the pole at {hertz:.4g} Hz is known to {100.0 * spread:.2g} % only"
-        strength = 0.0
-        for block, found in enumerate(trial.coefficients):
-            own = n_fixed + mode * n_columns + np.arange(n_columns)
-            places = n_theta + block * width + own
-            covariance = trial.covariance[np.ix_(places, places)]
-            strength += float(found[own] @ np.linalg.lstsq(covariance, found[own], rcond=1e-12)[0])
-        if strength < chi2.isf(_SIGNIFICANCE, n_columns * len(trial.coefficients)):
-            return f"the residues at {hertz:.4g} Hz do not stand out of their uncertainty"
+    complaints = mode_complaints(trial, band)
+    if complaints:
+        return complaints[0]
     if not _bic(problem, trial) < _bic(problem, current):
         return "not worth its parameters by BIC"
     return ""
+
+
+def mode_complaints(fit: PoleFit, band: tuple[float, float]) -> tuple[str, ...]:
+    """Return why modes of a fit are not to be believed, one reason for each such mode.
+
+    Parameters
+    ----------
+    fit : PoleFit
+    band : tuple of float -- where a pole may stand [rad/s]
+    """
+    complaints = []
+    n, n_theta = len(fit.omegas), fit.n_parameters - fit.coefficients.size
+    width = fit.coefficients.shape[1]
+    n_columns = fit.n_columns
+    n_fixed = width - n * n_columns
+    for mode in range(n):
+        hertz = fit.omegas[mode] / (2.0 * np.pi)
+        spread = math.sqrt(max(float(fit.covariance[mode, mode]), 0.0))
+        strength = 0.0
+        for block, found in enumerate(fit.coefficients):
+            own = n_fixed + mode * n_columns + np.arange(n_columns)
+            places = n_theta + block * width + own
+            covariance = fit.covariance[np.ix_(places, places)]
+            strength += float(found[own] @ np.linalg.lstsq(covariance, found[own], rcond=1e-12)[0])
+        if not band[0] <= fit.omegas[mode] <= band[1]:
+            complaints.append(f"a pole at {hertz:.4g} Hz stands outside the measured band")
+        elif spread > _MAX_FREQUENCY_SD:
+            complaints.append(f"the pole at {hertz:.4g} Hz is known to {100.0 * spread:.2g} % only")
+        elif strength < chi2.isf(_SIGNIFICANCE, n_columns * len(fit.coefficients)):
+            complaints.append(f"the residues at {hertz:.4g} Hz do not stand out of their uncertainty")
+    return tuple(complaints)
+
+
+def mode_warnings(fit: PoleFit, band: tuple[float, float]) -> list[str]:
+    """Return what a reader must know of a fit and its modes before trusting the numbers."""
+    warnings = [] if fit.converged else [f"the fit did not converge: {fit.reason}"]
+    warnings += mode_complaints(fit, band)
+    for omega, zeta in zip(fit.omegas, fit.zetas, strict=True):
+        if zeta <= 2.0 * MIN_DAMPING:
+            warnings.append(f"the damping ratio at {omega / (2.0 * np.pi):.4g} Hz ran to zero")
+    return warnings

@@ -15,21 +15,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
+from beam_ident.argument_checks import require_record, require_whole_number
 from beam_ident.batches import Progress, map_records
 from beam_ident.errors import EstimationError
 from beam_ident.records import TimeRecord
 from beam_ident.refined_instruments import WHITE
-from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.structure_gates import criterion_of_nothing, structure_complaint
 from beam_ident.transfer_function_fit import TransferFunctionResult, estimate_transfer_function
 
 _FIRST_PART = 0.7  # of the progress: one start for every structure
 _VISIBLE = 1.0  # of -2 log-likelihood
 _NEAR = 2  # parameters
 _STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
-_MAX_POLE_SD = 0.5  # of the pole's modulus
-_CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
 
 
 @dataclass(frozen=True)
@@ -120,8 +117,18 @@ def select_transfer_function(
     EstimationError
         An empty range, no structure that passes the gates, or no cluster where one was named.
     """
+    require_record(record)
+    if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
+        raise EstimationError(
+            f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
+            "range(1, 7) (estimate_transfer_function() takes one number of each)"
+        )
     zeros = None if n_zeros is None else list(n_zeros)
-    structures = [(n, m) for n in n_poles for m in (range(n) if zeros is None else zeros) if 0 <= m <= n]
+    poles = list(n_poles)
+    for name, degrees in (("n_poles", poles), ("n_zeros", zeros or [])):
+        for degree in degrees:
+            require_whole_number(f"a degree in {name}", degree, 0)
+    structures = [(n, m) for n in poles for m in (range(n) if zeros is None else zeros) if 0 <= m <= n]
     if not structures:
         raise EstimationError(
             "no structure to try; give at least one number of poles with no more zeros than poles"
@@ -207,7 +214,9 @@ def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEn
     n_samples = len(outcome.measured)
     n_parameters = n + m + 1
     refusal = "" if outcome.converged else outcome.reason
-    of_nothing = n_samples * math.log(max(float(outcome.measured @ outcome.measured), 1e-300))
+    of_nothing = criterion_of_nothing(
+        outcome.times_s, outcome.measured, outcome.offset != 0.0, outcome.ramp != 0.0
+    )
     if not refusal and not outcome.bic < of_nothing:
         refusal = "no better by BIC than no model at all"
     return StructureEntry(
@@ -222,34 +231,3 @@ def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEn
         outcome.converged,
         refusal or structure_complaint(outcome.model),
     )
-
-
-def structure_complaint(model: TransferFunctionModel) -> str:
-    """Return why the degrees of a model are not to be trusted, or an empty string."""
-    poles = model.poles
-    poles = poles[poles.imag >= 0.0]
-    n = model.n_poles
-    by_a = model.pole_sensitivities(poles)
-    size = np.einsum("ka,ab,kb->k", by_a, model.covariance[:n, :n], np.conj(by_a)).real
-    for pole, variance in zip(poles, size, strict=True):
-        if not math.sqrt(max(variance, 0.0)) < _MAX_POLE_SD * abs(pole):
-            share = math.sqrt(max(variance, 0.0)) / abs(pole)
-            return f"the pole at {abs(pole):.4g} rad/s is known to {share:.0%} only"
-    zeros = model.zeros
-    if not len(zeros):
-        return ""
-    m = len(model.numerator) - 1
-    slope = np.polyval(np.polyder(model.numerator), zeros)
-    by_b = -(zeros[:, None] ** np.arange(m, -1, -1)) / slope[:, None]
-    for k, pole in enumerate(poles):
-        nearest = int(np.argmin(np.abs(zeros - pole)))
-        gradient = np.concatenate([by_a[k], -by_b[nearest], [0.0]])
-        parts = np.stack([gradient.real, gradient.imag])
-        covariance = parts @ model.covariance @ parts.T
-        apart = np.array([(pole - zeros[nearest]).real, (pole - zeros[nearest]).imag])
-        if pole.imag == 0.0:
-            covariance, apart = covariance[:1, :1], apart[:1]
-        distance = float(apart @ np.linalg.pinv(covariance, rcond=1e-12, hermitian=True) @ apart)
-        if distance < _CANCELLATION**2:
-            return f"a zero cancels the pole at {abs(pole):.4g} rad/s within {_CANCELLATION:.0f} standard deviations"
-    return ""

@@ -16,6 +16,7 @@ half the output's rate too.  What else falls on a line stands in its `Folding`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beam_ident.argument_checks import require_output
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import TAIL_POWERS, ComplexArray, Folding, FrequencyRecord
 from beam_ident.piecewise import HOLDS, FloatArray, Hold, Instants, PiecewisePolynomial, regular_period
@@ -196,7 +198,7 @@ class _Input:
 def whole_number(line_period_s: float, period_s: float, what: str) -> int:
     """Return how many samples a period of the excitation holds, or raise EstimationError."""
     count = line_period_s / period_s
-    if count < 4 or abs(round(count) / count - 1.0) > _LINE_TOLERANCE:
+    if not 4 <= count < math.inf or abs(round(count) / count - 1.0) > _LINE_TOLERANCE:
         raise EstimationError(
             f"{what}: the period of {line_period_s} s is {count:.4f} samples; expected a whole number, at least "
             "4. Choose the period or the frame rate so that it is one"
@@ -242,6 +244,7 @@ def _steady(
                 f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
             )
         values[missing] = np.interp(times[:n][missing], times[:n][~missing], values[~missing])
+        require_output(output.name, values)
         rows.append(values)
     return times[:n], np.array(rows), n_periods, per_period
 

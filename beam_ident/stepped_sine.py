@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_size
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.periodic_response import exposure_gain, hold_gain
@@ -205,6 +206,7 @@ def stepped_sine_response(
         relative = of_input.amplitude_variance / abs(of_input.amplitude) ** 2
         for j, output in enumerate(outputs):
             within = (output.times_s >= starts[k]) & (output.times_s <= ends[k])
+            require_size(f"output {output.name!r}", output.values[within & output.is_valid])
             fit = _segment(output.name, output.times_s[within] - origin, output.values[within], omega)
             gain = float(exposure_gain(np.array([omega]), output.exposure_s)[0]) * moved
             response[k, j] = fit.amplitude / gain

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, svd
 
+from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.linear_solution import LinearSolution
@@ -144,13 +145,14 @@ def subspace_model(
     M. Verhaegen, Automatica 30 (1994), 61-74.  Constant and ramp are projected out, so that
     offset and drift of an output do no harm.
     """
-    if not 1 <= order <= _MAX_ORDER:
-        raise EstimationError(f"order is {order}; expected 1 to {_MAX_ORDER}")
+    require_record(record)
+    require_whole_number("order", order, 1, _MAX_ORDER)
     if window_s is not None and not (math.isfinite(window_s) and window_s > 0.0):
         raise EstimationError(f"window_s is {window_s}; expected a time > 0, or None for a choice")
-    if n_block_rows < 2:
-        raise EstimationError(f"n_block_rows is {n_block_rows}; expected at least 2")
-    drives = [drive.signal(margin_s=0.0) for drive in record.inputs]
+    require_whole_number("n_block_rows", n_block_rows, 2)
+    for drive in record.inputs:
+        require_input(drive)
+    drives = [source.signal(margin_s=0.0) for source in record.inputs]
     first = max(drive.span_s[0] for drive in record.inputs)
     last = min(drive.span_s[1] for drive in record.inputs)
     signals = []
@@ -158,6 +160,7 @@ def subspace_model(
         keep = output.is_valid & (output.times_s >= first) & (output.times_s <= last)
         if np.count_nonzero(keep) < 2:
             raise EstimationError(f"output {output.name!r} has no two samples while all inputs are known")
+        require_output(output.name, output.values[keep])
         signals.append((output.times_s[keep], output.values[keep]))
     sampled = _on_one_grid(drives, signals)
     windows = [

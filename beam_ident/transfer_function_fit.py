@@ -16,6 +16,7 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from beam_ident.additive_fit import estimate_additive
+from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.coloured_noise import coloured_residuals, refine_with_noise_model
 from beam_ident.errors import EstimationError
@@ -25,6 +26,11 @@ from beam_ident.output_error import Nuisances, OutputErrorProblem, OutputErrorSt
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.refined_instruments import FINALISTS, METHODS, Method, Optimum, estimate_denominator
+from beam_ident.structure_gates import (
+    criterion_of_nothing,
+    information_criterion,
+    transfer_function_warnings,
+)
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.validation import Scores, Whiteness
 
@@ -55,6 +61,7 @@ class TransferFunctionResult:
     reason : str
     iterations : int
     offset, ramp : float -- at the middle of the record, and over its whole length
+    warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
     model: TransferFunctionModel
@@ -74,6 +81,7 @@ class TransferFunctionResult:
     iterations: int
     offset: float
     ramp: float
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +92,7 @@ class MultiInputResult:
     ----------
     model : MultiInputModel
     method, times_s, measured, modelled, residuals, scores, whiteness, bic, yic, condition, \
-converged, reason, iterations, offset, ramp
+converged, reason, iterations, offset, ramp, warnings
         As in :class:`TransferFunctionResult`.
     """
 
@@ -105,6 +113,7 @@ converged, reason, iterations, offset, ramp
     iterations: int
     offset: float
     ramp: float
+    warnings: tuple[str, ...]
 
 
 @overload
@@ -201,16 +210,19 @@ def estimate_transfer_function(
     """
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
-    if n_starts < 1:
-        raise EstimationError(f"n_starts is {n_starts}; expected at least 1")
-    if n_integrators not in range(_MAX_INTEGRATORS + 1):
-        raise EstimationError(f"n_integrators is {n_integrators}; expected 0, 1 or 2")
+    require_record(record)
+    require_whole_number("n_starts", n_starts, 1)
+    require_whole_number("n_integrators", n_integrators, 0, _MAX_INTEGRATORS)
+    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0.0):
+        raise EstimationError(
+            f"cutoff is {cutoff}; expected a frequency > 0 in rad/s, or None for a portfolio"
+        )
     if output_name is None and len(record.outputs) > 1:
         raise EstimationError(
             f"record {record.name!r} has {len(record.outputs)} outputs; say which one by its name"
         )
     output = record.outputs[0] if output_name is None else record.output(output_name)
-    several = not isinstance(n_zeros, int | np.integer)
+    several = isinstance(n_zeros, Sequence) and not isinstance(n_zeros, str)
     if several:
         if input_name is not None:
             raise EstimationError(
@@ -225,29 +237,31 @@ def estimate_transfer_function(
     else:
         drives = [record.inputs[0] if input_name is None else record.input(input_name)]
     zeros = _one_each("n_zeros", n_zeros, drives)
-    own_poles = not isinstance(n_poles, int | np.integer)
+    own_poles = isinstance(n_poles, Sequence) and not isinstance(n_poles, str)
     poles = _one_each("n_poles", n_poles, drives)
     for n, m in zip(poles, zeros, strict=True):
+        require_whole_number("n_poles", n, 0)
+        require_whole_number("n_zeros", m, 0)
         if not 1 <= n <= _MAX_POLES or not 0 <= m <= n + n_integrators:
             raise EstimationError(
                 f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "
                 "(beyond that use the additive modal form: identify())"
             )
-    delays = [_prior(value) for value in _one_each("delay", delay, drives)]
+    delays = [delay_prior(value) for value in _one_each("delay", delay, drives)]
     if any(prior.is_free for prior in delays) and method in ("srivc", "ivsvf", "lssvf"):
         raise EstimationError(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
             "or 'rivc'"
         )
     for drive in drives:
-        if np.ptp(drive.values) == 0.0 and not has_free_response and drive.values[0] == 0.0:
-            raise EstimationError(f"input {drive.name!r} is zero throughout; it excites nothing")
+        require_input(drive, is_needed=not has_free_response)
     keep = usable_samples(output, drives)
     if has_free_response:  # what the delayed input was before its record is unknown: leave those samples out
         for drive, prior in zip(drives, delays, strict=True):
             known = drive.span_s[0] + (0.0 if prior.is_free else prior.mean) + 0.5 * output.exposure_s
             keep = keep & (output.times_s >= known)
     times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
+    require_output(output.name, values)
     period = float(np.median(np.diff(output.times_s))) if len(output.times_s) > 1 else 0.0
     paths = tuple(
         Path.of(drive, m, block if own_poles else 0, prior, n_integrators, output.exposure_s + 2.0 * period)
@@ -277,7 +291,8 @@ def _one_each(name: str, value: Any, drives: list[InputSignal]) -> list[Any]:
     return [value] * len(drives)
 
 
-def _prior(delay: DelayLike) -> Prior:
+def delay_prior(delay: DelayLike) -> Prior:
+    """Return what is known of a delay [s] that is given as a time, as a prior or as "estimate"."""
     if isinstance(delay, str):
         if delay != "estimate":
             raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
@@ -334,6 +349,14 @@ def _result(
     }
     noise_sd = math.sqrt(joint.variance) if len(problem.noise) == 1 else float(np.std(residuals))
     model = physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
+    of_nothing = criterion_of_nothing(problem.times, problem.values, terms.has_offset, terms.has_ramp)
+    figures["warnings"] = transfer_function_warnings(
+        [model.path(k) for k in range(len(problem.paths))],
+        figures["whiteness"],
+        information_criterion(residuals, n_all) < of_nothing,
+        converged,
+        reason,
+    )
     if several:
         return MultiInputResult(model=model, **figures)
     return TransferFunctionResult(model=model.path(0), **figures)

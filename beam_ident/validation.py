@@ -7,6 +7,7 @@ part).  Whiteness of the residuals is tested with the Ljung-Box statistic.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,10 @@ class Scores:
     ----------
     fit_percent : float -- 100 (1 - ||e|| / ||y - mean y||)
     r_squared : float -- R_T^2 = 1 - var(e) / var(y)
+
+    Notes
+    -----
+    NaN where nothing moves, so that there is nothing to compare with.
     """
 
     fit_percent: float
@@ -34,9 +39,11 @@ class Scores:
     @staticmethod
     def of(values: FloatArray, residuals: FloatArray) -> Scores:
         """Compute both scores."""
-        spread = max(float(np.linalg.norm(values - np.mean(values))), 1e-300)
+        spread = float(np.linalg.norm(values - np.mean(values)))
+        if not spread > 0.0:
+            return Scores(math.nan, math.nan)
         fit = 100.0 * (1.0 - float(np.linalg.norm(residuals)) / spread)
-        return Scores(fit, 1.0 - float(np.var(residuals)) / (spread**2 / len(values)))
+        return Scores(fit, 1.0 - len(values) * float(np.var(residuals) / spread) / spread)
 
 
 @dataclass(frozen=True, eq=False)

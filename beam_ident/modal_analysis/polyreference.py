@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_whole_number
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_domain_fit import require_responses
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
@@ -58,8 +59,7 @@ def polyreference_poles(record: FrequencyRecord, max_order: int) -> tuple[OrderP
         NaN in the response, an order below 1, fewer lines than coefficients.
     """
     n_lines, n_outputs, n_inputs = record.response.shape
-    if max_order < 1:
-        raise EstimationError(f"max_order is {max_order}; expected at least 1")
+    require_whole_number("max_order", max_order, 1)
     if not np.all(np.isfinite(record.response)):
         raise EstimationError(
             f"frequency record {record.name!r} has lines that were not measured; leave them out with between() or "

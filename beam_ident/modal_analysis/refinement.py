@@ -210,6 +210,10 @@ def _start(
             )
         return chart.natural_frequencies, chart.damping_ratios
     stable = [pole for pole in chart.poles if pole.stability > 0]
+    if not len(wanted_hz):
+        raise EstimationError(
+            "no natural frequency is named; give at least one, or None for the chart's choice"
+        )
     omegas, zetas = [], []
     for hertz in wanted_hz:
         near = [p for p in stable if abs(p.natural_frequency / (2.0 * np.pi) - hertz) < 0.02 * hertz]

@@ -52,5 +52,5 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(OutputSignal("y", "", TIMES, np.random.default_rng(1).standard_normal(len(TIMES))))
     with pytest.raises(EstimationError, match="a decay needs at least 12"):
         fit_free_decay(decays(0.1), end_s=2.05)
-    with pytest.raises(EstimationError, match="number of modes is 0"):
+    with pytest.raises(EstimationError, match="n_modes is 0"):
         fit_free_decay(decays(0.1), n_modes=0)

@@ -122,7 +122,7 @@ def test_what_cannot_be_fitted_is_refused():
     record = given_record()
     with pytest.raises(EstimationError, match="different outputs"):
         fit_frequency_modes([record, given_record(names=("a", "b"))], "receptance")
-    with pytest.raises(EstimationError, match="number of modes is 0"):
+    with pytest.raises(EstimationError, match="n_modes is 0"):
         fit_frequency_modes(record, "receptance", n_modes=0)
     with pytest.raises(EstimationError, match="Ask for fewer modes"):
         fit_frequency_modes(record.between(1.0, 1.5), "receptance", n_modes=4)

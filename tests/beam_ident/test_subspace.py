@@ -74,7 +74,7 @@ def test_a_long_window_averages_and_decimates():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"order": 0}, "expected 1 to 40"),
+        ({"order": 0}, "expected a whole number, 1 to 40"),
         ({"order": 4, "window_s": 0.0}, "expected a time > 0"),
         ({"order": 4, "n_block_rows": 1}, "at least 2"),
         ({"order": 40, "n_block_rows": 20}, "too few for a subspace of order 40"),

@@ -1,0 +1,116 @@
+"""Why the structure of a transfer function, or all of it, is not to be believed.
+
+A fit of noise converges too: what it converged to must explain the data better than nothing does,
+every pole must be known well enough to mean something, and no pole may be cancelled by a zero
+within their uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from beam_ident.linear_solution import LinearSolution
+from beam_ident.piecewise import FloatArray
+from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.validation import Whiteness
+
+_MAX_POLE_SD = 0.5  # of the pole's modulus
+_CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
+
+
+def information_criterion(residuals: FloatArray, n_parameters: int) -> float:
+    """Return BIC of residuals as they are, with their variance unknown, up to a constant."""
+    n = len(residuals)
+    return n * math.log(max(float(residuals @ residuals), 1e-300)) + n_parameters * math.log(n)
+
+
+def criterion_of_nothing(
+    times_s: FloatArray, measured: FloatArray, has_offset: bool, has_ramp: bool
+) -> float:
+    """Return BIC of no model at all, beside an offset and a ramp where these are estimated anyway."""
+    columns = [np.ones_like(times_s)] if has_offset else []
+    if has_ramp:
+        columns.append((times_s - times_s.mean()) / float(np.ptp(times_s)))
+    if not columns:
+        return information_criterion(measured, 0)
+    known = np.stack(columns, axis=1)
+    left = measured - known @ LinearSolution.of(known).coefficients(measured)
+    return information_criterion(left, len(columns))
+
+
+def transfer_function_warnings(
+    models: Sequence[TransferFunctionModel],
+    whiteness: Whiteness,
+    is_worth_it: bool,
+    converged: bool,
+    reason: str,
+) -> tuple[str, ...]:
+    """Return what a reader must know before trusting the numbers of transfer functions to one output.
+
+    Parameters
+    ----------
+    models : sequence of TransferFunctionModel -- one for each input
+    whiteness : Whiteness -- of the residuals, or of the innovations under the noise's model
+    is_worth_it : bool -- whether the criterion prefers them to no model at all
+    converged, reason
+        How the fit ended.
+    """
+    warnings = [] if converged else [f"The fit did not converge: {reason}."]
+    if not is_worth_it:
+        warnings.append("The model explains no more than chance would: by BIC none at all is better.")
+    for model in models:
+        complaint = structure_complaint(model) or _damping_complaint(model)
+        if complaint:
+            said = f"From {model.input_name} to {model.output_name}, {complaint}."
+            warnings += [said] if said not in warnings else []
+    if not whiteness.is_white:
+        warnings.append(
+            "The residuals are not white, and the standard deviations take them to be: something is left "
+            "unmodelled, or the noise is coloured. Try other degrees, or method='rivc' for coloured noise."
+        )
+    return tuple(warnings)
+
+
+def _damping_complaint(model: TransferFunctionModel) -> str:
+    """Return which mode is not known to be damped at all, or an empty string."""
+    for omega, zeta, sd in zip(*(model.modes()[k] for k in (0, 1, 3)), strict=True):
+        if not sd < zeta:
+            return f"the damping ratio at {omega:.4g} rad/s is {zeta:.2g} +- {sd:.2g}"
+    return ""
+
+
+def structure_complaint(model: TransferFunctionModel) -> str:
+    """Return why the degrees of a model are not to be trusted, or an empty string.
+
+    Poles at zero are known integrators and not judged.
+    """
+    poles = model.poles
+    poles = poles[(poles.imag >= 0.0) & (poles != 0.0)]
+    n = model.n_poles
+    by_a = model.pole_sensitivities(poles)
+    size = np.einsum("ka,ab,kb->k", by_a, model.covariance[:n, :n], np.conj(by_a)).real
+    for pole, variance in zip(poles, size, strict=True):
+        if not math.sqrt(max(variance, 0.0)) < _MAX_POLE_SD * abs(pole):
+            share = math.sqrt(max(variance, 0.0)) / abs(pole)
+            return f"the pole at {abs(pole):.4g} rad/s is known to {share:.0%} only"
+    zeros = model.zeros
+    if not len(zeros):
+        return ""
+    m = len(model.numerator) - 1
+    slope = np.polyval(np.polyder(model.numerator), zeros)
+    by_b = -(zeros[:, None] ** np.arange(m, -1, -1)) / slope[:, None]
+    for k, pole in enumerate(poles):
+        nearest = int(np.argmin(np.abs(zeros - pole)))
+        gradient = np.concatenate([by_a[k], -by_b[nearest], [0.0]])
+        parts = np.stack([gradient.real, gradient.imag])
+        covariance = parts @ model.covariance @ parts.T
+        apart = np.array([(pole - zeros[nearest]).real, (pole - zeros[nearest]).imag])
+        if pole.imag == 0.0:
+            covariance, apart = covariance[:1, :1], apart[:1]
+        distance = float(apart @ np.linalg.pinv(covariance, rcond=1e-12, hermitian=True) @ apart)
+        if distance < _CANCELLATION**2:
+            return f"a zero cancels the pole at {abs(pole):.4g} rad/s within {_CANCELLATION:.0f} standard deviations"
+    return ""
