@@ -40,7 +40,8 @@ from beam_ident.frequency_domain_transfer_function import (
     fit_frequency_transfer_function,
 )
 from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.identification import IdentificationResult, OrderEntry, OutputFit, identify
+from beam_ident.identification import identify
+from beam_ident.identification_result import IdentificationResult, OrderEntry, OutputFit
 from beam_ident.modal_analysis import ModalAnalysis, StabilisationChart, analyse_modes, stabilisation_chart
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalFrequencyResponse, ModalModel

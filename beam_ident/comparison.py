@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
+from beam_ident.errors import EstimationError
 from beam_ident.modal_model import ModalModel
 from beam_ident.piecewise import FloatArray
 
@@ -53,7 +54,18 @@ def compare_models(first: ModalModel, second: ModalModel) -> ModelComparison:
     ----------
     first, second : ModalModel
         From different records, so that their errors are independent.
+
+    Raises
+    ------
+    EstimationError
+        Anything but two modal models.
     """
+    for model in (first, second):
+        if not isinstance(model, ModalModel):
+            raise EstimationError(
+                f"a {type(model).__name__} is to be compared; expected two ModalModels (assess_repeatability() takes "
+                "transfer functions)"
+            )
     distance = np.abs(np.log(first.natural_frequencies[:, None] / second.natural_frequencies[None, :]))
     rows, columns = linear_sum_assignment(distance)
     pairs = tuple(

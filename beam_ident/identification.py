@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from beam_ident.bandwidth import Band, excited_band
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.clock_search import clock_places
 from beam_ident.errors import EstimationError
+from beam_ident.identification_result import IdentificationResult, OrderEntry, OutputFit
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.levenberg_marquardt import HOPELESS
 from beam_ident.modal_fit import ModalFit, Prior, fit_modes
@@ -51,105 +51,6 @@ _SHORT = 8  # iterations of a fit on the way
 # From here on most are spurious: a given order is reached by short fits, the last one in full.
 _MANY_MODES = 12
 _TRIES_PER_ORDER = 2
-
-
-@dataclass(frozen=True)
-class OrderEntry:
-    """One line of the order table.
-
-    Attributes
-    ----------
-    n_modes, n_parameters : int
-    bic, aic : float
-    r_squared : float -- lowest R_T^2 over the outputs
-    worst_fit_percent : float -- lowest FIT over the outputs
-    condition : float -- of the scaled information matrix
-    converged : bool
-    refused_because : str -- empty when the order passed all gates
-    is_chosen : bool
-    """
-
-    n_modes: int
-    n_parameters: int
-    bic: float
-    aic: float
-    r_squared: float
-    worst_fit_percent: float
-    condition: float
-    converged: bool
-    refused_because: str
-    is_chosen: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class OutputFit:
-    """One output: what was measured and what the model says.
-
-    Attributes
-    ----------
-    name, unit : str
-    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
-        The samples that entered the fit, in the order of the records.
-    deflection : ndarray, shape (n_used,)
-        Measured less direct part, offset and ramp.
-    noise_sd : float
-    scores : Scores -- on the output
-    deflection_scores : Scores -- on the deflection
-    whiteness : Whiteness
-    offset, ramp : float
-        Of the first record: at its middle, and over its whole length.
-    """
-
-    name: str
-    unit: str
-    times_s: FloatArray
-    measured: FloatArray
-    modelled: FloatArray
-    residuals: FloatArray
-    deflection: FloatArray
-    noise_sd: float
-    scores: Scores
-    deflection_scores: Scores
-    whiteness: Whiteness
-    offset: float
-    ramp: float
-
-
-@dataclass(frozen=True, eq=False)
-class IdentificationResult:
-    """A modal model and what is to be known about its estimation.
-
-    Attributes
-    ----------
-    model : ModalModel
-    structure : ModalStructure
-    outputs : tuple of OutputFit
-    orders : tuple of OrderEntry -- the order table; one line when the order was given
-    band : Band -- where modes were looked for
-    converged : bool
-    reason : str -- why the iteration ended
-    iterations : int
-    warnings : tuple of str -- what a reader must know before trusting the numbers
-    """
-
-    model: ModalModel
-    structure: ModalStructure
-    outputs: tuple[OutputFit, ...]
-    orders: tuple[OrderEntry, ...]
-    band: Band
-    converged: bool
-    reason: str
-    iterations: int
-    warnings: tuple[str, ...]
-
-    def output(self, name: str) -> OutputFit:
-        """Return the fit of one output by its name."""
-        for output in self.outputs:
-            if output.name == name:
-                return output
-        raise EstimationError(
-            f"no output {name!r} in this result; available: {', '.join(self.model.output_names)}"
-        )
 
 
 @on_one_thread

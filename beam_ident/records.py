@@ -27,6 +27,17 @@ def _read_only(values: FloatArray) -> FloatArray:
     return result
 
 
+def _numbers(name: str, what: str, values: Any) -> FloatArray:
+    """Return real numbers as an array, or raise RecordError."""
+    try:
+        found = np.asarray(values)
+        if not np.iscomplexobj(found):
+            return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise RecordError(f"signal {name!r}: {what} are no numbers ({err}); expected real numbers") from err
+    raise RecordError(f"signal {name!r}: {what} are complex; expected real numbers")
+
+
 def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
     """Return stamps as an array, or raise RecordError naming the first bad one."""
     if isinstance(times_s, tuple):
@@ -40,7 +51,7 @@ def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
                 "or an array of stamps"
             )
         return np.asarray(float(times_s[0]) + float(times_s[1]) * np.arange(n_values), dtype=np.float64)
-    times = np.asarray(times_s, dtype=np.float64)
+    times = _numbers(name, "stamps", times_s)
     if times.ndim != 1 or len(times) != n_values:
         raise RecordError(
             f"signal {name!r}: {times.shape} stamps for {n_values} values; expected one stamp for each value"
@@ -91,7 +102,7 @@ class InputSignal:
     sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values, dtype=np.float64)
+        values = _numbers(self.name, "values", self.values)
         if values.ndim != 1 or len(values) < 2:
             raise RecordError(
                 f"input {self.name!r}: values have shape {values.shape}; expected at least two in a row"
@@ -176,7 +187,7 @@ class OutputSignal:
     sigma: float | None = None
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values, dtype=np.float64)
+        values = _numbers(self.name, "values", self.values)
         if values.ndim != 1 or len(values) < 1:
             raise RecordError(
                 f"output {self.name!r}: values have shape {values.shape}; expected one row of samples"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beam_ident import figures
-from beam_ident.identification import IdentificationResult
+from beam_ident.identification_result import IdentificationResult
 from beam_ident.records import TimeRecord
 
 if TYPE_CHECKING:

@@ -40,13 +40,12 @@ _MAX_POLES = 20
 _MAX_INTEGRATORS = 2
 
 
-@dataclass(frozen=True, eq=False)
-class TransferFunctionResult:
-    """A transfer function and what is to be known about its estimation.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RationalFit:
+    """What is to be known about the estimation of transfer functions to one output.
 
     Attributes
     ----------
-    model : TransferFunctionModel
     method : str -- which estimator the numbers come from
     times_s, measured, modelled, residuals : ndarray, shape (n_used,)
     noise_coefficients : ndarray
@@ -64,7 +63,6 @@ class TransferFunctionResult:
     warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
-    model: TransferFunctionModel
     method: Method
     times_s: FloatArray
     measured: FloatArray
@@ -84,36 +82,30 @@ class TransferFunctionResult:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class MultiInputResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransferFunctionResult(RationalFit):
+    """A transfer function and what is to be known about its estimation.
+
+    Attributes
+    ----------
+    model : TransferFunctionModel
+        Beside it, everything that :class:`RationalFit` lists.
+    """
+
+    model: TransferFunctionModel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MultiInputResult(RationalFit):
     """Transfer functions from several inputs and what is to be known about their estimation.
 
     Attributes
     ----------
     model : MultiInputModel
-    method, times_s, measured, modelled, residuals, scores, whiteness, bic, yic, condition, \
-converged, reason, iterations, offset, ramp, warnings
-        As in :class:`TransferFunctionResult`.
+        Beside it, everything that :class:`RationalFit` lists.
     """
 
     model: MultiInputModel
-    method: Method
-    times_s: FloatArray
-    measured: FloatArray
-    modelled: FloatArray
-    residuals: FloatArray
-    noise_coefficients: FloatArray
-    scores: Scores
-    whiteness: Whiteness
-    bic: float
-    yic: float
-    condition: float
-    converged: bool
-    reason: str
-    iterations: int
-    offset: float
-    ramp: float
-    warnings: tuple[str, ...]
 
 
 @overload

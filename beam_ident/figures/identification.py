@@ -17,7 +17,7 @@ from beam_ident.figures.canvas import (
     stacked_axes,
     thinned,
 )
-from beam_ident.identification import IdentificationResult, OutputFit
+from beam_ident.identification_result import IdentificationResult, OutputFit
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 

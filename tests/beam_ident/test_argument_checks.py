@@ -12,9 +12,11 @@ from beam_ident import (
     InputSignal,
     ModalModel,
     OutputSignal,
+    RecordError,
     SampledController,
     TimeRecord,
     TransferFunctionModel,
+    compare_models,
     estimate_common_poles,
     estimate_in_closed_loop,
     estimate_transfer_function,
@@ -142,6 +144,7 @@ def test_an_order_that_is_no_whole_number_is_refused(asked, value):
         (lambda r: estimate_transfer_function(r, 2, 0, cutoff=float("nan")), "cutoff is nan"),
         (lambda r: select_transfer_function(r, 3), "expected ranges or lists"),
         (lambda r: validate(3, r), "model is a int"),
+        (lambda r: compare_models(MODES, PLANT), "a TransferFunctionModel is to be compared"),
         (lambda r: welch_response(r, segment_s=float("nan")), "segment_s is nan"),
         (lambda r: periodic_response(r, float("nan")), "expected a whole number"),
         (lambda r: local_polynomial_response(r, degree=40), "0 to 10"),
@@ -155,3 +158,11 @@ def test_other_arguments_are_refused_with_what_was_expected(asked, says):
 def test_validation_needs_more_than_a_handful_of_samples():
     with pytest.raises(EstimationError, match="3 samples"):
         validate(PLANT, record_of().between(0.005, 0.035))
+
+
+@pytest.mark.parametrize("values", [["a"] * 3, [1.0, 2j, 3.0], [[1.0], [2.0, 3.0]]])
+def test_values_that_are_no_real_numbers_are_refused(values):
+    with pytest.raises(RecordError, match="expected real numbers"):
+        OutputSignal("y", "m", (0.0, 0.1), values)
+    with pytest.raises(RecordError, match="expected real numbers"):
+        InputSignal("u", "N", values, np.ones(3))
