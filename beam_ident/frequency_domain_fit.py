@@ -1,7 +1,7 @@
 """Maximum-likelihood fit of a modal model to frequency data.
 
 Every line weighs by its own noise, so that the estimate reaches the Cramer-Rao bound that
-the lines allow (Pintelon and Schoukens 2012, ch. 9, the sample maximum-likelihood
+the lines allow (Pintelon and Schoukens 2012, the sample maximum-likelihood
 estimator).  Poles are common to all outputs and records; gains, residues and residual
 terms are solved linearly for any poles.  Holds, exposures and folded lines enter through
 the records' `Folding`, so that a response measured through a zero-order hold, or above half

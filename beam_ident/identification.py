@@ -10,12 +10,13 @@ uncertainty at the outputs taken together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
 from beam_ident.bandwidth import Band, excited_band
+from beam_ident.batches import Progress
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.clock_search import clock_places
 from beam_ident.errors import EstimationError
@@ -37,8 +38,6 @@ LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
 MAX_MODES = 10
 _MOST_MODES = 40
-
-Progress = Callable[[str, float], None]
 
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on a reader is told

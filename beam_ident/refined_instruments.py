@@ -41,11 +41,12 @@ Method = Literal["auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf"]
 METHODS: tuple[Method, ...] = ("auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf")
 
 _SRIVC_ITERATIONS = 20
+_SRIVC_TOLERANCE = 1e-4  # of a variance, per coefficient
 _LM_ITERATIONS = 50
-_PORTFOLIO = 7
+_PORTFOLIO = 7  # cut-offs
 _INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
-FINALISTS = 3
-WHITE = 0.01
+FINALISTS = 3  # starts behind filters that are refined, at most
+WHITE = 0.01  # level of the whiteness test below which residuals do not look like noise
 _SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
 _MOST_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
@@ -292,6 +293,6 @@ class _Chain:
             information, _ = problem.slope(following)
             moved = (following.theta - state.theta)[:n]
             state = following
-            if float(moved @ information[:n, :n] @ moved) < 1e-4 * n:
+            if float(moved @ information[:n, :n] @ moved) < _SRIVC_TOLERANCE * n:
                 return best, True, iteration
         return best, False, _SRIVC_ITERATIONS
