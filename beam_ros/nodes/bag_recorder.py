@@ -9,18 +9,14 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from beam_ros import interfaces, messages
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.recording import LossCounter, Recording
-from beam_ros.interfaces import QualityOfService
-from beam_ros.nodes.shell import FAULT_OF_THE_USER, RigNode, qos_profile, run_node
+from beam_ros.nodes.matched_subscription import MatchedSubscription
+from beam_ros.nodes.shell import FAULT_OF_THE_USER, RigNode, run_node
 
 _DEPTH = 1000
 
@@ -43,52 +39,25 @@ class TopicTap:
 
     def __init__(self, node: RigNode, topic: interfaces.Topic, recording: Recording) -> None:
         self.losses = LossCounter()
-        self._node = node
         self._topic = topic
         self._recording = recording
         self.received = 0
         self.name: str = node.resolve_topic_name(topic.name)
-        self._has_one_publisher = False
-        self._qos = replace(topic.qos, depth=_DEPTH)
-        self._subscription = self._subscribe()
+        self._subscription = MatchedSubscription(
+            node, topic, self._take, depth=_DEPTH, raw=True, is_early=True
+        )
         self.follow_publishers()
-
-    def _subscribe(self) -> Subscription:
-        message_class = self._node.types.message_class(self._topic.type_name)
-        return self._node.create_subscription(
-            message_class, self.name, self._take, qos_profile(self._qos), raw=True
-        )
-
-    def _offered(self) -> tuple[QualityOfService, ...]:
-        return tuple(
-            QualityOfService(
-                depth=info.qos_profile.depth,
-                is_reliable=info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
-                is_latched=info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-            )
-            for info in self._node.get_publishers_info_by_topic(self.name)
-        )
 
     def follow_publishers(self) -> None:
         """Ask for the most that all publishers offer; subscribe anew where that is not what was asked for."""
-        offered = self._offered()
-        self._has_one_publisher = len(offered) == 1
-        if not offered:
-            return
-        qos = QualityOfService(
-            _DEPTH, all(qos.is_reliable for qos in offered), all(qos.is_latched for qos in offered)
-        )
-        if qos != self._qos:
-            self._node.destroy_subscription(self._subscription)
-            self._qos = qos
-            self._subscription = self._subscribe()
+        self._subscription.follow()
 
     def _take(self, data: bytes, info: dict[str, int | None]) -> None:
         if not self.received:
-            offered = self._offered() or (self._topic.qos,)
+            offered = self._subscription.offers() or (self._topic.qos,)
             self._recording.announce(self.name, self._topic.type_name, offered)
         self.received += 1
-        if self._has_one_publisher:
+        if self._subscription.publishers == 1:
             self.losses.see(info["publication_sequence_number"])
         else:
             self.losses.forget()
@@ -98,7 +67,7 @@ class TopicTap:
 
     def close(self) -> None:
         """Give the subscription up."""
-        self._node.destroy_subscription(self._subscription)
+        self._subscription.close()
 
 
 class BagRecorder(RigNode):
