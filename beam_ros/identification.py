@@ -23,9 +23,9 @@ from beam_ident import (
     InputSignal,
     OutputSignal,
     Prior,
-    Scores,
     TimeRecord,
     identify,
+    validate,
 )
 from beam_ident.excitation import describe_recipe
 from beam_model import BeamModel
@@ -361,21 +361,17 @@ def describe(experiment: Experiment, result: IdentificationResult) -> dict[str, 
 
 
 def _validate(unseen: Experiment, result: IdentificationResult) -> dict[str, Any]:
-    """Score the model on data that it was not fitted to; only offset and ramp are fitted again."""
-    model = result.model
-    scores = {}
-    for output in unseen.record.outputs:
-        if output.name not in model.output_names:
-            continue
-        times = output.times_s - model.latency
-        column = model.output_names.index(output.name)
-        simulated = model.simulate(unseen.record.inputs[0], times, output.exposure_s)[:, column]
-        centred = (times - times.mean()) / np.ptp(times)
-        nuisance = np.column_stack([np.ones_like(times), centred])
-        rest = output.values - simulated
-        residuals = rest - nuisance @ np.linalg.lstsq(nuisance, rest, rcond=None)[0]
-        found = Scores.of(output.values, residuals)
-        scores[output.name] = {"fit_percent": found.fit_percent, "r_squared": found.r_squared}
+    """Score the model on data that it was not fitted to."""
+    scores = {
+        output.name: {
+            "fit_percent": output.scores.fit_percent,
+            "r_squared": output.scores.r_squared,
+            "deflection_fit_percent": output.deflection_scores.fit_percent,
+            "residual_over_noise": output.noise_ratio,
+            "verdict": output.verdict,
+        }
+        for output in validate(result.model, unseen.record).outputs
+    }
     return {"bag": str(unseen.path), "scores": scores}
 
 

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{name}   FIT {score['fit_percent']:.3f} %, of the deflection {score['deflection_fit_percent']:.2f} %"
         )
     for name, score in result.get("validation", {}).get("scores", {}).items():
-        print(f"{name}   FIT {score['fit_percent']:.3f} % on {arguments.validate}")
+        print(f"{name} on {arguments.validate}: {score['verdict']}")
     for line in (*result["notes"], *result["warnings"]):
         print(f"note: {line}")
     if arguments.report is not None:

@@ -91,6 +91,8 @@ def test_a_model_is_scored_on_data_that_it_has_not_seen(rig: Rig, bag: Path, tmp
     for name, score in result["validation"]["scores"].items():
         fitted = result["scores"][name]["fit_percent"]
         assert score["fit_percent"] == pytest.approx(fitted, abs=0.1)
+        assert score["residual_over_noise"] == pytest.approx(1.0, abs=0.1)
+        assert "prediction" in score["verdict"]
 
 
 def test_the_hubs_device_clock_is_put_on_the_hosts_by_one_line(bag: Path) -> None:
