@@ -14,6 +14,7 @@ from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.image_messages import read_image
 from beam_ros.vision.images import GreyImage
 from beam_ros.vision.lens import Lens
+from beam_ros.vision.video import VideoFile
 
 _LOOK_ROUND_S = 0.2
 WAITING_FRAMES = 30
@@ -115,6 +116,7 @@ class CameraTopics:
         except CalibrationError as err:
             self._lens_trouble = f"{err}; positions are not corrected for distortion"
             self._log.error(self._lens_trouble)
+            self._sink.set_lens(None)  # not the lens of the camera before
             return
         self._lens_trouble = ""
         if lens is not None:
@@ -162,7 +164,9 @@ class Capture:
         self._before = 0
         camera: DeviceCamera | FileCamera
         if rig.text("tracker.source") == "file":
-            camera = FileCamera(Path(rig.text("tracker.video")), rig.number("tracker.video_rate") or None)
+            path, rate_hz = Path(rig.text("tracker.video")), rig.number("tracker.video_rate") or None
+            VideoFile(path, rate_hz=rate_hz)  # what is no video is refused now, not when somebody listens
+            camera = FileCamera(path, rate_hz)
         else:
             camera = DeviceCamera(rig.device_settings())
         self.silence = f"no frames from {camera.name}"

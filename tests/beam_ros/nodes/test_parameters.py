@@ -62,3 +62,15 @@ def test_parameters_carry_descriptions_and_refuse_what_the_schema_refuses(execut
     assert not refused.successful
     assert "start below the end" in refused.reason
     assert not set_value("beam.length", 0.2).successful
+
+
+@pytest.mark.parametrize("name", ["nowhere.avi", "words.avi"])
+def test_a_video_that_is_none_is_one_line_and_status_2(executables, tmp_path, name) -> None:
+    (tmp_path / "words.avi").write_text("words")
+    path = tmp_path / name
+    words = ("-p", "tracker.source:=file", "-p", f"tracker.video:={path}")
+    node = executables.run("vision_tracker", "--ros-args", *words, timeout_s=20.0)
+    assert node.process.returncode == 2
+    assert sum("vision_tracker:" in line for line in node.output().splitlines()) == 1, node.output()
+    assert str(path) in node.output()
+    assert "Traceback" not in node.output()

@@ -264,6 +264,14 @@ def test_the_lens_of_camera_info_is_undone(scene) -> None:
     graph.wait(lambda: publisher.get_subscription_count() == 0, "camera_info to be known")
     graph.call("tracker/reset", "/changing")
     assert scene.answer("changing", scene.image(frame)).positions == pytest.approx([-0.15] * 3, abs=4e-5)
+    # A lens that cannot be used is none, not the one before.
+    info.distortion_model = "unheard_of"
+    publisher.publish(info)
+    graph.call("tracker/reset", "/changing")
+    graph.wait(lambda: publisher.get_subscription_count() > 0, "camera_info's listener")
+    graph.wait(lambda: publisher.get_subscription_count() == 0, "camera_info to be known")
+    bent = scene.answer("changing", scene.image(frame)).positions
+    assert np.min(np.abs(np.array(bent) + 0.15)) > 1e-3
     graph.node.destroy_publisher(publisher)
 
 
