@@ -7,7 +7,7 @@ ARGS ?=
 MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
 
 # One worker takes what runs in real time, the other the rest (see tests/conftest.py).
-WORKERS = -n 2 --dist loadgroup
+WORKERS = -n 2
 
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 

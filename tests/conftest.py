@@ -6,6 +6,7 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,19 +21,31 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-REAL_TIME = tuple(Path(__file__).parent / "beam_ros" / room for room in ("bags", "hub", "launching", "nodes"))
+IN_REAL_TIME = (
+    *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes")),
+    "tests/packaging/test_colcon.py",
+    "tests/packaging/test_environment.py",
+)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With several workers let one take all that runs in real time, and keep every other file in one.
+
+    Two rigs at once would compete for a processor, and a file's fixtures are made once.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return "in real time" if file.startswith(IN_REAL_TIME) else file
+
+    return ByFile(config, log)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep `verify` tests to `--verify`, skip `ros` tests where ROS 2 is truly absent, and keep groups together.
-
-    With several workers (`-n 2 --dist loadgroup`) one takes all that runs in real time, so that
-    no two rigs compete for a processor; of the rest every file stays in one.
-    """
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            is_in_real_time = item.get_closest_marker("ros") or any(map(item.path.is_relative_to, REAL_TIME))
-            item.add_marker(pytest.mark.xdist_group("real time" if is_in_real_time else str(item.path)))
+    """Keep `verify` tests to `--verify`, and skip `ros` tests where ROS 2 is truly absent."""
     is_verifying = config.getoption("--verify")
     left_out = [item for item in items if (item.get_closest_marker("verify") is not None) != is_verifying]
     if left_out:
