@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(scope="session", autouse=True)
 def _private_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Nothing of a test session leaves the machine or meets another session's nodes."""
+    # What a shell starts in the background ignores Ctrl-C, and so would all processes of the tests.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     domain = PrivateDomain()
     before = dict(os.environ)
     stay_on_this_machine(os.environ, domain.number, tmp_path_factory.mktemp("ros_log"))

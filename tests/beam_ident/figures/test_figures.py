@@ -95,6 +95,7 @@ def test_estimates_of_other_signals_are_refused(rational, modal):
         figures.coherence_figure([])
 
 
-def test_no_figure_touches_pyplot(modal):
+def test_no_figure_touches_pyplot(modal, monkeypatch):
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
     figures.time_figure(modal[0])
     assert "matplotlib.pyplot" not in sys.modules
