@@ -216,7 +216,9 @@ SERVICES: dict[str, Service] = {
         Service("hub/clear_fault", TRIGGER, "leave the fault state; enables nothing"),
         Service("excitation/start", TRIGGER, "hand the sequence over and start it"),
         Service("excitation/stop", TRIGGER, "abort the running sequence"),
-        Service("tracker/reset", TRIGGER, "forget the markers and calibration points and acquire the markers anew"),
+        Service(
+            "tracker/reset", TRIGGER, "forget the markers and calibration points and acquire the markers anew"
+        ),
         Service(
             "tracker/capture_point", TRIGGER, "average the markers against the reference at this position"
         ),
