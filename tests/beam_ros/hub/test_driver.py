@@ -161,7 +161,7 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
     rig.until(lambda r: "running" in states([r]))
     rig.run(0.3)
     rig.emulator.unplug()
-    reports = rig.run(0.7)
+    reports = [*rig.until(lambda r: "aborted" in states([r])), *rig.run(0.6)]
     assert states(reports) == ["aborted"]
     assert reports[-1].status.state == "disconnected"
     (event,) = [e for r in reports for e in r.events]
