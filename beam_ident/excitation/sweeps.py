@@ -18,7 +18,43 @@ from beam_ident.piecewise import FloatArray
 
 
 @dataclass(frozen=True)
-class LogChirp(Recipe):
+class _Sweep(Recipe):
+    """What all sweeps share: their numbers, and amplitudes under the ceilings; see :class:`LogChirp`."""
+
+    start_hz: float = 1.0
+    end_hz: float = 95.0
+    sweep_s: float = 20.0
+    acceleration: float = 0.7
+    displacement_ceiling: float = 0.005
+    still_s: float = 10.0
+    fade_in_s: float = 1.0
+    fade_out_s: float = 0.25
+    velocity_ceiling: float | None = None
+
+    def _check(self) -> None:
+        self._positive(
+            "start_hz", "end_hz", "sweep_s", "acceleration", "displacement_ceiling", "velocity_ceiling"
+        )
+        self._not_negative("still_s")
+        for name in ("fade_in_s", "fade_out_s"):
+            value = getattr(self, name)
+            self._require(0.0 < value <= self.sweep_s / 2, name, value, "between 0 and half of sweep_s")
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s], the still stretch included."""
+        return self.sweep_s + self.still_s
+
+    def _swept(self, times: FloatArray, frequency: FloatArray, phase: FloatArray) -> FloatArray:
+        amplitude = displacement_amplitude(
+            2.0 * np.pi * frequency, self.acceleration, self.velocity_ceiling, self.displacement_ceiling
+        )
+        shape = window(times, self.sweep_s, self.fade_in_s, self.fade_out_s)
+        return np.asarray(shape * amplitude * np.sin(phase))
+
+
+@dataclass(frozen=True)
+class LogChirp(_Sweep):
     """Logarithmic chirp of constant acceleration under a ceiling of displacement.
 
     Parameters
@@ -39,24 +75,9 @@ class LogChirp(Recipe):
 
     kind: ClassVar[str] = "log_chirp"
 
-    start_hz: float = 1.0
-    end_hz: float = 95.0
-    sweep_s: float = 20.0
-    acceleration: float = 0.7
-    displacement_ceiling: float = 0.005
-    still_s: float = 10.0
-    fade_in_s: float = 1.0
-    fade_out_s: float = 0.25
-    velocity_ceiling: float | None = None
-
     def _check(self) -> None:
-        _check_sweep(self)
+        super()._check()
         self._require(self.end_hz > self.start_hz, "end_hz", self.end_hz, f"above start_hz = {self.start_hz}")
-
-    @property
-    def duration_s(self) -> float:
-        """Length [s], the still stretch included."""
-        return self.sweep_s + self.still_s
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
@@ -64,11 +85,11 @@ class LogChirp(Recipe):
         growth = self.sweep_s / math.log(self.end_hz / self.start_hz)
         frequency = self.start_hz * np.exp(times / growth)
         phase = 2.0 * np.pi * growth * (frequency - self.start_hz)
-        return _swept(self, times, frequency, phase)
+        return self._swept(times, frequency, phase)
 
 
 @dataclass(frozen=True)
-class LinearChirp(Recipe):
+class LinearChirp(_Sweep):
     """Linear chirp of constant acceleration under a ceiling of displacement.
 
     Parameters
@@ -85,50 +106,15 @@ class LinearChirp(Recipe):
 
     kind: ClassVar[str] = "linear_chirp"
 
-    start_hz: float = 1.0
-    end_hz: float = 95.0
-    sweep_s: float = 20.0
-    acceleration: float = 0.7
-    displacement_ceiling: float = 0.005
-    still_s: float = 10.0
-    fade_in_s: float = 1.0
-    fade_out_s: float = 0.25
-    velocity_ceiling: float | None = None
-
     def _check(self) -> None:
-        _check_sweep(self)
+        super()._check()
         self._require(
             self.end_hz != self.start_hz, "end_hz", self.end_hz, f"other than start_hz = {self.start_hz}"
         )
-
-    @property
-    def duration_s(self) -> float:
-        """Length [s], the still stretch included."""
-        return self.sweep_s + self.still_s
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
         times = np.clip(times_s, 0.0, self.sweep_s)
         slope = (self.end_hz - self.start_hz) / self.sweep_s
         phase = 2.0 * np.pi * times * (self.start_hz + 0.5 * slope * times)
-        return _swept(self, times, self.start_hz + slope * times, phase)
-
-
-def _check_sweep(chirp: LogChirp | LinearChirp) -> None:
-    chirp._positive(
-        "start_hz", "end_hz", "sweep_s", "acceleration", "displacement_ceiling", "velocity_ceiling"
-    )
-    chirp._not_negative("still_s")
-    for name in ("fade_in_s", "fade_out_s"):
-        value = getattr(chirp, name)
-        chirp._require(0.0 < value <= chirp.sweep_s / 2, name, value, "between 0 and half of sweep_s")
-
-
-def _swept(
-    chirp: LogChirp | LinearChirp, times: FloatArray, frequency: FloatArray, phase: FloatArray
-) -> FloatArray:
-    amplitude = displacement_amplitude(
-        2.0 * np.pi * frequency, chirp.acceleration, chirp.velocity_ceiling, chirp.displacement_ceiling
-    )
-    shape = window(times, chirp.sweep_s, chirp.fade_in_s, chirp.fade_out_s)
-    return np.asarray(shape * amplitude * np.sin(phase))
+        return self._swept(times, self.start_hz + slope * times, phase)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def random_odd_lines(low_hz: float, high_hz: float, seed: int = 0) -> np.ndarray
     )
 
 
-class Distortion:
+class Distortion(ABC):
     """Steady periods at one output, white noise drawn anew in every run; the share of runs that is flagged."""
 
     def __init__(self) -> None:
@@ -50,9 +51,9 @@ class Distortion:
     rms = 1.0
     noise_share = 1e-3
 
+    @abstractmethod
     def simulate(self) -> tuple[np.ndarray, InputSignal]:
         """Return the steady output and the input."""
-        raise NotImplementedError
 
     def run(self, seed: int) -> Outcome:
         """Judge one record."""
