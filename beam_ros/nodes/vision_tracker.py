@@ -13,6 +13,7 @@ import numpy as np
 from beam_ros import messages
 from beam_ros.beam_line import BeamLineFitter, line_marker
 from beam_ros.measured_frames import displacement_messages, markers_message
+from beam_ros.messages import MessageContentError
 from beam_ros.nodes.frame_averaging import FrameAveraging
 from beam_ros.nodes.frame_sources import frame_source
 from beam_ros.nodes.large_messages import keep_freed_memory
@@ -72,7 +73,12 @@ class VisionTracker(RigNode):
         return LinearCalibration.from_camera(camera, len(self._names))
 
     def _on_hub_state(self, message: Any) -> None:
-        self._hub_position, self._hub_heard = messages.read_hub_state(message).position, time.monotonic()
+        try:
+            position_m = messages.read_hub_state(message).position
+        except MessageContentError as err:
+            self.get_logger().error(f"hub/state is left out: {err}", throttle_duration_sec=_LOG_AGAIN_S)
+            return
+        self._hub_position, self._hub_heard = position_m, time.monotonic()
 
     # -- frames, from whichever source ---------------------------------------------------------------------
 
@@ -167,7 +173,7 @@ class VisionTracker(RigNode):
                 raise CalibrationError(self._chain.calibration_fault)
             frames = await self._averaging.next_frames()
             # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
-            away_m = 0.0 if math.isnan(self._hub_position) else self._hub_position
+            away_m = self._hub_position_now()
             calibration = self._chain.calibration
             scales = np.asarray(calibration.pixels_per_metre) * calibration.direction
             columns = np.asarray(frames.columns) - scales * away_m
@@ -182,17 +188,35 @@ class VisionTracker(RigNode):
         encoder_sd = self.rig.number("hub.encoder_resolution") / math.sqrt(12.0)
         try:
             frames = await self._averaging.next_frames()
-            if time.monotonic() - self._hub_heard > _HUB_IS_SILENT_S:
-                raise CalibrationError(
-                    "the hub has said nothing for a second, and its position is the reference: expected hub/state; "
-                    "start the hub"
-                )
-            self._procedure.capture_point(frames.columns, frames.sigmas, self._hub_position, encoder_sd)
+            position_m = self._hub_position_now()
+            self._procedure.capture_point(frames.columns, frames.sigmas, position_m, encoder_sd)
             response.success = True
-            response.message = f"point {len(self._procedure.points)} at {self._hub_position:.6f} m"
+            response.message = f"point {len(self._procedure.points)} at {position_m:.6f} m"
         except CalibrationError as err:
             response.success, response.message = False, str(err)
         return response
+
+    def _hub_position_now(self) -> float:
+        """Return the hub's position, which calibrations refer to [m].
+
+        Raises
+        ------
+        CalibrationError
+            The hub does not say where it is: an old position may be any other.
+        """
+        silent_s = time.monotonic() - self._hub_heard
+        if silent_s > _HUB_IS_SILENT_S:
+            since = f"for {silent_s:.1f} s" if math.isfinite(silent_s) else "yet"
+            raise CalibrationError(
+                f"the hub has said nothing {since}, and its position is the reference: expected hub/state within the "
+                f"last {_HUB_IS_SILENT_S:g} s; start the hub"
+            )
+        if not math.isfinite(self._hub_position):
+            raise CalibrationError(
+                f"the hub's position is {self._hub_position!r} on hub/state, and it is the reference: expected metres "
+                "from home; home the hub"
+            )
+        return self._hub_position
 
     def _on_fit_calibration(self, _request: Any, response: Any) -> Any:
         provenance = {

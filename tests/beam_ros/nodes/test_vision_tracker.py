@@ -315,6 +315,18 @@ def test_a_video_is_measured_to_its_end_and_the_end_is_said(scene) -> None:
     assert np.all(np.diff([d.stamp_ns for d in seen.displacements]) == 20_000_000)
 
 
+def test_a_hub_state_that_cannot_be_read_is_left_out(scene) -> None:
+    graph = scene.graph
+    hub = graph.publisher("hub/state", namespace="/plain")
+    graph.wait(lambda: hub.get_subscription_count() > 0, "hub/state's listener")
+    message = messages.hub_state(graph.types, messages.HubSample(scene.stamp(), 0.0))
+    message.name = ["hub", "elbow"]
+    hub.publish(message)
+    graph.wait(lambda: "hub/state is left out" in scene.processes["plain"].output(), "the log to say so")
+    assert _is_seen(scene.answer("plain", scene.image(scene.pixels(0.0)))) == [True] * 3
+    graph.node.destroy_publisher(hub)
+
+
 def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviations(scene) -> None:
     """Positions of the hub, a camera that is really at 1480 px/m: the fit finds it, tare sets the zero."""
     from beam_ros.vision.rendering import SceneRenderer
@@ -345,7 +357,7 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     assert "0 points" in refused.message
     refused = average("tracker/capture_point", -0.02, hub_speaks=False)
     assert not refused.success
-    assert "the hub has said nothing" in refused.message
+    assert "the hub has said nothing yet" in refused.message
     # Discovery may take its time: until the hub is heard, its silence is the answer.
     graph.wait(
         lambda: average("tracker/capture_point", -0.02).success, "a point with the hub's position", 20.0
@@ -376,3 +388,11 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     rows = scene.seen["measured"].clouds[-1].rows
     # Far from its zero the scale's deviation is part of the displacement's.
     assert np.all(rows["sigma_m"] > 0.015 * deviations / 1480.0)
+    # The hub may be elsewhere by now.
+    graph.spin(1.2)
+    for service in ("tracker/tare", "tracker/capture_point"):
+        refused = average(service, 0.015, hub_speaks=False)
+        assert not refused.success
+        assert "the hub has said nothing for " in refused.message
+    answer = scene.answer("measured", scene.image(renderer.render(np.full(3, 0.015), rng)))
+    assert answer.positions == pytest.approx([0.015] * 3, abs=2e-5)
