@@ -16,7 +16,7 @@ from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeReco
 from beam_model import AxisStepper, BeamModel, BeamParameters, Damping, PositionServo
 from beam_model.stepping import discretise
 from benchmarks.ident.rig import flat
-from benchmarks.ident.study import AgainstBound, Outcome, Study
+from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
 
 Array = NDArray[np.float64]
 
@@ -116,8 +116,8 @@ class SoftServoCase(AgainstBound):
 
     @cached_property
     def bound(self) -> Array:
-        """Return the standard deviations stated for one record."""
-        return flat(identify(self.record(10**6), n_modes=self.n_modes).model)[1]
+        """Return the standard deviations that records state."""
+        return stated_bound(lambda seed: flat(identify(self.record(seed), n_modes=self.n_modes).model)[1])
 
     def record(self, seed: int) -> TimeRecord:
         """Return the measured position and the camera's record of one seed."""
@@ -159,8 +159,8 @@ class FreeHubCase(AgainstBound):
 
     @cached_property
     def bound(self) -> Array:
-        """Return the standard deviations stated for one record."""
-        return self.flat(identify(self.record(10**6), "force", n_modes=3).model)[1]
+        """Return the standard deviations that records state."""
+        return stated_bound(lambda seed: self.flat(identify(self.record(seed), "force", n_modes=3).model)[1])
 
     @staticmethod
     def flat(model: ModalModel) -> tuple[Array, Array]:
