@@ -213,7 +213,7 @@ class VisionTracker(RigNode):
             )
         if not math.isfinite(self._hub_position):
             raise CalibrationError(
-                f"the hub's position is {self._hub_position!r} on hub/state, and it is the reference: expected metres "
+                f"the hub's position is {self._hub_position!r} on hub/state, and is the reference: expected metres "
                 "from home; home the hub"
             )
         return self._hub_position
