@@ -219,8 +219,8 @@ RIG_PARAMETERS: dict[str, Parameter] = {
             Parameter("background", "float", "level of the background", "grey levels", 0.0, 254.0),
             Parameter("blur", "float", "standard deviation of the optics", "px", 0.0, 20.0),
             Parameter("noise", "float", "standard deviation of a pixel", "grey levels", 0.0, 100.0),
-            Parameter("name", "str", "the camera, which calibrations keep; empty: any"),
-            Parameter("focus", "str", "setting of its lens, which calibrations keep; empty: any"),
+            Parameter("name", "str", "the camera, which calibrations keep; empty: not said"),
+            Parameter("focus", "str", "setting of its lens, which calibrations keep; empty: not said"),
         ),
         *_group(
             "tracker",

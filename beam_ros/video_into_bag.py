@@ -112,10 +112,9 @@ def track_video(
                 f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
             ) from err
     names, heights = rig.marker_names, rig.numbers("markers.heights")
-    chosen = calibration or LinearCalibration.from_camera(camera, len(names))
-    chain = MeasuringChain(
-        camera, rig.tracker_parameters(), heights, chosen, rig.text("camera.name"), rig.text("camera.focus")
-    )
+    name, focus = rig.text("camera.name"), rig.text("camera.focus")
+    chosen = calibration or LinearCalibration.from_camera(camera, len(names), camera_name=name, focus=focus)
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, name, focus)
     if "lens" in chosen.provenance:
         chain.lens = Lens.from_dict(chosen.provenance["lens"])
     if chain.calibration_fault:
@@ -144,13 +143,19 @@ def track_video(
         np.array([frame.displacement.x_m for frame in measured]),
         np.array([frame.displacement.sigma_m for frame in measured]),
         reasons,
-        tuple(_remarks(video, names, reasons, len(measured))),
+        tuple(_remarks(video, names, reasons, len(measured), chain.calibration_doubt)),
     )
 
 
 def _remarks(
-    video: VideoFile, names: tuple[str, ...], reasons: tuple[dict[str, int], ...], n_frames: int
+    video: VideoFile,
+    names: tuple[str, ...],
+    reasons: tuple[dict[str, int], ...],
+    n_frames: int,
+    doubt: str,
 ) -> Iterator[str]:
+    if doubt:
+        yield doubt
     if n_frames < video.n_frames:
         yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
     if video.n_times is not None and video.n_times > n_frames:

@@ -69,8 +69,13 @@ class VisionTracker(RigNode):
         path = self.rig.text("tracker.calibration")
         if path:
             return load_calibration(Path(path))
-        camera = self.rig.camera_parameters()
-        return LinearCalibration.from_camera(camera, len(self._names))
+        rig = self.rig
+        return LinearCalibration.from_camera(
+            rig.camera_parameters(),
+            len(self._names),
+            camera_name=rig.text("camera.name"),
+            focus=rig.text("camera.focus"),
+        )
 
     def _on_hub_state(self, message: Any) -> None:
         try:

@@ -24,6 +24,9 @@ SCHEMA = 2
 
 Floats = npt.NDArray[np.float64]
 
+_NAMED_BY = {"camera": "camera.name", "focus": "camera.focus"}
+"""Parameters of the rig that say what is in use."""
+
 
 @dataclass(frozen=True)
 class Displacement:
@@ -50,8 +53,8 @@ class LinearCalibration:
     flip : bool -- True when +x points to the left in the image
     covariance : tuple of 2x2 tuples -- of (scale [px/m], zero [px]) for each marker
     image_size : (int, int) -- width and height of the images that it holds for [px]
-    camera_name : str -- camera that it holds for; "" holds for any
-    focus : str -- setting of the lens that it holds for; "" holds for any
+    camera_name : str -- camera that it holds for; "" leaves it open
+    focus : str -- setting of the lens that it holds for; "" leaves it open
     provenance : mapping of str to JSON value -- where the numbers come from: method, date, points, tests
     """
 
@@ -215,7 +218,8 @@ class LinearCalibration:
 
         Raises
         ------
-        CalibrationError -- the size, the camera or the focus differ from the calibrated ones
+        CalibrationError -- the size, the camera or the focus differ from the calibrated ones, or the calibration
+            was made for a camera or focus and nobody says that it is this one
         """
         if (width, height) != tuple(self.image_size):
             raise CalibrationError(
@@ -226,11 +230,36 @@ class LinearCalibration:
             ("camera", camera_name, self.camera_name),
             ("focus", focus, self.focus),
         ):
-            if used and calibrated and used != calibrated:
+            if calibrated and not used:
+                raise CalibrationError(
+                    f"the rig names no {what}; expected {calibrated!r}, for which this calibration was made: set "
+                    f"{_NAMED_BY[what]} to it where it is so, else calibrate this camera and focus"
+                )
+            if calibrated and used != calibrated:
                 raise CalibrationError(
                     f"{what} is {used!r}; expected {calibrated!r}, for which this calibration was made: calibrate "
                     "this camera and focus"
                 )
+
+    def doubt(self, camera_name: str = "", focus: str = "") -> str:
+        """Say what the calibration leaves open of what is in use: it cannot be told whether that differs.
+
+        Parameters
+        ----------
+        camera_name, focus : str -- camera and setting of its lens; "" when unknown
+
+        Returns
+        -------
+        str -- a sentence, or ""
+        """
+        named = (("camera", camera_name, self.camera_name), ("focus", focus, self.focus))
+        unknown = [f"{what} ({used!r})" for what, used, calibrated in named if used and not calibrated]
+        if not unknown:
+            return ""
+        return (
+            f"the calibration does not say for which camera and focus it was made: expected the rig's "
+            f"{' and '.join(unknown)}; calibrate again with these names, or make sure that they are the same"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionary for a YAML or JSON file; `from_dict` reads it back exactly."""

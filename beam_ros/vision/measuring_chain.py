@@ -128,6 +128,11 @@ class MeasuringChain:
         return self._calibration_fault
 
     @property
+    def calibration_doubt(self) -> str:
+        """What cannot be told of whether the calibration is this camera's, or ""."""
+        return self._calibration.doubt(self._camera_name, self._focus)
+
+    @property
     def lens_fault(self) -> str:
         """What is wrong between lens and calibration, or ""."""
         return self._lens_fault

@@ -179,8 +179,10 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     document["pixels_per_metre"] = [700.0] * 3
     save_calibration(LinearCalibration.from_dict(document), path)
     command = ["track", str(VIDEO), "--into", str(bag), *wrong, *rows, "-p", "camera.origin_u:=47.3"]
-    assert main([*command, "--calibration", str(path)]) == 0
-    assert "times as far as the hub: the scale is not right" in capsys.readouterr().out
+    assert main([*command, "--calibration", str(path), "-p", "camera.focus:=f8"]) == 0
+    shown = capsys.readouterr().out
+    assert "times as far as the hub: the scale is not right" in shown
+    assert "does not say for which camera and focus it was made: expected the rig's focus ('f8')" in shown
 
 
 def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
@@ -199,6 +201,8 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     (tmp_path / "wrong.yaml").write_text("a: 1\n", encoding="utf-8")
     other = LinearCalibration.from_camera(Rig.from_file().camera_parameters(), 3)
     save_calibration(other, tmp_path / "other.yaml")
+    focused = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3, focus="f8")
+    save_calibration(focused, tmp_path / "focused.yaml")
     two = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 2)
     save_calibration(two, tmp_path / "two.yaml")
     rig = ["--rig-file", str(RIG_FILE)]
@@ -223,6 +227,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         ),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "other.yaml")], "expected 640 x 480"),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "two.yaml")], "holds for 2 markers"),
+        (VIDEO, [*rig, "--calibration", str(tmp_path / "focused.yaml")], "names no focus; expected 'f8'"),
     ):
         status = main(["track", str(video), "--into", str(bag), *options])
         error = capsys.readouterr().err.strip().splitlines()

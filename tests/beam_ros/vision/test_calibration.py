@@ -149,13 +149,29 @@ def test_a_spoiled_dictionary_is_refused(change, message):
 def test_another_camera_is_refused():
     calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left", focus="f8")
     calibration.require_camera(640, 480, "left", "f8")
-    calibration.require_camera(640, 480)
     with pytest.raises(CalibrationError, match="images are 1920 x 1080; expected 640 x 480"):
         calibration.require_camera(1920, 1080)
     with pytest.raises(CalibrationError, match="camera is 'right'; expected 'left'"):
         calibration.require_camera(640, 480, "right")
     with pytest.raises(CalibrationError, match="focus is 'f4'; expected 'f8'"):
         calibration.require_camera(640, 480, "left", "f4")
+
+
+def test_a_calibration_for_a_camera_and_focus_is_refused_where_nobody_says_what_is_in_use():
+    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left", focus="f8")
+    with pytest.raises(CalibrationError, match=r"names no camera; expected 'left'.*set camera\.name"):
+        calibration.require_camera(640, 480, "", "f8")
+    with pytest.raises(CalibrationError, match=r"names no focus; expected 'f8'.*set camera\.focus"):
+        calibration.require_camera(640, 480, "left", "")
+
+
+def test_a_calibration_that_leaves_camera_and_focus_open_is_doubtful_where_they_are_named():
+    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left")
+    calibration.require_camera(640, 480, "left", "f8")
+    assert "focus ('f8')" in calibration.doubt("left", "f8")
+    assert "camera" not in calibration.doubt("left", "f8").partition("expected")[2]
+    assert calibration.doubt("left") == ""
+    assert nominal().doubt() == ""
 
 
 def test_bad_captures_and_too_few_points_are_refused():

@@ -24,9 +24,10 @@ MS = 1_000_000
 class _Day:
     """A chain, its diagnosis, and frames at will."""
 
-    def __init__(self, calibration: LinearCalibration | None = None) -> None:
+    def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
-        self.chain = MeasuringChain(CAMERA, TrackerParameters.for_camera(CAMERA, HEIGHTS), HEIGHTS, given)
+        tracker = TrackerParameters.for_camera(CAMERA, HEIGHTS)
+        self.chain = MeasuringChain(CAMERA, tracker, HEIGHTS, given, focus=focus)
         self.diagnosis = Diagnosis(NAMES, self.chain)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
 
@@ -113,6 +114,19 @@ def test_silence_is_said_once_and_by_whoever_knows_the_reason() -> None:
     )
     report = day.diagnosis.report(1.0, [Complaint("ERROR", "camera /dev/video7 is not there")])
     assert (report.level, report.sentence) == ("ERROR", "camera /dev/video7 is not there")
+
+
+def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_names_one_an_error() -> None:
+    day = _Day(focus="f8")
+    day.film(range(1, 10))
+    report = day.diagnosis.report(0.1)
+    assert report.level == "WARN"
+    assert "does not say for which camera and focus" in report.sentence
+    day = _Day(LinearCalibration.from_camera(CAMERA, 3, focus="f8"))
+    day.film(range(1, 10))
+    report = day.diagnosis.report(0.1)
+    assert report.level == "ERROR"
+    assert "set camera.focus" in report.sentence
 
 
 def test_a_calibration_of_another_camera_is_an_error_though_markers_are_seen() -> None:
