@@ -380,7 +380,10 @@ class _Loop:
         k = len(point.theta)
         residuals = target - psi[:, k:] @ step[k:]
         variance = float(residuals @ residuals) / max(len(residuals) - len(step), 1)
-        score = z.T @ z if is_white else score_covariance(z, autocorrelation(residuals))
+        if is_white:
+            score = z.T @ z
+        else:
+            score = score_covariance(z, autocorrelation(autoregression(residuals), len(residuals)))
         covariance = variance * inverse @ score @ inverse.T / np.outer(size_psi, size_psi)
         return step / size_psi, covariance, float(np.linalg.cond(z.T @ psi)), residuals
 

@@ -274,10 +274,12 @@ def _under_coloured_noise(
         matrix = state.blocks[regression.block_of[output]].matrix
         here = np.concatenate([np.arange(n_theta), np.arange(place, place + matrix.shape[1])])
         place += matrix.shape[1]
-        if len(autoregression(residuals)) == 1:
+        colour = autoregression(residuals)
+        if len(colour) == 1:
             continue
         design = np.concatenate([problem.jacobian(state, output), matrix], axis=1)
-        difference = score_covariance(design, autocorrelation(residuals)) - design.T @ design
+        correlation = autocorrelation(colour, len(residuals))
+        difference = score_covariance(design, correlation) - design.T @ design
         excess[np.ix_(here, here)] += difference / variances[output]
     result = covariance + covariance @ excess @ covariance
     return np.asarray(0.5 * (result + result.T))

@@ -10,7 +10,7 @@ an autoregressive model whose order BIC chooses.
 from __future__ import annotations
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import lfilter
 
 from beam_ident.piecewise import FloatArray
@@ -28,7 +28,9 @@ def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatA
     n = len(residuals)
     centred = residuals - np.mean(residuals)
     max_order = max(0, min(max_order, n // 10))
-    covariance = np.array([float(centred[k:] @ centred[: n - k]) / n for k in range(max_order + 1)])
+    length = next_fast_len(n + max_order, real=True)
+    power = np.square(np.abs(rfft(centred, length)))
+    covariance = irfft(power, length)[: max_order + 1] / n
     if covariance[0] <= 0.0:
         return np.ones(1)
     coefficients, variance = np.ones(1), covariance[0]
@@ -44,10 +46,8 @@ def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatA
     return np.asarray(best)
 
 
-def autocorrelation(residuals: FloatArray) -> FloatArray:
-    """Return the modelled autocorrelation at lags 0 .. n - 1."""
-    n = len(residuals)
-    coefficients = autoregression(residuals)
+def autocorrelation(coefficients: FloatArray, n: int) -> FloatArray:
+    """Return the autocorrelation of an autoregression's noise at lags 0 .. n - 1."""
     if len(coefficients) == 1:
         result = np.zeros(n)
         result[0] = 1.0
@@ -55,9 +55,8 @@ def autocorrelation(residuals: FloatArray) -> FloatArray:
     impulse = np.zeros(n)
     impulse[0] = 1.0
     response = lfilter([1.0], coefficients, impulse)
-    length = 1 << int(2 * n - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(response, length)) ** 2
-    result = np.fft.irfft(spectrum, length)[:n]
+    length = next_fast_len(2 * n - 1, real=True)
+    result = irfft(np.square(np.abs(rfft(response, length))), length)[:n]
     return np.asarray(result / result[0])
 
 

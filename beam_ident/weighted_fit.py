@@ -387,9 +387,10 @@ class WeightedFit:
             own = slice(first, first + length)
             first += length
             innovations = linear.residuals[own]
-            if len(autoregression(innovations)) > 1:
+            colour = autoregression(innovations)
+            if len(colour) > 1:
                 design = linear.design[own]
-                excess += score_covariance(design, autocorrelation(innovations)) - design.T @ design
+                excess += score_covariance(design, autocorrelation(colour, length)) - design.T @ design
         covariance = inverse + inverse @ excess @ inverse
         if self.smoothing is not None:
             covariance = self._without_feigned_information(point, linear, covariance)
