@@ -57,7 +57,8 @@ class AgainstBound:
     bound: np.ndarray
 
     def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
-        """Return failures and their seeds, efficiency and bias of every parameter, coverage, largest |z|.
+        """Return failures and their seeds, efficiency and bias of every parameter, coverage, the share beyond 3.3
+        standard deviations (0.001 of normal errors), and the largest |z|.
 
         ``bias`` is the mean error over the bound; ``mean z`` is that of every error over its own stated standard
         deviation, which also shows where that rises and falls with the estimate.
@@ -78,6 +79,7 @@ class AgainstBound:
                 "worst coverage": round(float(np.min(np.mean(scores < 1.96, axis=0))), 4),
                 "bias": [round(float(b), 2) for b in np.mean(errors, axis=0) / self.bound],
                 "mean z": [round(float(z), 2) for z in np.mean(signed, axis=0)],
+                "beyond 3.3 sd": round(float(np.mean(scores > 3.3)), 5),
                 "max |z|": round(float(np.max(scores)), 2),
             }
         return figures
