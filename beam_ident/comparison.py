@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
+from scipy.special import chdtrc as chi_squared_sf
 
 from beam_ident.errors import EstimationError
 from beam_ident.modal_model import ModalModel
@@ -98,5 +98,5 @@ def compare_models(first: ModalModel, second: ModalModel) -> ModelComparison:
         damping_z=z[n:],
         chi_squared=statistic,
         degrees_of_freedom=2 * n,
-        p_value=float(chi2.sf(statistic, 2 * n)) if n else 1.0,
+        p_value=float(chi_squared_sf(2 * n, statistic)) if n else 1.0,
     )

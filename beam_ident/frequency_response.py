@@ -1,7 +1,7 @@
 """Non-parametric frequency responses: what the data say before any model.
 
 Two ways for records that are not periodic (for those that are, see
-:mod:`beam_ident.periodic_response`):
+:mod:`beam_ident.periodic_averaging`):
 
 * ``welch_response``: averaged cross-spectra (H1, H2, Hv, or through a reference signal) with
   coherence, for long noise-like records.  On a single chirp its segments see the modes ring

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.bandwidth import Band
 from beam_ident.modal_fit import MIN_DAMPING, ModalFit
@@ -50,6 +50,6 @@ def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: 
     amplitudes = np.array(values)
     covariance = fit.covariance[np.ix_(index, index)]
     statistic = float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0])
-    if statistic < chi2.isf(_SIGNIFICANCE, len(amplitudes)):
+    if statistic < chi_squared_isf(len(amplitudes), _SIGNIFICANCE):
         return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
     return ""

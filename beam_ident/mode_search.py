@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.modal_fit import MIN_DAMPING
 from beam_ident.piecewise import FloatArray
@@ -125,7 +125,7 @@ def mode_complaints(fit: PoleFit, band: tuple[float, float]) -> tuple[str, ...]:
             complaints.append(f"a pole at {hertz:.4g} Hz stands outside the measured band")
         elif spread > _MAX_FREQUENCY_SD:
             complaints.append(f"the pole at {hertz:.4g} Hz is known to {100.0 * spread:.2g} % only")
-        elif strength < chi2.isf(_SIGNIFICANCE, n_columns * len(fit.coefficients)):
+        elif strength < chi_squared_isf(n_columns * len(fit.coefficients), _SIGNIFICANCE):
             complaints.append(f"the residues at {hertz:.4g} Hz do not stand out of their uncertainty")
     return tuple(complaints)
 

@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, make_interp_spline
 
 Hold = Literal["zoh", "linear", "cubic", "band_limited"]
 HOLDS: tuple[Hold, ...] = ("zoh", "linear", "cubic", "band_limited")
@@ -90,6 +89,8 @@ class PiecewisePolynomial:
             coefficients = np.stack([values[:-1], slopes], axis=1)
             knots = times_s
         elif hold == "cubic" or len(values) <= BAND_LIMITED_DEGREE:
+            from scipy.interpolate import CubicSpline  # here: records are made where nothing is fitted
+
             spline = CubicSpline(times_s, values, bc_type="not-a-knot" if len(values) > 3 else "natural")
             coefficients = np.ascontiguousarray(spline.c[::-1].T)
             knots = times_s
@@ -222,6 +223,8 @@ class Instants:
 
 def _high_spline(times_s: FloatArray, values: FloatArray, period: float | None) -> FloatArray:
     """Return the interpolating spline of high degree, ascending powers on every interval."""
+    from scipy.interpolate import make_interp_spline
+
     step = period if period is not None else float(np.median(np.diff(times_s)))
     places = (times_s - times_s[0]) / step  # unit intervals keep high powers in range
     spline = make_interp_spline(places, values, BAND_LIMITED_DEGREE)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc as chi_squared_sf
 
 from beam_ident.comparison import compare_models
 from beam_ident.errors import EstimationError
@@ -61,7 +61,7 @@ class ParameterScatter:
             mean_sd=float(1.0 / np.sqrt(np.sum(weights))),
             scatter=float(np.std(values, ddof=1)),
             ratio=float(np.sqrt(statistic / degrees)),
-            p_value=float(chi2.sf(statistic, degrees)),
+            p_value=float(chi_squared_sf(degrees, statistic)),
         )
 
 
@@ -174,7 +174,7 @@ def assess_repeatability(models: Sequence[ModalModel] | Sequence[TransferFunctio
         ),
         chi_squared=statistic,
         degrees_of_freedom=degrees,
-        p_value=float(chi2.sf(statistic, degrees)),
+        p_value=float(chi_squared_sf(degrees, statistic)),
         n_unmatched=n_unmatched,
     )
 

@@ -6,7 +6,7 @@ whatever stamps there are.  A fit needs no whole number of periods and no regula
 residuals give the variance of every line.
 
 The input's amplitude is that of its continuous signal: what a hold does to a sampled sine
-(`beam_ident.periodic_response.hold_gain`) and what an exposure takes from an output are accounted for.
+(`beam_ident.periodic_averaging.hold_gain`) and what an exposure takes from an output are accounted for.
 Images of a held input are orthogonal to the sine over a segment and stay in the residuals.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 from beam_ident.argument_checks import require_size
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.periodic_response import exposure_gain, hold_gain
+from beam_ident.periodic_averaging import exposure_gain, hold_gain
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import TimeRecord
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc as chi_squared_sf
+from scipy.special import ndtri
 
 from beam_ident.piecewise import FloatArray
 
@@ -75,7 +76,7 @@ class Whiteness:
         power = max(float(centred @ centred), 1e-300)
         rho = np.array([float(centred[k:] @ centred[:-k]) / power for k in range(1, n_lags + 1)])
         statistic = float(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, n_lags + 1))))
-        p_value = float(chi2.sf(statistic, n_lags))
+        p_value = float(chi_squared_sf(n_lags, statistic))
         is_white = p_value > _WHITENESS_LEVEL
         worst = int(np.argmax(np.abs(rho)))
         if is_white:
@@ -119,7 +120,7 @@ class InputCorrelation:
         lags = list(range(-5 if n_lags > 5 else 0, n_lags + 1))
         products = [float(e[max(k, 0) : n + min(k, 0)] @ u[max(-k, 0) : n - max(k, 0)]) for k in lags]
         values = np.array(products) / power
-        band = float(norm.isf(0.005 / len(lags)) / np.sqrt(n))
+        band = float(-ndtri(0.005 / len(lags)) / np.sqrt(n))
         worst = int(np.argmax(np.abs(values)))
         is_independent = bool(np.abs(values[worst]) <= band)
         if is_independent:

@@ -3,8 +3,7 @@
 import numpy as np
 from simulated_beam import film
 
-from beam_ident import identify
-from beam_ident.frequency_response import local_polynomial_response
+from beam_ident import identify, local_polynomial_response
 
 record = film(1)
 look = local_polynomial_response(record, output_names=["tip"]).series()[0]

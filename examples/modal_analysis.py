@@ -2,8 +2,13 @@
 
 import numpy as np
 
-from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.modal_analysis import analyse_modes, modal_assurance, phase_collinearity, stabilisation_chart
+from beam_ident import (
+    FrequencyRecord,
+    analyse_modes,
+    modal_assurance,
+    phase_collinearity,
+    stabilisation_chart,
+)
 
 # Three storeys of 1 kg on columns of 40 kN/m, hit at the top; accelerances with 1 % of noise.
 stiffness = 4e4 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])

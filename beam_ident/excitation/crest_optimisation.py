@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from beam_ident.piecewise import FloatArray
 
@@ -55,6 +54,8 @@ def optimised_phases(numbers: NDArray[np.intp], amplitudes: FloatArray) -> Float
     Guillaume, Schoukens, Pintelon and Kollar do (IEEE Trans. Instrum. Meas. 40, 1991), with
     exact gradients by the fast Fourier transform and a limited-memory quasi-Newton method.
     """
+    from scipy.optimize import minimize  # here: recipes are read where none is optimised, and fast
+
     n = 1 << int(np.ceil(np.log2(_OVERSAMPLING * int(numbers[-1]) + 1)))
     effective = np.sqrt(0.5 * np.sum(np.square(amplitudes)))
     weights = amplitudes / effective

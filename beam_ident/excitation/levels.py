@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.fft import dct, idct
 
 from beam_ident.errors import ExcitationError
 from beam_ident.excitation.recipe import Recipe
@@ -381,6 +380,8 @@ class Prbs(LevelRecipe):
         """Take out the cosines below ``high_pass_hz`` over the active stretch."""
         if self.high_pass_hz == 0.0:
             return values
+        from scipy.fft import dct, idct  # here: recipes are read where none is high-passed, and fast
+
         part = values[inside]
         content = dct(part, norm="ortho")
         content[: int(np.ceil(2.0 * len(part) * period_s * self.high_pass_hz))] = 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +16,10 @@ from numpy.typing import ArrayLike
 from beam_ident.errors import ExcitationError, ExcitationLimitError
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.sampled import HeldInput, Quantity, SampledExcitation
-from beam_ident.modal_model import ModalModel
 from beam_ident.records import InputSignal
+
+if TYPE_CHECKING:
+    from beam_ident.modal_model import ModalModel
 
 LINES_PER_BAND = 4.0
 """Fewer lines than this inside a half-power band, and a frequency response does not show the damping."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from beam_ident.excitation.prediction import (
 )
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.sampled import UNITS, HeldInput, SampledExcitation
-from beam_ident.modal_model import ModalModel
 from beam_ident.piecewise import FloatArray
+
+if TYPE_CHECKING:
+    from beam_ident.modal_model import ModalModel
 
 _BAND_FLOOR = 0.01  # of the highest density: the band reaches 20 dB down
 _SMOOTHING = 9  # spectral lines averaged to find the band: one line of a chirp or of noise says little

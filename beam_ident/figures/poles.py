@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.figures.canvas import MODEL, REFERENCE, axes_grid
 from beam_ident.modal_model import ModalModel
@@ -83,7 +83,7 @@ def _ellipse(axis: Any, centre: complex, covariance: FloatArray, colour: str) ->
         return
     values, directions = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
-    circle = np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))[:, None] * np.stack(
+    circle = np.sqrt(chi_squared_isf(2, 0.05) * np.maximum(values, 0.0))[:, None] * np.stack(
         [np.cos(angle), np.sin(angle)]
     )
     x, y = directions @ circle

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc as chi_squared_sf
 
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
@@ -333,7 +333,7 @@ def _likeness(fit: PoleFit, n_lines: int) -> float:
         values = residuals[:n_lines] + 1j * residuals[n_lines:]
         power = float(np.sum(np.abs(values) ** 2))
         total += n_lines * abs(np.vdot(values[:-1], values[1:])) ** 2 / max(power**2, 1e-300)
-    return float(chi2.sf(2.0 * total, 2 * len(fit.residuals)))
+    return float(chi_squared_sf(2 * len(fit.residuals), 2.0 * total))
 
 
 def _warnings(fit: PoleFit, misfit: LineMisfit, sd: FloatArray, likeness: float) -> tuple[str, ...]:

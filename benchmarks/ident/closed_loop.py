@@ -8,8 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, max_len_seq
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
-from beam_ident.closed_loop import SampledController, estimate_in_closed_loop
+from beam_ident import (
+    InputSignal,
+    OutputSignal,
+    SampledController,
+    TimeRecord,
+    estimate_in_closed_loop,
+    estimate_transfer_function,
+)
 from benchmarks.ident.study import Outcome, Study
 
 PERIOD_S = 0.02

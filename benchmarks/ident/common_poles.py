@@ -7,8 +7,7 @@ import time
 
 import numpy as np
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, estimate_common_poles
-from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident import InputSignal, OutputSignal, TimeRecord, TransferFunctionModel, estimate_common_poles
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 from tests.beam_ident import rao_garnier
 

@@ -14,10 +14,10 @@ from beam_ident import (
     ModalModel,
     OutputSignal,
     TimeRecord,
+    TransferFunctionModel,
     estimate_transfer_function,
     identify,
 )
-from beam_ident.transfer_function import TransferFunctionModel
 from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN, ForcedBeam
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 

@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from beam_ident import InputSignal, ModalModel, OutputSignal, TimeRecord
-from beam_ident.nonlinear_distortion import nonlinear_distortion
-from beam_ident.periodic_response import periodic_response
+from beam_ident import (
+    InputSignal,
+    ModalModel,
+    OutputSignal,
+    TimeRecord,
+    nonlinear_distortion,
+    periodic_response,
+)
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_model.nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
 from benchmarks.ident.study import Outcome, Study

@@ -7,9 +7,14 @@ import time
 
 import numpy as np
 
-from beam_ident import InputSignal, ModalModel, OutputSignal, TimeRecord
-from beam_ident.frequency_domain_fit import fit_frequency_modes
-from beam_ident.periodic_response import periodic_response
+from beam_ident import (
+    InputSignal,
+    ModalModel,
+    OutputSignal,
+    TimeRecord,
+    fit_frequency_modes,
+    periodic_response,
+)
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 
 LINE_PERIOD_S = 10.0

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.modal_analysis import analyse_modes, stabilisation_chart
+from beam_ident import FrequencyRecord, analyse_modes, stabilisation_chart
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 from tests.beam_ident.modal_analysis import chain
 

@@ -8,8 +8,7 @@ import time
 import numpy as np
 from scipy.signal import max_len_seq
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
-from beam_ident.multi_input_model import MultiInputModel
+from beam_ident import InputSignal, MultiInputModel, OutputSignal, TimeRecord, estimate_transfer_function
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 
 _QUIET = 1e-3  # of the noise: what the covariance states there is the bound

@@ -10,8 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, max_len_seq
 
-from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, identify
-from beam_ident.order_selection import select_transfer_function
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    OutputSignal,
+    TimeRecord,
+    identify,
+    select_transfer_function,
+)
 from benchmarks.ident.forced_beam import PLAIN, ForcedBeam
 from benchmarks.ident.rig import Rig
 from benchmarks.ident.study import Outcome, Study

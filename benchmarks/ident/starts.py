@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from beam_ident import estimate_transfer_function
-from beam_ident.subspace import subspace_model
+from beam_ident import estimate_transfer_function, subspace_model
 from benchmarks.ident.forced_beam import ForcedBeam
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 

@@ -29,7 +29,7 @@ from beam_ident import (
 )
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.frequency_response import local_polynomial_response, welch_response
-from beam_ident.periodic_response import periodic_response
+from beam_ident.periodic_averaging import periodic_response
 
 PERIOD = 0.01
 STAMPS = PERIOD * np.arange(1, 400)

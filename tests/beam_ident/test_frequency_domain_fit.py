@@ -7,7 +7,7 @@ from beam_ident import EstimationError, Prior
 from beam_ident.frequency_domain_fit import fit_frequency_modes
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.modal_structure import ModalStructure
-from beam_ident.periodic_response import periodic_response
+from beam_ident.periodic_averaging import periodic_response
 from tests.beam_ident.periodic import (
     LINE_PERIOD_S,
     LINES_HZ,

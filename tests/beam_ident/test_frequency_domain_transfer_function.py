@@ -8,7 +8,7 @@ import pytest
 from beam_ident import EstimationError, Prior
 from beam_ident.frequency_domain_transfer_function import fit_frequency_transfer_function
 from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.periodic_response import periodic_response
+from beam_ident.periodic_averaging import periodic_response
 from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, PLANT, siso_record
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident.periodic_response import hold_gain
+from beam_ident.periodic_averaging import hold_gain
 from beam_ident.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial
 
 PERIOD_S = 1e-3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
-from beam_ident.nonlinear_distortion import nonlinear_distortion
-from beam_ident.periodic_response import periodic_response
+from beam_ident.detection_lines import nonlinear_distortion
+from beam_ident.periodic_averaging import periodic_response
 from tests.beam_ident.periodic import LINE_PERIOD_S, PLANT, TICK_S, multisine
 
 ODD = np.arange(5, 150, 2)

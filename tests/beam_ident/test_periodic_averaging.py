@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
-from beam_ident.periodic_response import periodic_response
+from beam_ident.periodic_averaging import periodic_response
 from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, PLANT, siso_record
 
 

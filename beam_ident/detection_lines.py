@@ -19,11 +19,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc as f_sf
+from scipy.special import fdtri as f_ppf
 
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray
-from beam_ident.periodic_response import PeriodicResponse
+from beam_ident.periodic_averaging import PeriodicResponse
 from beam_ident.piecewise import FloatArray
 
 Parity = Literal["even", "odd"]
@@ -180,11 +181,11 @@ def _level(
     top, bottom = float(np.sum(n_periods * power / smooth)), float(np.sum(variance / smooth))
     statistic = top / max(bottom, 1e-300)
     freedom = (2 * n, 2 * n * (n_periods - 1))
-    p_value = float(f_distribution.sf(statistic, *freedom))
+    p_value = float(f_sf(*freedom, statistic))
     noise = float(np.mean(variance)) / n_periods
     excess = max(float(np.mean(power)) - noise, 0.0)
     # A distortion of excess E makes the statistic (1 + E / noise) times an F variate.
-    largest = max(statistic / float(f_distribution.ppf(0.05, *freedom)) - 1.0, 0.0) * noise
+    largest = max(statistic / float(f_ppf(*freedom, 0.05)) - 1.0, 0.0) * noise
     floor = max(reference, 1e-300)
     return DistortionLevel(
         output_name=name,
