@@ -57,11 +57,11 @@ class AgainstBound:
     bound: np.ndarray
 
     def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
-        """Return failures and their seeds, efficiency and bias of every parameter, coverage, the share beyond 3.3
-        standard deviations (0.001 of normal errors), and the largest |z|.
+        """Return failures, and how true estimates and stated standard deviations of the others are.
 
-        ``bias`` is the mean error over the bound; ``mean z`` is that of every error over its own stated standard
-        deviation, which also shows where that rises and falls with the estimate.
+        ``bias`` is the mean error over the bound; ``mean z`` is that of every error over its own stated
+        standard deviation, which also shows where that rises and falls with the estimate. Of normal errors
+        0.001 lie beyond 3.3 standard deviations.
         """
         good = [o for o in outcomes if self.is_near(o)]
         failed = [seed for seed, o in enumerate(outcomes) if not self.is_near(o)]
