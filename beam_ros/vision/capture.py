@@ -19,8 +19,8 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from beam_ros.vision.errors import CaptureError
-from beam_ros.vision.images import GreyImage
+from beam_ros.vision.errors import CaptureError, ImageFormatError
+from beam_ros.vision.images import GreyImage, grey_frame
 from beam_ros.vision.video import VideoFile
 
 _NS = 1_000_000_000
@@ -146,15 +146,15 @@ class DeviceCamera:
         source: str | int = int(device) if device.isdigit() else device
         try:
             self._capture = cv2.VideoCapture(source, cv2.CAP_V4L2 if is_v4l2 else cv2.CAP_ANY)
+            if self._capture.isOpened():
+                return self._ask() if is_v4l2 else ()
         except cv2.error as err:
             raise CaptureError(f"camera {device} cannot be opened: {err}; check tracker.device") from err
-        if not self._capture.isOpened():
-            self.close()
-            raise CaptureError(
-                f"camera {device} cannot be opened: expected a camera that no other program uses and that this user "
-                "may read (group video); end the other program, or set tracker.device"
-            )
-        return self._ask() if is_v4l2 else ()
+        self.close()
+        raise CaptureError(
+            f"camera {device} cannot be opened: expected a camera that no other program uses and that this user "
+            "may read (group video); end the other program, or set tracker.device"
+        )
 
     def _ask(self) -> tuple[str, ...]:
         settings, capture = self._settings, self._capture
@@ -188,20 +188,26 @@ class DeviceCamera:
         Raises
         ------
         CaptureError
-            The device gives no more frames: unplugged, or its driver has failed.
+            The device gives no more frames: unplugged, or its driver has failed; or frames that are no images.
         """
         try:
             is_read, frame = self._capture.read()
+            monotonic_ns, realtime_ns = time.monotonic_ns(), time.time_ns()
+            position_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC)
         except cv2.error as err:
-            raise CaptureError(f"camera {self.name} failed: {err}") from err
-        monotonic_ns, realtime_ns = time.monotonic_ns(), time.time_ns()
+            raise CaptureError(
+                f"camera {self.name} failed: {err}; check its cable and tracker.device_format"
+            ) from err
         if not is_read or frame is None:
             raise CaptureError(
                 f"camera {self.name} gives no more frames: expected {self._settings.rate_hz:g} a second; check its "
                 "cable"
             )
-        stamp_ns, clock = driver_stamp(self._capture.get(cv2.CAP_PROP_POS_MSEC), monotonic_ns, realtime_ns)
-        return CapturedFrame(stamp_ns, clock, _grey(frame))
+        stamp_ns, clock = driver_stamp(position_ms, monotonic_ns, realtime_ns)
+        try:
+            return CapturedFrame(stamp_ns, clock, grey_frame(frame))
+        except ImageFormatError as err:
+            raise CaptureError(f"camera {self.name}: {err}") from err
 
     def close(self) -> None:
         """Release the device."""
@@ -213,15 +219,6 @@ class DeviceCamera:
 def _fourcc(pixel_format: str) -> int:
     """Number by which drivers know a pixel format: its four characters as a little-endian integer."""
     return int.from_bytes(pixel_format.encode("ascii"), "little")
-
-
-def _grey(frame: Any) -> GreyImage:
-    """One channel of what a capture gives: grey already, decoded to blue, green, red, or luminance first."""
-    if frame.ndim == 2:
-        return np.asarray(frame)
-    if frame.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
-    return np.ascontiguousarray(frame[:, :, 0])
 
 
 class FileCamera:
@@ -343,6 +340,15 @@ class CaptureLoop:
                 self._film()
             except CaptureError as err:
                 self._enter(CaptureState("failed", str(err)))
+                self._stop.wait(self._retry_s)
+            except Exception as err:  # noqa: BLE001 - a thread that ends on what a backend comes up with says nothing
+                self._enter(
+                    CaptureState(
+                        "failed",
+                        f"camera {self._camera.name} failed ({type(err).__name__}: {err}): expected frames; it is "
+                        f"opened again every {self._retry_s:g} s, see whether another program can read it",
+                    )
+                )
                 self._stop.wait(self._retry_s)
             else:
                 return

@@ -1,7 +1,8 @@
 """An Image message's fields to a NumPy array, without cv_bridge and without a copy where none is needed.
 
 `image_view` looks at the message's bytes in place, honouring `step`; `grey_image` goes on to the single
-channel that the tracker works on. Whatever does not fit is refused with an error that names the numbers.
+channel that the tracker works on, as `grey_frame` does for frames that OpenCV read. Whatever does not fit is refused
+with an error that names the numbers.
 """
 
 from __future__ import annotations
@@ -143,4 +144,46 @@ def grey_image(
     code = _ENCODINGS[encoding].to_grey
     if code is None:
         return np.asarray(view)
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(view), code))
+    return _converted(np.ascontiguousarray(view), code)
+
+
+def grey_frame(frame: npt.NDArray[Any]) -> GreyImage:
+    """Reduce a frame that OpenCV captured or decoded to one grey channel.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (height, width) or (height, width, channels), uint8 or uint16 -- grey; luminance before
+        something else; blue, green and red; or these and opacity
+
+    Returns
+    -------
+    ndarray, shape (height, width), uint8 or uint16 -- contiguous
+
+    Raises
+    ------
+    ImageFormatError -- it is none of these
+    """
+    channels = frame.shape[2] if frame.ndim == 3 else 1
+    if (
+        frame.dtype not in (np.uint8, np.uint16)
+        or frame.ndim not in (2, 3)
+        or channels not in (1, 2, 3, 4)
+        or 0 in frame.shape
+    ):
+        raise ImageFormatError(
+            f"frame is {frame.dtype} of shape {frame.shape}; expected 8 or 16 bits, (height, width) and up to four "
+            "channels: set tracker.device_format to GREY, or convert the video"
+        )
+    if channels <= 2:
+        return np.ascontiguousarray(frame if frame.ndim == 2 else frame[:, :, 0])
+    return _converted(frame, cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY)
+
+
+def _converted(pixels: npt.NDArray[Any], code: int) -> GreyImage:
+    try:
+        return np.asarray(cv2.cvtColor(pixels, code))
+    except cv2.error as err:
+        raise ImageFormatError(
+            f"image of shape {pixels.shape} and {pixels.dtype} cannot be converted to grey ({str(err).strip()}): set "
+            "the camera driver to mono8"
+        ) from err

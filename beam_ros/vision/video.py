@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from beam_ros.vision.errors import VideoError
+from beam_ros.vision.errors import ImageFormatError, VideoError
+from beam_ros.vision.images import GreyImage, grey_frame
 from beam_ros.vision.tracking import MarkerTracker
 
 _NS = 1_000_000_000
@@ -78,36 +79,47 @@ class VideoFile:
     def _open(self) -> Any:
         if not self.path.is_file():
             raise VideoError(f"{self.path}: no such video file; check the path")
-        capture = cv2.VideoCapture(str(self.path))
-        # Some versions open whatever has a name, and find nothing in it.
-        if not capture.isOpened() or capture.get(cv2.CAP_PROP_FRAME_WIDTH) < 1:
+        fault: cv2.error | None = None
+        try:
+            capture = cv2.VideoCapture(str(self.path))
+            # Some versions open whatever has a name, and find nothing in it.
+            if capture.isOpened() and capture.get(cv2.CAP_PROP_FRAME_WIDTH) >= 1:
+                return capture
             capture.release()
-            raise VideoError(
-                f"{self.path}: no video that OpenCV {cv2.__version__} can read; convert it, for example with "
-                "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
-            )
-        return capture
+        except cv2.error as err:
+            fault = err
+        raise VideoError(
+            f"{self.path}: no video that OpenCV {cv2.__version__} can read; convert it, for example with "
+            "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
+        ) from fault
 
-    def frames(self) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
+    def frames(self) -> Iterator[tuple[int, GreyImage]]:
         """Read the frames, one after the other.
 
         Yields
         ------
         time_ns : int -- since the first frame, or as given [ns]
-        image : ndarray, shape (height, width), uint8
+        image : ndarray, shape (height, width), uint8 or uint16
 
         Raises
         ------
-        VideoError -- fewer times than frames, or no frame at all
+        VideoError -- fewer times than frames, no frame at all, or one that cannot be decoded
         """
         capture = self._open()
         count = 0
         try:
             while True:
-                is_read, frame = capture.read()
-                if not is_read:
+                try:
+                    is_read, frame = capture.read()
+                    image = grey_frame(frame) if is_read else None
+                except (cv2.error, ImageFormatError) as err:
+                    raise VideoError(
+                        f"{self.path}: frame {count} cannot be decoded ({err}); convert the video, for example with "
+                        "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
+                    ) from err
+                if image is None:
                     break
-                yield self._time(count), _grey(frame)
+                yield self._time(count), image
                 count += 1
         finally:
             capture.release()
@@ -122,13 +134,6 @@ class VideoFile:
                 f"{self.path}: {len(self._times)} frame times for more frames; expected one for each"
             )
         return self._times[k]
-
-
-def _grey(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """One channel of a decoded frame."""
-    if frame.ndim == 2:
-        return np.asarray(frame, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

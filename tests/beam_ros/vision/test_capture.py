@@ -14,7 +14,14 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision.capture import CaptureLoop, DeviceCamera, DeviceSettings, FileCamera, driver_stamp
+from beam_ros.vision.capture import (
+    CapturedFrame,
+    CaptureLoop,
+    DeviceCamera,
+    DeviceSettings,
+    FileCamera,
+    driver_stamp,
+)
 from beam_ros.vision.errors import CaptureError
 
 SECOND = 1_000_000_000
@@ -97,6 +104,56 @@ def test_a_device_that_stops_giving_frames_says_so(video: Path) -> None:
     with pytest.raises(CaptureError, match="gives no more frames"):
         camera.read()
     camera.close()
+
+
+class _Flickering:
+    """A camera that fails, in its own way, at every third frame."""
+
+    name = "flickering"
+    is_paced = False
+
+    def __init__(self, fault: Exception) -> None:
+        self._fault = fault
+        self._count = 0
+
+    def open(self) -> tuple[str, ...]:
+        return ()
+
+    def read(self) -> CapturedFrame:
+        self._count += 1
+        if self._count % 3 == 0:
+            raise self._fault
+        return CapturedFrame(self._count * SECOND, "driver", np.zeros((4, 4), np.uint8))
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("fault", [cv2.error("(-215:Assertion failed) !ssize.empty()"), ValueError("odd")])
+def test_a_failure_that_nobody_thought_of_is_told_and_the_thread_goes_on(fault: Exception) -> None:
+    run = _Run(_Flickering(fault), retry_s=0.05)
+    run.until(lambda: len(run.frames) >= 8)
+    run.loop.close()
+    sentences = {state.sentence for state in run.states if state.phase == "failed"}
+    assert len(sentences) == 1
+    assert str(fault) in sentences.pop()
+
+
+def test_a_device_whose_frames_are_no_images_says_so(video: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = _device(video)
+    camera.open()
+    monkeypatch.setattr(camera, "_capture", _FloatingCapture())
+    with pytest.raises(CaptureError, match=r"frame is float64 of shape \(4, 4, 3\).*device_format"):
+        camera.read()
+
+
+class _FloatingCapture:
+    """A capture of frames that are no images."""
+
+    def read(self):
+        return True, np.zeros((4, 4, 3))
+
+    def get(self, _number: int) -> float:
+        return 0.0
 
 
 def test_what_is_no_camera_is_refused_with_a_remedy(tmp_path: Path) -> None:

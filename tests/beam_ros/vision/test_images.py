@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from beam_ros.vision import CameraParameters, ImageFormatError, TrackerParameters
-from beam_ros.vision.images import SUPPORTED_ENCODINGS, grey_image, image_view
+from beam_ros.vision.images import SUPPORTED_ENCODINGS, grey_frame, grey_image, image_view
 from beam_ros.vision.rendering import SceneRenderer
 from beam_ros.vision.tracking import MarkerTracker
 
@@ -114,3 +114,33 @@ def test_every_supported_encoding_gives_a_grey_image():
         image = grey_image(encoding, 16, 16, 64, bytes(64 * 16))
         assert image.shape == (16, 16)
         assert image.dtype in (np.uint8, np.uint16)
+
+
+def test_a_captured_frame_of_any_layout_becomes_grey():
+    colour = np.repeat(GREY[:, :, None], 3, axis=2)
+    for frame in (
+        GREY,
+        GREY[:, :, None],
+        np.stack([GREY, GREY[::-1]], axis=2),  # YUYV as it is: luminance first
+        colour,
+        np.concatenate([colour, np.full_like(GREY, 255)[:, :, None]], axis=2),
+    ):
+        found = grey_frame(frame)
+        assert found.flags.c_contiguous
+        assert np.array_equal(found, GREY)
+    assert np.array_equal(grey_frame(WIDE), WIDE)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        np.zeros((4, 4, 3), np.float64),
+        np.zeros((4, 4, 3), np.int8),
+        np.zeros((4, 4, 5), np.uint8),
+        np.zeros(4, np.uint8),
+        np.zeros((0, 4, 3), np.uint8),
+    ],
+)
+def test_a_captured_frame_that_is_no_image_is_refused_with_its_shape(frame):
+    with pytest.raises(ImageFormatError, match=r"of shape .*expected 8 or 16 bits.*device_format"):
+        grey_frame(frame)

@@ -81,3 +81,31 @@ def test_what_is_no_video_is_refused(tmp_path):
 def test_no_frames_make_an_empty_record():
     record = track_frames([], MarkerTracker(TrackerParameters(), 3))
     assert record.u_px.shape == (0, 3)
+
+
+class _Reader:
+    """A capture whose frames come from a list; an exception in it is raised."""
+
+    def __init__(self, frames) -> None:
+        self._frames = iter(frames)
+
+    def read(self):
+        frame = next(self._frames, None)
+        if isinstance(frame, Exception):
+            raise frame
+        return frame is not None, frame
+
+    def release(self) -> None: ...
+
+
+@pytest.mark.parametrize("bad", [np.zeros((480, 640, 3)), cv2.error("decoder lost")])
+def test_a_frame_that_cannot_be_decoded_is_named(tmp_path, monkeypatch, bad):
+    path = tmp_path / "beam.avi"
+    write_video(path, 3)
+    video = VideoFile(path)
+    good = np.zeros((480, 640, 3), np.uint8)
+    monkeypatch.setattr(video, "_open", lambda: _Reader([good, good, bad, good]))
+    seen = []
+    with pytest.raises(VideoError, match=r"beam\.avi: frame 2 cannot be decoded.*convert the video"):
+        seen.extend(time for time, _ in video.frames())
+    assert seen == [0, 10_000_000]
