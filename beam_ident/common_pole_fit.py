@@ -45,6 +45,7 @@ class CommonPoleResult:
     ----------
     models : tuple of TransferFunctionModel
         One for each output; the denominator and its covariance are the same in all.
+    times_s, measured, modelled, residuals : tuple of ndarray -- of every output, the samples used
     scores : tuple of Scores
     whiteness : tuple of Whiteness
     converged : bool
@@ -54,6 +55,10 @@ class CommonPoleResult:
     """
 
     models: tuple[TransferFunctionModel, ...]
+    times_s: tuple[FloatArray, ...]
+    measured: tuple[FloatArray, ...]
+    modelled: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
     scores: tuple[Scores, ...]
     whiteness: tuple[Whiteness, ...]
     converged: bool
@@ -197,6 +202,10 @@ def estimate_common_poles(
         warnings.insert(0, f"The fit did not converge: {minimum.reason}.")
     return CommonPoleResult(
         models=tuple(models),
+        times_s=tuple(problem.times for problem in problems),
+        measured=tuple(problem.values for problem in problems),
+        modelled=tuple(p.values - s.residuals for p, s in zip(problems, states, strict=True)),
+        residuals=tuple(own.residuals for own in states),
         scores=tuple(Scores.of(p.values, s.residuals) for p, s in zip(problems, states, strict=True)),
         whiteness=whiteness,
         converged=minimum.converged,

@@ -24,7 +24,7 @@ from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 from beam_ident.records import OutputSignal
-from beam_ident.validation import Whiteness
+from beam_ident.validation import Scores, Whiteness
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
@@ -48,8 +48,9 @@ class FreeDecay:
     offsets : ndarray, shape (n_outputs,)
     start_s : float -- instant of the first sample used [s]
     output_names : tuple of str
-    residuals : tuple of ndarray -- of every output
+    times_s, measured, modelled, residuals : tuple of ndarray -- of every output, the samples used
     noise_sd : ndarray, shape (n_outputs,)
+    scores : tuple of Scores
     whiteness : tuple of Whiteness
         The standard deviations hold where the residuals are white.
     orders : tuple of PoleOrder
@@ -68,8 +69,12 @@ class FreeDecay:
     offsets: FloatArray
     start_s: float
     output_names: tuple[str, ...]
+    times_s: tuple[FloatArray, ...]
+    measured: tuple[FloatArray, ...]
+    modelled: tuple[FloatArray, ...]
     residuals: tuple[FloatArray, ...]
     noise_sd: FloatArray
+    scores: tuple[Scores, ...]
     whiteness: tuple[Whiteness, ...]
     orders: tuple[PoleOrder, ...]
     converged: bool
@@ -188,7 +193,7 @@ def fit_free_decay(
             f"nothing rings in {', '.join(s.name for s in signals)} ({orders[-1].refused_because}). Give the stretch "
             "of the free decay, or ask for a number of modes to see the best candidate"
         )
-    return _result(fit, orders, signals, np.array(sizes), start, band)
+    return _result(fit, orders, signals, times, values, np.array(sizes), start, band)
 
 
 class _Periodogram:
@@ -219,6 +224,8 @@ def _result(
     fit: PoleFit,
     orders: tuple[PoleOrder, ...],
     signals: tuple[OutputSignal, ...],
+    times: list[FloatArray],
+    values: list[FloatArray],
     sizes: FloatArray,
     start: float,
     band: tuple[float, float],
@@ -246,8 +253,12 @@ def _result(
         offsets=fit.coefficients[:, 0],
         start_s=start,
         output_names=tuple(s.name for s in signals),
+        times_s=tuple(times),
+        measured=tuple(values),
+        modelled=tuple(y - e for y, e in zip(values, residuals, strict=True)),
         residuals=residuals,
         noise_sd=np.sqrt(fit.variances) * sizes,
+        scores=tuple(Scores.of(y, e) for y, e in zip(values, residuals, strict=True)),
         whiteness=whiteness,
         orders=orders,
         converged=fit.converged,

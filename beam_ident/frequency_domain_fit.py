@@ -70,6 +70,11 @@ class FrequencyDomainResult:
     iterations: int
     warnings: tuple[str, ...]
 
+    @property
+    def residuals(self) -> tuple[ComplexArray, ...]:
+        """Responses less what the model says, each (n_lines, n_outputs, 1); NaN where none was measured."""
+        return tuple(own.response - said for own, said in zip(self.records, self.modelled, strict=True))
+
 
 class LineBasis:
     """Columns of a modal structure at the lines of one record, real parts above imaginary ones.

@@ -59,6 +59,11 @@ class FrequencyTransferFunctionResult:
     iterations: int
     warnings: tuple[str, ...]
 
+    @property
+    def residuals(self) -> ComplexArray:
+        """Response less what the model says, shape (n_lines,); NaN where none was measured."""
+        return np.asarray(self.record.response[:, 0, 0] - self.modelled)
+
 
 @dataclass(frozen=True, eq=False)
 class _State:

@@ -101,6 +101,36 @@ class IdentificationResult:
     iterations: int
     warnings: tuple[str, ...]
 
+    @property
+    def times_s(self) -> tuple[FloatArray, ...]:
+        """Stamps of the samples used, of every output [s]."""
+        return tuple(output.times_s for output in self.outputs)
+
+    @property
+    def measured(self) -> tuple[FloatArray, ...]:
+        """Samples used, of every output."""
+        return tuple(output.measured for output in self.outputs)
+
+    @property
+    def modelled(self) -> tuple[FloatArray, ...]:
+        """What the model says there, of every output."""
+        return tuple(output.modelled for output in self.outputs)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """Measured less modelled, of every output."""
+        return tuple(output.residuals for output in self.outputs)
+
+    @property
+    def scores(self) -> tuple[Scores, ...]:
+        """Agreement, of every output."""
+        return tuple(output.scores for output in self.outputs)
+
+    @property
+    def whiteness(self) -> tuple[Whiteness, ...]:
+        """Whiteness of the residuals, of every output."""
+        return tuple(output.whiteness for output in self.outputs)
+
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""
         for output in self.outputs:

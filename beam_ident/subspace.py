@@ -28,7 +28,8 @@ from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
 from beam_ident.pole_response import PoleResponses
 from beam_ident.rational_response import RationalResponse, upper_roots
 from beam_ident.records import TimeRecord
-from beam_ident.validation import Scores
+from beam_ident.structure_gates import criterion_of_nothing, information_criterion
+from beam_ident.validation import Scores, Whiteness
 
 ComplexArray = NDArray[np.complex128]
 
@@ -58,6 +59,10 @@ class SubspaceModel:
     period_s, window_s : float -- sampling of the Hankel matrices, and the time that half of one covers [s]
     scores : tuple of Scores -- of the simulated outputs
     input_names, output_names : tuple of str
+    times_s, measured, modelled, residuals : tuple of ndarray
+        For every output the samples that were used; offset and ramp are in ``modelled``.
+    whiteness : tuple of Whiteness -- of the residuals
+    warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
     poles: ComplexArray
@@ -69,6 +74,27 @@ class SubspaceModel:
     scores: tuple[Scores, ...]
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    times_s: tuple[FloatArray, ...]
+    measured: tuple[FloatArray, ...]
+    modelled: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    whiteness: tuple[Whiteness, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def converged(self) -> bool:
+        """True: there is no iteration that could stop short."""
+        return True
+
+    @property
+    def reason(self) -> str:
+        """How the estimation ended."""
+        return "decompositions only, no iteration"
+
+    @property
+    def iterations(self) -> int:
+        """How many iterations were needed: none."""
+        return 0
 
     @property
     def natural_frequencies(self) -> FloatArray:
@@ -170,7 +196,7 @@ def subspace_model(
     ]
     if len(windows) > 1:
         windows.append(_combined(drives, sampled, windows, order))
-    best: SubspaceModel | None = None
+    best: tuple[_Window, FloatArray, list[FloatArray]] | None = None
     best_misfit = math.inf
     for found in windows:
         numerators, residuals = _numerators(record, found.poles)
@@ -179,25 +205,46 @@ def subspace_model(
             for e, (_, y) in zip(residuals, signals, strict=True)
         )
         if best is None or misfit < best_misfit:
-            scores = tuple(Scores.of(y, e) for e, (_, y) in zip(residuals, signals, strict=True))
-            best_misfit = misfit
-            best = SubspaceModel(
-                found.poles,
-                np.real(np.poly(found.poles)),
-                numerators,
-                found.singular_values,
-                found.period_s,
-                found.window_s,
-                scores,
-                tuple(drive.name for drive in record.inputs),
-                record.output_names,
-            )
+            best, best_misfit = (found, numerators, residuals), misfit
     if best is None:
         raise EstimationError(
             f"record {record.name!r} has {len(sampled.outputs)} samples, too few for a subspace of order {order} "
             f"with {len(drives)} inputs and {len(signals)} outputs. Record longer, or lower the order"
         )
-    return best
+    return _model(record, signals, *best)
+
+
+def _model(
+    record: TimeRecord,
+    signals: list[tuple[FloatArray, FloatArray]],
+    found: _Window,
+    numerators: FloatArray,
+    residuals: list[FloatArray],
+) -> SubspaceModel:
+    """Collect what a window says, beside what it leaves of every output."""
+    n_parameters = len(found.poles) + len(record.inputs) * (len(found.poles) + 1) + 2
+    warnings = [
+        f"Output {output.name}: the model explains no more than chance would: by BIC none at all is better."
+        for output, e, (t, y) in zip(record.outputs, residuals, signals, strict=True)
+        if not information_criterion(e, n_parameters) < criterion_of_nothing(t, y, True, True)
+    ]
+    return SubspaceModel(
+        poles=found.poles,
+        denominator=np.real(np.poly(found.poles)),
+        numerators=numerators,
+        singular_values=found.singular_values,
+        period_s=found.period_s,
+        window_s=found.window_s,
+        scores=tuple(Scores.of(y, e) for e, (_, y) in zip(residuals, signals, strict=True)),
+        input_names=tuple(drive.name for drive in record.inputs),
+        output_names=record.output_names,
+        times_s=tuple(t for t, _ in signals),
+        measured=tuple(y for _, y in signals),
+        modelled=tuple(y - e for e, (_, y) in zip(residuals, signals, strict=True)),
+        residuals=tuple(residuals),
+        whiteness=tuple(Whiteness.of(e) for e in residuals),
+        warnings=tuple(warnings),
+    )
 
 
 def subspace_poles(

@@ -39,6 +39,7 @@ class CircleFit:
     omegas : ndarray, shape (n,) -- lines used [rad/s]
     points : complex ndarray, shape (n,) -- mobility there
     roundness : float -- root mean square distance of the points from the circle over its radius
+    converged : bool -- whether the fit of frequency and damping came to rest
     """
 
     natural_frequency: float
@@ -49,6 +50,7 @@ class CircleFit:
     omegas: FloatArray
     points: ComplexArray
     roundness: float
+    converged: bool
 
 
 def circle_fit(
@@ -87,12 +89,12 @@ def circle_fit(
     centre, radius = _circle(points)
     # The sweep runs clockwise; unwrapped, it falls by at most a full turn.
     sweep = np.unwrap(np.angle(points - centre))
-    omega, zeta, turn = _sweep(omegas, sweep)
+    omega, zeta, turn, converged = _sweep(omegas, sweep)
     # At resonance Y - C = A' / (2 zeta omega_0) for the numerator A' of j omega / d.
     strength = 2.0 * radius * np.exp(1j * turn) * 2.0 * zeta * omega
     residue = strength / (2j * omega * math.sqrt(1.0 - zeta**2))
     roundness = float(np.sqrt(np.mean((np.abs(points - centre) - radius) ** 2)) / radius)
-    return CircleFit(omega, zeta, complex(residue), centre, radius, omegas, points, roundness)
+    return CircleFit(omega, zeta, complex(residue), centre, radius, omegas, points, roundness, converged)
 
 
 def _circle(points: ComplexArray) -> tuple[complex, float]:
@@ -108,15 +110,15 @@ def _circle(points: ComplexArray) -> tuple[complex, float]:
     return middle + size * complex(x, y), size * math.sqrt(square)
 
 
-def _sweep(omegas: FloatArray, sweep: FloatArray) -> tuple[float, float, float]:
-    """Return natural frequency, damping ratio and the angle at resonance by Gauss and Newton's method."""
+def _sweep(omegas: FloatArray, sweep: FloatArray) -> tuple[float, float, float, bool]:
+    """Return natural frequency, damping ratio, angle at resonance and convergence of Gauss and Newton's method."""
     rate = np.gradient(sweep, omegas)
     place = int(np.argmin(rate))
     omega = float(omegas[place])
     # At resonance the angle falls by 2 / (zeta omega_0) per rad/s.
     zeta = min(max(2.0 / max(-float(rate[place]) * omega, 1e-300), 1e-6), 0.5)
     turn = float(sweep[place])
-    cost = math.inf
+    cost, converged = math.inf, False
     for _ in range(_ITERATIONS):
         ratio = (omegas**2 - omega**2) / (2.0 * zeta * omega * omegas)
         error = sweep - (turn - 2.0 * np.arctan(ratio))
@@ -128,9 +130,10 @@ def _sweep(omegas: FloatArray, sweep: FloatArray) -> tuple[float, float, float]:
         step = step * min(1.0, 0.3 / max(float(np.max(np.abs(step[:2]))), 1e-300))
         omega, zeta, turn = omega * (1.0 + step[0]), zeta * (1.0 + step[1]), turn + step[2]
         now = float(error @ error)
-        if abs(cost - now) <= 1e-14 * now and np.max(np.abs(step)) < 1e-10:
+        converged = bool(abs(cost - now) <= 1e-14 * now and np.max(np.abs(step)) < 1e-10)
+        if converged:
             break
         cost = now
     if not (omegas[0] <= omega <= omegas[-1]):
         raise EstimationError("the sweep of the points shows no resonance in the band; centre it on one")
-    return omega, zeta, turn
+    return omega, zeta, turn, converged

@@ -90,6 +90,11 @@ class ModalAnalysis:
     warnings: tuple[str, ...]
 
     @property
+    def residuals(self) -> ComplexArray:
+        """Responses less what the modes say, shape (n_lines, n_outputs, n_inputs)."""
+        return np.asarray(self.record.response - self.modelled)
+
+    @property
     def frequencies_hz(self) -> FloatArray:
         """Natural frequencies [Hz]."""
         return np.asarray(self.natural_frequencies / (2.0 * np.pi))
