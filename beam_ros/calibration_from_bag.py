@@ -251,19 +251,17 @@ def _marker_frames(bag: Bag, n_markers: int) -> _MarkerFrames:
 
 
 def _lens(bag: Bag, rig: Rig) -> Lens | None:
-    """Lens of the bag's first camera_info; its image size must be the rig's."""
+    """Lens of the bag's first camera_info."""
     row = interfaces.TOPICS["camera/camera_info"]
     first = next(bag.raw_messages(row.name), None) if bag.count(row.name) else None
     if first is None:
         return None
     info: Any = BagTypes().deserialize(first.data, row.type_name)
     camera = rig.camera_parameters()
-    if (info.width, info.height) != (camera.width, camera.height):
-        raise CalibrationError(
-            f"{bag.path}: its camera_info is of {info.width} x {info.height} images; expected {camera.width} x "
-            f"{camera.height}, as camera.width and camera.height of the rig file"
-        )
-    return Lens.from_camera_info(info.distortion_model, list(info.d), list(info.k))
+    try:
+        return Lens.from_camera_info(info, (camera.width, camera.height))
+    except CalibrationError as err:
+        raise CalibrationError(f"{bag.path}: {err}") from err
 
 
 def _capture(

@@ -104,23 +104,13 @@ class CameraTopics:
     def _on_info(self, info: Any) -> None:
         self._is_lens_known = True
         try:
-            lens = Lens.from_camera_info(info.distortion_model, info.d, info.k)
-            binning = max(1, info.binning_x), max(1, info.binning_y)
-            width, height = info.roi.width or info.width, info.roi.height or info.height
-            size = width // binning[0], height // binning[1]
-            if lens is not None and size != self._image_size:
-                raise CalibrationError(
-                    f"camera_info is for images of {size[0]} x {size[1]}; expected {self._image_size[0]} x "
-                    f"{self._image_size[1]}: calibrate the lens at this size"
-                )
+            lens = Lens.from_camera_info(info, self._image_size)
         except CalibrationError as err:
             self._lens_trouble = f"{err}; positions are not corrected for distortion"
             self._log.error(self._lens_trouble)
             self._sink.set_lens(None)  # not the lens of the camera before
             return
         self._lens_trouble = ""
-        if lens is not None:
-            lens = lens.seen_through((info.roi.x_offset, info.roi.y_offset), binning)
         self._sink.set_lens(lens)
 
     def complaints(self) -> list[Complaint]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,28 @@ Floats = npt.NDArray[np.float64]
 _ITERATIONS = 50
 _CONVERGED_PX = 1e-9
 _FOUND_PX = 1e-6
+
+
+class RegionOfInterest(Protocol):
+    """Part of the sensor that is read out [px of the full sensor]; a height or width of 0: all of it."""
+
+    x_offset: int
+    y_offset: int
+    height: int
+    width: int
+
+
+class CameraInfo(Protocol):
+    """The fields of sensor_msgs/CameraInfo that are read here, whoever deserialised it."""
+
+    height: int
+    width: int
+    distortion_model: str
+    d: Sequence[float]
+    k: Sequence[float]
+    binning_x: int
+    binning_y: int
+    roi: RegionOfInterest
 
 
 @dataclass(frozen=True)
@@ -52,14 +74,14 @@ class Lens:
             )
 
     @classmethod
-    def from_camera_info(cls, distortion_model: str, d: Sequence[float], k: Sequence[float]) -> Lens | None:
-        """Lens from the fields of a camera_info message.
+    def from_camera_info(cls, info: CameraInfo, image_size: tuple[int, int]) -> Lens | None:
+        """Lens in the coordinates of a camera's images, from its camera_info message.
 
         Parameters
         ----------
-        distortion_model : str -- "plumb_bob" or ""
-        d : sequence of float -- k1, k2, p1, p2 and k3; the last ones may be missing
-        k : sequence of nine floats -- camera matrix, by rows [px]
+        info : CameraInfo -- distortion model "plumb_bob" or "" with k1, k2, p1, p2 and k3, of which the last ones
+            may be missing; matrix of the full sensor; region of interest and binning
+        image_size : (int, int) -- width and height of the images that the lens is wanted for [px]
 
         Returns
         -------
@@ -67,8 +89,26 @@ class Lens:
 
         Raises
         ------
-        CalibrationError -- another distortion model, or fields of another length
+        CalibrationError -- another distortion model, fields of another length, or images of another size (0 x 0, as
+            cameras that are not calibrated say, is any)
         """
+        binning = max(1, int(info.binning_x)), max(1, int(info.binning_y))
+        size = (
+            (info.roi.width or info.width) // binning[0],
+            (info.roi.height or info.height) // binning[1],
+        )
+        lens = cls._from_model(info.distortion_model, info.d, info.k)
+        if size != image_size and (lens is not None or size != (0, 0)):
+            raise CalibrationError(
+                f"camera_info is for images of {size[0]} x {size[1]}; expected {image_size[0]} x {image_size[1]}: "
+                "calibrate the lens at this size, or set camera.width and camera.height to the camera's"
+            )
+        if lens is None:
+            return None
+        return lens.seen_through((int(info.roi.x_offset), int(info.roi.y_offset)), binning)
+
+    @classmethod
+    def _from_model(cls, distortion_model: str, d: Sequence[float], k: Sequence[float]) -> Lens | None:
         coefficients = [float(value) for value in d]
         matrix = [float(value) for value in k]
         if len(matrix) != 9:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from beam_ros import messages
+from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.calibration_from_bag import calibrate_from_bags, find_rests
 from beam_ros.cli.main import main
@@ -193,21 +195,41 @@ def test_rests_end_at_motion_and_at_gaps() -> None:
     assert len(find_rests(with_gap, np.zeros(4500), 2e-6)) == 2
 
 
-def test_bags_with_different_lenses_do_not_mix(bag: Path, tmp_path: Path) -> None:
-    other = record(tmp_path / "other", np.array([0.0, 0.01, 0.0]))
-    with_lens = tmp_path / "with_lens"
-    from beam_ros.bags.reading import Bag
-
-    types = BagTypes()
-    info = messages.camera_info(types, START, 640, 480)
+def _camera_info_with_lens() -> Any:
+    info = messages.camera_info(BagTypes(), START, 640, 480)
     info.d, info.distortion_model = np.array([-0.2, 0.1, 0.0, 0.0, 0.0]), "plumb_bob"
     info.k = np.array([900.0, 0.0, 320.0, 0.0, 900.0, 240.0, 0.0, 0.0, 1.0])
-    with Bag(other) as source, BagWriter(with_lens) as writer:
+    return info
+
+
+def _with_camera_info(path: Path, target: Path, info: Any) -> Path:
+    with Bag(path) as source, BagWriter(target) as writer:
         for message in source.raw_messages():
             writer.add_topic(message.topic, message.type_name)
             writer.write(message.topic, message.receive_ns, message.data)
         writer.write_message("camera/camera_info", START, info)
+    return target
+
+
+def test_bags_with_different_lenses_do_not_mix(bag: Path, tmp_path: Path) -> None:
+    other = record(tmp_path / "other", np.array([0.0, 0.01, 0.0]))
+    with_lens = _with_camera_info(other, tmp_path / "with_lens", _camera_info_with_lens())
     with pytest.raises(CalibrationError, match="another lens"):
         calibrate_from_bags([bag, with_lens])
     fit, _ = calibrate_from_bags([with_lens])
     assert fit.calibration.provenance["lens"]["focal_px"] == [900.0, 900.0]
+
+
+def test_a_camera_that_reads_a_part_of_its_sensor_has_that_parts_lens(tmp_path: Path) -> None:
+    plain = record(tmp_path / "plain", np.array([0.0, 0.01, 0.0]))
+    info = _camera_info_with_lens()
+    info.width, info.height = 1280, 1024
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 300, 200, 640, 480
+    fit, _ = calibrate_from_bags([_with_camera_info(plain, tmp_path / "part", info)])
+    lens = fit.calibration.provenance["lens"]
+    assert lens["centre_px"] == [320.0 - 300.0, 240.0 - 200.0]
+    info.roi.width = 600
+    with pytest.raises(
+        CalibrationError, match=r"other: camera_info is for images of 600 x 480; expected 640"
+    ):
+        calibrate_from_bags([_with_camera_info(plain, tmp_path / "other", info)])

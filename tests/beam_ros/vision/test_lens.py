@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,21 @@ from beam_ros.vision.rendering import SceneRenderer
 from beam_ros.vision.tracking import MarkerTracker
 
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01))
+
+
+def camera_info(**changes):
+    """The message of a camera with this lens, read out whole."""
+    fields = {
+        "width": 640,
+        "height": 480,
+        "distortion_model": "plumb_bob",
+        "d": LENS.distortion,
+        "k": [900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1],
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0),
+    }
+    return SimpleNamespace(**{**fields, **changes})
 
 
 def test_distortion_is_that_of_opencv():
@@ -38,14 +55,29 @@ def test_beyond_the_models_range_nothing_is_invented():
 
 
 def test_a_lens_comes_from_camera_info():
-    matrix = [900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1]
-    assert Lens.from_camera_info("plumb_bob", LENS.distortion, matrix) == LENS
-    assert Lens.from_camera_info("plumb_bob", [0.0] * 5, matrix) is None
-    assert Lens.from_camera_info("", [], [0.0] * 9) is None
+    assert Lens.from_camera_info(camera_info(), (640, 480)) == LENS
+    assert Lens.from_camera_info(camera_info(d=[0.0] * 5), (640, 480)) is None
+    assert Lens.from_camera_info(camera_info(distortion_model="", d=[], k=[0.0] * 9), (640, 480)) is None
     with pytest.raises(CalibrationError, match="'equidistant' with 4"):
-        Lens.from_camera_info("equidistant", [0.1, 0.1, 0.1, 0.1], matrix)
+        Lens.from_camera_info(camera_info(distortion_model="equidistant", d=[0.1] * 4), (640, 480))
     with pytest.raises(CalibrationError, match="3 numbers"):
-        Lens.from_camera_info("plumb_bob", [0.1], [1.0, 2.0, 3.0])
+        Lens.from_camera_info(camera_info(d=[0.1], k=[1.0, 2.0, 3.0]), (640, 480))
+
+
+def test_the_lens_of_a_part_of_the_sensor_holds_for_that_part():
+    roi = SimpleNamespace(x_offset=100, y_offset=60, width=400, height=300)
+    info = camera_info(roi=roi, binning_x=2, binning_y=3)
+    assert Lens.from_camera_info(info, (200, 100)) == LENS.seen_through((100, 60), (2, 3))
+    for size in ((400, 300), (640, 480)):
+        with pytest.raises(CalibrationError, match=r"for images of 200 x 100; expected .*calibrate the lens"):
+            Lens.from_camera_info(info, size)
+
+
+def test_a_camera_info_without_a_size_is_that_of_a_camera_that_is_not_calibrated():
+    silent = camera_info(width=0, height=0, d=[], k=[0.0] * 9)
+    assert Lens.from_camera_info(silent, (640, 480)) is None
+    with pytest.raises(CalibrationError, match="for images of 0 x 0"):
+        Lens.from_camera_info(camera_info(width=0, height=0), (640, 480))
 
 
 def test_markers_seen_through_a_lens_are_where_they_were_once_undistorted():
