@@ -129,7 +129,8 @@ class CameraTopics:
         return found
 
     def reset(self) -> None:
-        """Read the lens again."""
+        """Read the lens again, by a new subscription: what is latched comes once to each."""
+        self._infos.close()
         self._is_lens_known = False
 
     def close(self) -> None:
