@@ -35,11 +35,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from beam_ros.vision import CameraParameters, TrackerParameters
+from beam_ros.vision import CameraParameters, LinearCalibration, TrackerParameters
 from beam_ros.vision.images import grey_image
+from beam_ros.vision.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering import SceneRenderer
 from beam_ros.vision.tracking import MarkerTracker
-from beam_ros.vision.video import VideoFile, track_frames
+from beam_ros.vision.video import VideoFile
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
 WARM_UP = 20
@@ -319,8 +320,13 @@ def file_speed() -> list[dict[str, Any]]:
         print(f"  {what:44s} 640x480    {milliseconds:8.3f} ms  {1e3 / milliseconds:6.0f} frames/s")
 
     def track(source: Callable[[], Any]) -> float:
-        tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 4)
-        return best_ms(lambda: track_frames(source(), tracker), 10) / len(frames)
+        chain = MeasuringChain(
+            camera,
+            TrackerParameters.for_camera(camera, HEIGHTS),
+            HEIGHTS,
+            LinearCalibration.from_camera(camera, len(HEIGHTS)),
+        )
+        return best_ms(lambda: [chain.measure(*frame) for frame in source()], 10) / len(frames)
 
     note("track frames in memory", track(lambda: enumerate(frames)))
     with tempfile.TemporaryDirectory() as folder:

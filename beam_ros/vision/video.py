@@ -1,4 +1,4 @@
-"""Frames from a video file, with the times that the file or its user states, and their tracking in one go.
+"""Frames from a video file, with the times that the file or its user states.
 
 Fast cameras and telephones leave a file afterwards. Its frame rate may be the one it was recorded with, one
 for slow replay, or none at all; times that the user gives always come first.
@@ -7,25 +7,19 @@ for slow replay, or none at all; times that the user gives always come first.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
 from beam_ros.vision.errors import ImageFormatError, VideoError
 from beam_ros.vision.images import GreyImage, grey_frame
-from beam_ros.vision.tracking import MarkerTracker
 
 _NS = 1_000_000_000
 _LATEST_S = 9_150_000_000
 """Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
-
-Floats = npt.NDArray[np.float64]
 
 
 class VideoFile:
@@ -134,63 +128,6 @@ class VideoFile:
                 f"{self.path}: {len(self._times)} frame times for more frames; expected one for each"
             )
         return self._times[k]
-
-
-@dataclass(frozen=True)
-class TrackRecord:
-    """Markers over a whole video.
-
-    Attributes
-    ----------
-    stamps_ns : ndarray of int64, shape (n_frames, n_markers) -- middle of the exposure of every marker's row [ns]
-    u_px, v_px, sigma_px : ndarray, shape (n_frames, n_markers) -- as MarkerMeasurement; NaN where not valid [px]
-    reasons : dict of str to int -- how many measurements were valid ("ok") or not, and why
-    """
-
-    stamps_ns: npt.NDArray[np.int64]
-    u_px: Floats
-    v_px: Floats
-    sigma_px: Floats
-    reasons: dict[str, int]
-
-
-def track_frames(
-    frames: Iterable[tuple[int, npt.NDArray[Any]]],
-    tracker: MarkerTracker,
-    progress: Callable[[int], None] | None = None,
-) -> TrackRecord:
-    """Track the markers through frames.
-
-    Parameters
-    ----------
-    frames : iterable of (int, ndarray) -- stamps [ns] and grey images
-    tracker : MarkerTracker -- fresh, or as it was left
-    progress : callable or None -- told the number of frames done, after each
-
-    Returns
-    -------
-    TrackRecord
-    """
-    stamps, u, v, sigma = [], [], [], []
-    reasons: dict[str, int] = {}
-    for k, (stamp_ns, image) in enumerate(frames):
-        markers = tracker.process(image, stamp_ns).markers
-        stamps.append([marker.stamp_ns for marker in markers])
-        u.append([marker.u_px for marker in markers])
-        v.append([marker.v_px for marker in markers])
-        sigma.append([marker.sigma_px for marker in markers])
-        for marker in markers:
-            reasons[marker.reason] = reasons.get(marker.reason, 0) + 1
-        if progress is not None:
-            progress(k + 1)
-    shape = (len(stamps), tracker.n_markers)
-    return TrackRecord(
-        np.array(stamps, dtype=np.int64).reshape(shape),
-        np.array(u, dtype=np.float64).reshape(shape),
-        np.array(v, dtype=np.float64).reshape(shape),
-        np.array(sigma, dtype=np.float64).reshape(shape),
-        reasons,
-    )
 
 
 def read_frame_times(path: Path) -> tuple[int, ...]:

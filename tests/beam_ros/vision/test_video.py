@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision import CameraParameters, TrackerParameters
+from beam_ros.vision import CameraParameters, LinearCalibration, TrackerParameters
 from beam_ros.vision.errors import VideoError
+from beam_ros.vision.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering import SceneRenderer
-from beam_ros.vision.tracking import MarkerTracker
-from beam_ros.vision.video import VideoFile, track_frames
+from beam_ros.vision.video import VideoFile
 
 HEIGHTS = (0.010, 0.225, 0.285)
 CAMERA = CameraParameters()
@@ -35,15 +35,17 @@ def test_a_video_is_tracked_to_its_truth(tmp_path):
     truth = write_video(path)
     video = VideoFile(path)
     assert (video.width, video.height, video.rate_hz, video.n_frames) == (640, 480, 100.0, 40)
-    seen: list[int] = []
-    record = track_frames(
-        video.frames(), MarkerTracker(TrackerParameters.for_camera(CAMERA, HEIGHTS), 3), seen.append
+    chain = MeasuringChain(
+        CAMERA,
+        TrackerParameters.for_camera(CAMERA, HEIGHTS),
+        HEIGHTS,
+        LinearCalibration.from_camera(CAMERA, 3),
     )
+    measured = [chain.measure(time_ns, image) for time_ns, image in video.frames()]
     # 0.0055 px of image noise; the colour conversion of the codec adds rounding.
-    assert np.sqrt(np.mean((record.u_px - truth) ** 2)) < 0.008
-    assert record.reasons == {"ok": 120}
-    assert record.stamps_ns[:, 0].tolist() == [k * 10_000_000 for k in range(40)]
-    assert seen == list(range(1, 41))
+    assert np.sqrt(np.mean((np.array([frame.u_px for frame in measured]) - truth) ** 2)) < 0.008
+    assert {reason for frame in measured for reason in frame.reasons} == {"ok"}
+    assert [frame.stamp_ns for frame in measured] == [k * 10_000_000 for k in range(40)]
 
 
 def test_a_rate_or_times_of_the_users_come_before_the_files(tmp_path):
@@ -76,11 +78,6 @@ def test_what_is_no_video_is_refused(tmp_path):
             VideoFile(path, rate_hz=bad)
     with pytest.raises(VideoError, match="do not rise"):
         VideoFile(path, frame_times_ns=[3, 2, 1])
-
-
-def test_no_frames_make_an_empty_record():
-    record = track_frames([], MarkerTracker(TrackerParameters(), 3))
-    assert record.u_px.shape == (0, 3)
 
 
 class _Reader:
