@@ -1,4 +1,5 @@
-"""What is told of a measured frame: `beam/displacement` at the middle of each row's exposure, and `beam/markers`.
+"""What is told of a measured frame: `beam/displacement` at the middle of each row's exposure, `beam/markers` at the
+frame's own stamp, by which it finds its image.
 
 The tracker's node, `beam track` and `beam simulate` say it in the same words.
 """

@@ -52,6 +52,7 @@ class TrackedVideo:
     ----------
     names : tuple of str, length m -- markers, from the clamp upwards
     heights : ndarray, shape (m,) -- above the clamp [m]
+    frame_times_ns : ndarray of int64, shape (n,) -- stamp of every frame, in the meaning of `camera.stamp` [ns]
     times_ns : ndarray of int64, shape (n, m) -- middle of the exposure of every marker's row [ns]
     u_px, v_px, x_m, sigma_m : ndarray, shape (n, m) -- position in the image, displacement and its standard
         deviation; NaN where not seen
@@ -61,6 +62,7 @@ class TrackedVideo:
 
     names: tuple[str, ...]
     heights: FloatArray
+    frame_times_ns: NDArray[np.int64]
     times_ns: NDArray[np.int64]
     u_px: FloatArray
     v_px: FloatArray
@@ -137,6 +139,7 @@ def track_video(
     return TrackedVideo(
         names,
         np.asarray(heights),
+        np.array([frame.stamp_ns for frame in measured], dtype=np.int64),
         np.array([frame.stamps_ns for frame in measured], dtype=np.int64),
         np.array([frame.u_px for frame in measured]),
         np.array([frame.v_px for frame in measured]),
@@ -277,12 +280,22 @@ def track_into_bag(
         hub = bag.hub_samples()
     tracked = track_video(video, rig, calibration, lambda share: progress("tracking", share))
     found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
-    seconds = (tracked.times_ns - tracked.times_ns[0, 0]) * 1e-9
-    stamps_ns = int(hub.stamps_ns[0]) + np.rint(found.hub_times(seconds) * 1e9).astype(np.int64)
+    tracked = _by_the_hubs_clock(tracked, found, int(hub.stamps_ns[0]))
     summary = _summary(video, tracked, found)
     progress("writing the bag", 1.0)
-    written, original = _write(bag_path, target, tracked, stamps_ns, summary)
+    written, original = _write(bag_path, target, tracked, summary)
     return {"bag": str(written), "original": str(original), **summary}
+
+
+def _by_the_hubs_clock(tracked: TrackedVideo, found: Synchronisation, hub_start_ns: int) -> TrackedVideo:
+    """Return the record with the times [ns, UNIX] that the hub's stamps have."""
+    first_ns = int(tracked.times_ns[0, 0])
+
+    def mapped(times_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        seconds = found.hub_times((times_ns - first_ns) * 1e-9)
+        return np.asarray(hub_start_ns + np.rint(seconds * 1e9).astype(np.int64))
+
+    return replace(tracked, frame_times_ns=mapped(tracked.frame_times_ns), times_ns=mapped(tracked.times_ns))
 
 
 def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) -> dict[str, Any]:
@@ -323,7 +336,6 @@ def _write(
     source: Path,
     target: Path | None,
     tracked: TrackedVideo,
-    stamps_ns: NDArray[np.int64],
     summary: dict[str, Any],
 ) -> tuple[Path, Path]:
     """Write the bag beside its place, then put it there; returns where it and the old one are."""
@@ -337,7 +349,7 @@ def _write(
     try:
         draft = folder / place.name
         with Bag(source) as bag, BagWriter(draft, namespace=bag.namespace) as writer:
-            _copy_with_video(bag, writer, tracked, stamps_ns, summary)
+            _copy_with_video(bag, writer, tracked, summary)
         kept = source
         if target is None:
             kept = _free_name(source)
@@ -372,7 +384,6 @@ def _copy_with_video(
     bag: Bag,
     writer: BagWriter,
     tracked: TrackedVideo,
-    stamps_ns: NDArray[np.int64],
     summary: dict[str, Any],
 ) -> None:
     """Copy what the bag holds and put the video's messages between, each at its own time."""
@@ -382,7 +393,7 @@ def _copy_with_video(
         if row.name not in made_anew:
             writer.add_topic(of_table.get(row.name, row.name), row.type_name)
     types = BagTypes()
-    pending = _video_messages(types, tracked, stamps_ns)
+    pending = _video_messages(types, tracked)
     upcoming = next(pending, None)
     writer.add_topic(VIDEO_TOPIC, interfaces.STRING, (interfaces.QualityOfService(depth=1, is_latched=True),))
     writer.write_message(VIDEO_TOPIC, bag.start_ns, messages.json_text(types, summary))
@@ -397,21 +408,20 @@ def _copy_with_video(
         upcoming = next(pending, None)
 
 
-def _video_messages(
-    types: BagTypes, tracked: TrackedVideo, stamps_ns: NDArray[np.int64]
-) -> Iterator[tuple[str, int, Any]]:
+def _video_messages(types: BagTypes, tracked: TrackedVideo) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time and message of every frame, in the order of time."""
-    for k, stamps in enumerate(stamps_ns):
-        for stamp_ns, message in displacement_messages(types, tracked.names, stamps.tolist(), tracked.x_m[k]):
+    for k, (frame_ns, stamps) in enumerate(
+        zip(tracked.frame_times_ns.tolist(), tracked.times_ns.tolist(), strict=True)
+    ):
+        for stamp_ns, message in displacement_messages(types, tracked.names, stamps, tracked.x_m[k]):
             yield "beam/displacement", stamp_ns, message
-        latest_ns = int(stamps.max())
         message = markers_message(
             types,
-            latest_ns,
+            frame_ns,
             tracked.heights,
             tracked.x_m[k],
             tracked.sigma_m[k],
             tracked.u_px[k],
             tracked.v_px[k],
         )
-        yield "beam/markers", latest_ns, message
+        yield "beam/markers", max(stamps), message

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from beam_ros import messages
 from beam_ros.bags.batches import decode_batch
 from beam_ros.bags.reading import Bag, Unreadable, join_batches
 from beam_ros.bags.writing import BagWriter
 from beam_ros.cli.main import main
 from beam_ros.identification import identify_bag
+from beam_ros.messages import BagTypes
 from beam_ros.rig import Rig
 
 cv2 = pytest.importorskip("cv2")
@@ -21,6 +23,7 @@ cv2 = pytest.importorskip("cv2")
 from beam_ros.video_into_bag import synchronise_with_hub, track_video  # noqa: E402
 from beam_ros.vision.calibration import LinearCalibration  # noqa: E402
 from beam_ros.vision.storage import save_calibration  # noqa: E402
+from beam_ros.vision.timing import FrameTiming  # noqa: E402
 from beam_ros.vision.video import VideoFile  # noqa: E402
 
 RECORDINGS = Path(__file__).parents[2] / "bags"
@@ -130,6 +133,33 @@ def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
         assert mode["damping_ratio"] == pytest.approx(zeta, rel=0.01)
         assert abs(mode["frequency_z"]) < 4
         assert abs(mode["damping_ratio_z"]) < 4
+
+
+def test_markers_carry_the_frames_stamp_and_displacements_the_middle_of_their_rows_exposure(
+    bag: Path,
+) -> None:
+    """As the tracker's node and the simulation stamp them, whatever a stamp means."""
+    camera = {"camera.stamp": "arrival", "camera.readout": 0.004, "camera.latency": 0.001}
+    assert (
+        main(
+            ["track", str(VIDEO), "--into", str(bag), "--rig-file", str(RIG_FILE)]
+            + [word for name, value in camera.items() for word in ("-p", f"{name}:={value}")]
+        )
+        == 0
+    )
+    rig = Rig.from_file(RIG_FILE).with_values(camera)
+    timing = FrameTiming(rig.camera_parameters())
+    rows = rig.camera_parameters().rows(rig.numbers("markers.heights"))
+    types = BagTypes()
+    with Bag(bag) as opened:
+        clouds = [
+            messages.read_marker_cloud(types.deserialize(message.data, message.type_name))
+            for message in opened.raw_messages("beam/markers")
+        ]
+        stamps = opened.displacements().stamps_ns
+    expected = [timing.row_middle(cloud.stamp_ns, float(row)) for cloud in clouds for row in reversed(rows)]
+    # A row of measured height, and a clock that runs by some ppm differently over 5 ms: below 2 us.
+    assert np.abs(stamps - np.array(expected)).max() < 2000
 
 
 def test_a_new_bag_leaves_the_old_one_and_a_second_video_replaces_the_first(
