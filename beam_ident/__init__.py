@@ -101,6 +101,7 @@ if TYPE_CHECKING:  # the same names as below, for tools that read the code witho
     from beam_ident.stepped_sine import SineFit as SineFit
     from beam_ident.stepped_sine import fit_sine as fit_sine
     from beam_ident.stepped_sine import stepped_sine_response as stepped_sine_response
+    from beam_ident.stored_results import restore as restore
     from beam_ident.subspace import SubspaceModel as SubspaceModel
     from beam_ident.subspace import subspace_model as subspace_model
     from beam_ident.transfer_function import TransferFunctionModel as TransferFunctionModel
@@ -183,6 +184,7 @@ _NAMES = {
     "report": ("write_report",),
     "step_comparison": ("StepComparison", "compare_step_responses"),
     "stepped_sine": ("SineFit", "fit_sine", "stepped_sine_response"),
+    "stored_results": ("restore",),
     "subspace": ("SubspaceModel", "subspace_model"),
     "transfer_function": ("TransferFunctionModel",),
     "transfer_function_fit": ("MultiInputResult", "TransferFunctionResult", "estimate_transfer_function"),

@@ -11,8 +11,9 @@ exposure, where the classical decrement uses two peaks.  Poles are common to all
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,10 @@ from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 from beam_ident.records import OutputSignal
+from beam_ident.stored_form import read, require_shapes, written
 from beam_ident.validation import Scores, Whiteness
+
+SCHEMA = 1
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
@@ -97,6 +101,26 @@ class FreeDecay:
     def logarithmic_decrement_sd(self) -> FloatArray:
         """Standard deviations of the logarithmic decrements."""
         return np.asarray(2.0 * np.pi * self.damping_ratio_sd / (1.0 - self.damping_ratios**2) ** 1.5)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "free_decay", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> FreeDecay:
+        """Rebuild what :meth:`to_dict` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        found = read(FreeDecay, data, "free_decay", SCHEMA)
+        n, m = len(found.natural_frequencies), len(found.output_names)
+        modal = ("natural_frequency_sd", "damping_ratios", "damping_ratio_sd")
+        shapes = {"covariance": (2 * n, 2 * n), "amplitudes": (m, n), "offsets": (m,), "noise_sd": (m,)}
+        require_shapes("free decay", found, {**shapes, **dict.fromkeys(modal, (n,))})
+        return found
 
 
 class _DecayBasis:

@@ -17,7 +17,7 @@ taken for ``G(j omega)`` itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,9 +26,11 @@ from numpy.typing import NDArray
 
 from beam_ident.errors import RecordError
 from beam_ident.piecewise import FloatArray
+from beam_ident.stored_form import read, written
 
 ComplexArray = NDArray[np.complex128]
 
+SCHEMA = 1
 TAIL_POWERS = (-2, -1, 0, 1, 2)
 
 
@@ -269,6 +271,21 @@ class FrequencyRecord:
             if name not in names:
                 self._refuse(f"no {what} {name!r}; available: {', '.join(names)}")
         return np.array([names.index(name) for name in (names if wanted is None else wanted)], dtype=np.intp)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "frequency_record", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> FrequencyRecord:
+        """Rebuild what :meth:`to_dict` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        return read(FrequencyRecord, data, "frequency_record", SCHEMA)
 
     def _changed(self, **changes: Any) -> FrequencyRecord:
         return FrequencyRecord(**{**vars(self), **changes})

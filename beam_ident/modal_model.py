@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ident.errors import EstimationError, ModelFormatError
+from beam_ident.errors import EstimationError
 from beam_ident.modal_fit import ModalFit
 from beam_ident.modal_realisation import modal_state_space, modal_step_response, transfer_polynomials
 from beam_ident.modal_regression import ClockState, ModalRegression, forced_columns
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal
+from beam_ident.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
 
 SCHEMA = 1
 
@@ -129,13 +130,7 @@ class ModalModel:
             "noise_sd": (m,),
             "covariance": (len(names), len(names)),
         }
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ModelFormatError(
-                    f"modal model: {name} has shape {getattr(self, name).shape}; expected {shape} for {n} "
-                    "modes and "
-                    f"{m} outputs"
-                )
+        require_shapes(f"modal model of {n} modes and {m} outputs", self, shapes)
 
     @property
     def n_modes(self) -> int:
@@ -387,23 +382,24 @@ class ModalModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
-        return {
+        entries = {
             "schema": SCHEMA,
             "type": "modal_model",
             "structure": self.structure,
             "input_name": self.input_name,
-            "output_names": list(self.output_names),
-            "natural_frequencies_rad_s": self.natural_frequencies.tolist(),
-            "damping_ratios": self.damping_ratios.tolist(),
-            "residues": self.residues.tolist(),
-            "residual_terms": self.residual_terms.tolist(),
-            "gains": self.gains.tolist(),
+            "output_names": self.output_names,
+            "natural_frequencies_rad_s": self.natural_frequencies,
+            "damping_ratios": self.damping_ratios,
+            "residues": self.residues,
+            "residual_terms": self.residual_terms,
+            "gains": self.gains,
             "latency_s": self.latency,
             "clock_rate": self.clock_rate,
-            "noise_sd": self.noise_sd.tolist(),
-            "parameter_names": list(self.parameter_names),
-            "covariance": self.covariance.tolist(),
+            "noise_sd": self.noise_sd,
+            "parameter_names": self.parameter_names,
+            "covariance": self.covariance,
         }
+        return {name: plain(value) for name, value in entries.items()}
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> ModalModel:
@@ -414,18 +410,13 @@ class ModalModel:
         ModelFormatError
             Another schema, a missing entry, or shapes that do not agree.
         """
-        if data.get("type") != "modal_model" or data.get("schema") != SCHEMA:
-            raise ModelFormatError(
-                f"this is a {data.get('type')!r} of schema {data.get('schema')!r}; expected a "
-                "'modal_model' of schema "
-                f"{SCHEMA}"
-            )
-        try:
+        data = checked_entries(data, "modal_model", SCHEMA)
+        with complaints_about("modal model"):
             n_outputs, n_modes = len(data["output_names"]), len(data["natural_frequencies_rad_s"])
             return ModalModel(
                 structure=ModalStructure(data["structure"]).kind,
                 input_name=str(data["input_name"]),
-                output_names=tuple(data["output_names"]),
+                output_names=names_of(data["output_names"], "output_names"),
                 natural_frequencies=np.asarray(data["natural_frequencies_rad_s"], dtype=np.float64),
                 damping_ratios=np.asarray(data["damping_ratios"], dtype=np.float64),
                 residues=np.asarray(data["residues"], dtype=np.float64).reshape(n_outputs, n_modes),
@@ -436,8 +427,6 @@ class ModalModel:
                 covariance=np.asarray(data["covariance"], dtype=np.float64),
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
             )
-        except KeyError as err:
-            raise ModelFormatError(f"modal model: the entry {err} is missing") from err
 
     @staticmethod
     def from_fit(

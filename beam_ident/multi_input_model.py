@@ -14,6 +14,7 @@ from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
+from beam_ident.stored_form import checked_entries, complaints_about, names_of, plain
 from beam_ident.transfer_function import TransferFunctionModel
 
 SCHEMA = 1
@@ -217,17 +218,18 @@ class MultiInputModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
-        return {
+        entries = {
             "schema": SCHEMA,
             "type": "multi_input_model",
-            "numerators": [b.tolist() for b in self.numerators],
-            "denominators": [a.tolist() for a in self.denominators],
-            "delays_s": list(self.delays),
-            "covariance": self.covariance.tolist(),
+            "numerators": self.numerators,
+            "denominators": self.denominators,
+            "delays_s": self.delays,
+            "covariance": self.covariance,
             "noise_sd": self.noise_sd,
-            "input_names": list(self.input_names),
+            "input_names": self.input_names,
             "output_name": self.output_name,
         }
+        return {name: plain(value) for name, value in entries.items()}
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> MultiInputModel:
@@ -238,23 +240,17 @@ class MultiInputModel:
         ModelFormatError
             Another type or schema, a missing entry, or shapes that do not agree.
         """
-        if data.get("type") != "multi_input_model" or data.get("schema") != SCHEMA:
-            raise ModelFormatError(
-                f"this is a {data.get('type')!r} of schema {data.get('schema')!r}; expected a "
-                f"'multi_input_model' of schema {SCHEMA}"
-            )
-        try:
+        data = checked_entries(data, "multi_input_model", SCHEMA)
+        with complaints_about("multi-input model"):
             return MultiInputModel(
                 tuple(np.asarray(b, dtype=np.float64) for b in data["numerators"]),
                 tuple(np.asarray(a, dtype=np.float64) for a in data["denominators"]),
                 tuple(float(delay) for delay in data["delays_s"]),
                 np.asarray(data["covariance"], dtype=np.float64),
                 float(data["noise_sd"]),
-                tuple(str(name) for name in data["input_names"]),
+                names_of(data["input_names"], "input_names"),
                 str(data["output_name"]),
             )
-        except KeyError as err:
-            raise ModelFormatError(f"multi-input model: the entry {err} is missing") from err
 
 
 def _read_only(values: Any) -> FloatArray:

@@ -13,8 +13,9 @@ estimators, lightly damped modes under as much noise as signal included.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,13 @@ from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
 from beam_ident.pole_response import PoleResponses
 from beam_ident.rational_response import RationalResponse, upper_roots
 from beam_ident.records import TimeRecord
+from beam_ident.stored_form import read, require_shapes, written
 from beam_ident.structure_gates import criterion_of_nothing, information_criterion
 from beam_ident.validation import Scores, Whiteness
 
 ComplexArray = NDArray[np.complex128]
 
+SCHEMA = 1
 N_BLOCK_ROWS = 50
 
 _MAX_ORDER = 40
@@ -107,6 +110,25 @@ class SubspaceModel:
         pairs = self.poles[self.poles.imag > 0.0]
         pairs = pairs[np.argsort(np.abs(pairs))]
         return np.asarray(-pairs.real / np.abs(pairs))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "subspace_model", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> SubspaceModel:
+        """Rebuild what :meth:`to_dict` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        found = read(SubspaceModel, data, "subspace_model", SCHEMA)
+        order, n_outputs, n_inputs = len(found.poles), len(found.output_names), len(found.input_names)
+        shapes = {"denominator": (order + 1,), "numerators": (n_outputs, n_inputs, order + 1)}
+        require_shapes("subspace model", found, shapes)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

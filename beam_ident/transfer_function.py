@@ -14,6 +14,7 @@ from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray, Instants
 from beam_ident.rational_response import RationalResponse, poles_keep_apart, upper_roots
 from beam_ident.records import InputSignal, TimeRecord
+from beam_ident.stored_form import checked_entries, complaints_about, plain
 
 SCHEMA = 1
 
@@ -331,17 +332,18 @@ class TransferFunctionModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
-        return {
+        entries = {
             "schema": SCHEMA,
             "type": "transfer_function",
-            "numerator": self.numerator.tolist(),
-            "denominator": self.denominator.tolist(),
+            "numerator": self.numerator,
+            "denominator": self.denominator,
             "delay_s": self.delay,
-            "covariance": self.covariance.tolist(),
+            "covariance": self.covariance,
             "noise_sd": self.noise_sd,
             "input_name": self.input_name,
             "output_name": self.output_name,
         }
+        return {name: plain(value) for name, value in entries.items()}
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> TransferFunctionModel:
@@ -352,13 +354,8 @@ class TransferFunctionModel:
         ModelFormatError
             Another type or schema, or a missing entry.
         """
-        if data.get("type") != "transfer_function" or data.get("schema") != SCHEMA:
-            raise ModelFormatError(
-                f"this is a {data.get('type')!r} of schema {data.get('schema')!r}; expected a "
-                "'transfer_function' of "
-                f"schema {SCHEMA}"
-            )
-        try:
+        data = checked_entries(data, "transfer_function", SCHEMA)
+        with complaints_about("transfer function"):
             return TransferFunctionModel(
                 np.asarray(data["numerator"], dtype=np.float64),
                 np.asarray(data["denominator"], dtype=np.float64),
@@ -368,8 +365,6 @@ class TransferFunctionModel:
                 str(data["input_name"]),
                 str(data["output_name"]),
             )
-        except KeyError as err:
-            raise ModelFormatError(f"transfer function: the entry {err} is missing") from err
 
 
 def _unit_step(times: FloatArray) -> InputSignal:

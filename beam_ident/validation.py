@@ -88,7 +88,7 @@ class Whiteness:
                 "something is left unmodelled, or the noise is coloured; stated intervals are then too "
                 "narrow or wide"
             )
-        return Whiteness(rho, 2.576 / np.sqrt(n), statistic, p_value, is_white, verdict)
+        return Whiteness(rho, 2.576 / math.sqrt(n), statistic, p_value, is_white, verdict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,6 +133,10 @@ class Recipe(ABC):
         ExcitationError
             Numbers that make no signal.
         """
+        if not isinstance(data, Mapping):
+            raise ModelFormatError(
+                f"a {type(data).__name__} is no stored recipe; expected the mapping that to_dict() returns"
+            )
         content = dict(data)
         schema, kind = content.pop("schema", None), content.pop("kind", None)
         if schema != _SCHEMA:
@@ -147,7 +151,10 @@ class Recipe(ABC):
             raise ModelFormatError(
                 f"{kind} recipe: unknown field {unknown[0]!r}; expected {', '.join(sorted(known))}"
             )
-        return RECIPES[kind](**content)
+        try:
+            return RECIPES[kind](**content)
+        except TypeError as err:
+            raise ModelFormatError(f"{kind} recipe: {err}") from err
 
     def _ticks(self, period_s: float) -> FloatArray:
         """Return the ticks from one before the start to one after the end [s]."""

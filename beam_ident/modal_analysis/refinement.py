@@ -14,8 +14,9 @@ the variances given, or for an unknown level at every pair of output and input.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc as chi_squared_sf
@@ -29,6 +30,9 @@ from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
+from beam_ident.stored_form import read, require_shapes, written
+
+SCHEMA = 1
 
 _ITERATIONS = 60
 _ALIKE = 1e-6  # chance below which residuals are called alike
@@ -114,6 +118,29 @@ class ModalAnalysis:
     def collinearity(self) -> FloatArray:
         """Modal phase collinearity of the shapes, shape (n_modes,)."""
         return phase_collinearity(self.shapes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "modal_analysis", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ModalAnalysis:
+        """Rebuild what :meth:`to_dict` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        found = read(ModalAnalysis, data, "modal_analysis", SCHEMA)
+        n, (n_lines, m, p) = len(found.natural_frequencies), found.record.response.shape
+        modal = ("natural_frequency_sd", "damping_ratios", "damping_ratio_sd", "rank_one")
+        pairs = ("upper_terms", "lower_terms", "noise_sd")
+        shapes = {"covariance": (2 * n, 2 * n), "residues": (m, p, n), "residue_sd": (m, p, n)}
+        shapes |= {"shapes": (m, n), "participation": (p, n), "modelled": (n_lines, m, p)}
+        shapes |= {**dict.fromkeys(modal, (n,)), **dict.fromkeys(pairs, (m, p))}
+        require_shapes("modal analysis", found, shapes)
+        return found
 
 
 class _ResidueBasis:
