@@ -41,6 +41,8 @@ Progress = Callable[[str, float], None]
 
 _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
+_LARGE_OFFSET_SD_S = 0.2e-3
+"""A time known no better than this is told: it turns the phase of a mode at 28 Hz by 2 degrees."""
 _LEAST_SEEN = 0.5
 
 
@@ -304,6 +306,14 @@ def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) ->
         notes.append(
             f"the low marker moves {found.gain:.3f} times as far as the hub: the scale is not right; calibrate, or "
             "correct camera.pixels_per_metre"
+        )
+    if found.offset_sd_s > _LARGE_OFFSET_SD_S:
+        remedy = "let the hub move more, or film it longer"
+        if found.drift_sd > 0:
+            remedy += "; --exact-rate where the frame times are exact"
+        notes.append(
+            f"the video's time in the hub's is known to +- {found.offset_sd_s * 1e3:.2g} ms; expected "
+            f"{_LARGE_OFFSET_SD_S * 1e3:g} ms or less: {remedy}"
         )
     sigma = np.sqrt(np.nanmean(tracked.sigma_m**2, axis=0))
     return {

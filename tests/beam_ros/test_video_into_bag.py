@@ -215,6 +215,25 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     assert "does not say for which camera and focus it was made: expected the rig's focus ('f8')" in shown
 
 
+def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [image for _, image in VideoFile(VIDEO).frames()]
+    command = ["--into", str(bag), "--rig-file", str(RIG_FILE), "--json", "--out"]
+    notes = {}
+    for name, piece in (("whole", frames), ("short", frames[300:360])):
+        video = write_video(tmp_path / f"{name}.avi", piece)
+        assert main(["track", str(video), *command, str(tmp_path / name)]) == 0
+        result = json.loads(capsys.readouterr().out)
+        notes[name] = [note for note in result["notes"] if "time in the hub's" in note]
+        assert (result["synchronisation"]["offset_sd_s"] > 0.2e-3) == (name == "short")
+    assert notes["whole"] == []
+    assert len(notes["short"]) == 1
+    assert (
+        "expected 0.2 ms or less: let the hub move more, or film it longer; --exact-rate" in notes["short"][0]
+    )
+
+
 def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
