@@ -53,12 +53,12 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=["beam_*"]),
-    package_data={"": ["py.typed"], PACKAGE: ["config/*.yaml"]},
+    package_data={"": ["py.typed"], PACKAGE: ["config/*.yaml", "config/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", glob("launch/*.launch.py")),
-        (f"share/{PACKAGE}/config", glob(f"{PACKAGE}/config/*.yaml")),
+        (f"share/{PACKAGE}/config", glob(f"{PACKAGE}/config/*.yaml") + glob(f"{PACKAGE}/config/*.xml")),
     ],
     zip_safe=False,
     install_requires=[

@@ -1,14 +1,17 @@
 """Frames a second that the node `tracker` takes from a topic, and how late its displacements are.
 
-    python -m benchmarks.vision_node [--seconds S] [--sizes vga hd] [--rates HZ ...] [--transports shared udp]
+    python -m benchmarks.vision_node [--seconds S] [--sizes vga hd] [--rates HZ ...] [--transports shared small udp]
                                      [--best-effort] [--json FILE]
 
 Three real processes on a domain of their own that does not leave the machine: the tracker on one processor core, and
 on the other a camera, which publishes rendered frames as ready-made CDR, and this process, which counts what comes
-back. A rate of 0 sends as fast as the camera's process can. The latency runs from the frame's stamp, which the camera
-takes as it hands the frame to DDS, to the moment at which the tracker hands its displacement to DDS. Processor times
-are those that the kernel counts for a process with all its threads: the process that is busy for all of the time is
-the limit, and frames over the tracker's processor time is what one core to itself would take. On a machine with other
+back. The transport `shared` is the shared memory that the suite's own cameras have (beam_ros.nodes.large_messages),
+`small` what Fast DDS gives a camera driver that has not been told, and `udp` the loopback with the usual buffers.
+
+A rate of 0 sends as fast as the camera's process can. The latency runs from the frame's stamp, which the camera takes
+as it hands the frame to DDS, to the moment at which the tracker hands its displacement to DDS. Processor times are
+those that the kernel counts for a process with all its threads: the process that is busy for all of the time is the
+limit, and frames over the tracker's processor time is what one core to itself would take. On a machine with other
 work only the latter means something.
 """
 
@@ -36,6 +39,7 @@ from beam_ros.environment import child_environment
 from beam_ros.executables import command
 from beam_ros.interfaces import TOPICS, QualityOfService
 from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
+from beam_ros.nodes.large_messages import PROFILE_VARIABLE
 from beam_ros.rig import Rig
 
 SIZES = {
@@ -52,9 +56,7 @@ SIZES = {
 RATES = {"vga": (100, 400, 600, 0), "hd": (50, 100, 150, 0)}
 # No exposure: the stamps of a frame and of its displacements are then the same instant.
 COMMON = {"camera.stamp": "start", "camera.exposure": 0.0}
-TRANSPORTS = ("shared", "udp")
-"""A graph that stays on the machine uses shared memory for its data, whatever FASTDDS_BUILTIN_TRANSPORTS says: rmw
-chooses the transports itself then. So UDP is forced by a profile that knows the loopback only."""
+TRANSPORTS = ("shared", "small", "udp")
 LOOPBACK_UDP = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com">
   <transport_descriptors>
@@ -125,13 +127,16 @@ def frames_of(rig: Rig) -> list[bytes]:
     return frames
 
 
-def publish_frames(size: str, rate: float, seconds: float, *, is_reliable: bool) -> None:
+def publish_frames(size: str, transport: str, rate: float, seconds: float, *, is_reliable: bool) -> None:
     """The camera's process: wait for the tracker, publish, say how it went."""
     import rclpy
     from rclpy.node import Node
 
+    from beam_ros.nodes.large_messages import widen_shared_memory
     from beam_ros.nodes.shell import qos_profile
 
+    if transport == "shared":
+        widen_shared_memory(os.environ)
     frames = frames_of(rig_of(size))
     rclpy.init(args=[])
     node = Node("camera")
@@ -250,7 +255,14 @@ def measure(
         tracker = start(
             [*command("vision_tracker"), "--ros-args", *[word for w in words for word in ("-p", w)]], 0, log
         )
-        options = ["--camera", size, str(rate), str(seconds), *([] if is_reliable else ["--best-effort"])]
+        options = [
+            "--camera",
+            size,
+            transport,
+            str(rate),
+            str(seconds),
+            *([] if is_reliable else ["--best-effort"]),
+        ]
         camera = start([sys.executable, "-m", "benchmarks.vision_node", *options], 1, subprocess.PIPE)
         answers.seen.clear()
         limit = time.monotonic() + seconds + 60.0
@@ -292,7 +304,9 @@ def measure(
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure every rate and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--camera", nargs=3, metavar=("SIZE", "HZ", "SECONDS"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--camera", nargs=4, metavar=("SIZE", "TRANSPORT", "HZ", "SECONDS"), help=argparse.SUPPRESS
+    )
     parser.add_argument("--seconds", type=float, default=5.0, help="of each rate")
     parser.add_argument("--sizes", nargs="+", default=list(SIZES), choices=SIZES)
     parser.add_argument("--rates", nargs="+", type=float, help="frames a second; 0: as many as go")
@@ -301,8 +315,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args(argv)
     if options.camera:
-        size, rate, seconds = options.camera
-        publish_frames(size, float(rate), float(seconds), is_reliable=not options.best_effort)
+        size, transport, rate, seconds = options.camera
+        publish_frames(size, transport, float(rate), float(seconds), is_reliable=not options.best_effort)
         return 0
     results = []
     print(
@@ -316,7 +330,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if transport == "udp":
                 profile = Path(folder) / "loopback.xml"
                 profile.write_text(LOOPBACK_UDP)
-                os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
+                os.environ[PROFILE_VARIABLE] = str(profile)
                 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
             answers = Answers()
             _core(1)()

@@ -42,6 +42,7 @@ DISCOVERY_VARIABLES = (
     "ROS_SECURITY_STRATEGY",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
     "RMW_FASTRTPS_USE_QOS_FROM_XML",
     "RMW_IMPLEMENTATION",
 )
@@ -61,7 +62,6 @@ def stay_on_this_machine(environ: MutableMapping[str, str], domain: int, log_fol
         environ.pop(name, None)
     environ["ROS_DOMAIN_ID"] = str(domain)
     environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
     environ["ROS_LOG_DIR"] = str(log_folder)
 
 

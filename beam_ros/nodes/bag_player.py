@@ -6,6 +6,7 @@ played while a live hub is on the graph, so that a replay never meets a real axi
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from typing import Any
@@ -17,6 +18,7 @@ from rclpy.publisher import Publisher
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.replay import ReplayTopic, due_messages, replay_topics
 from beam_ros.errors import RigUnavailableError, RosMissingError, UsageError
+from beam_ros.nodes.large_messages import widen_shared_memory
 from beam_ros.nodes.shell import RigNode, qos_profile, run_node
 
 _DISCOVERY_S = 3.5
@@ -130,4 +132,5 @@ class BagPlayer(RigNode):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node."""
+    widen_shared_memory(os.environ)
     return run_node(BagPlayer, argv)

@@ -12,6 +12,7 @@ from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.emulator import EmulatedController
 from beam_ros.hub.plant import beam_on_axis
 from beam_ros.nodes.camera import CameraOutput
+from beam_ros.nodes.large_messages import widen_shared_memory
 from beam_ros.nodes.shell import RigNode, run_node
 
 _FILM_S = 0.005
@@ -80,4 +81,5 @@ _POWER_ON_NS = 123_456_000_000
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node."""
+    widen_shared_memory(os.environ)
     return run_node(FirmwareEmulator, argv)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
@@ -13,6 +15,7 @@ from beam_ros.hub.plant import beam_on_axis
 from beam_ros.hub.simulated_hub import SimulatedHub
 from beam_ros.nodes.camera import CameraOutput
 from beam_ros.nodes.hub import HubNode
+from beam_ros.nodes.large_messages import widen_shared_memory
 from beam_ros.nodes.shell import run_node
 from beam_ros.rig import Rig
 
@@ -61,4 +64,5 @@ class Simulator(HubNode):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node."""
+    widen_shared_memory(os.environ)
     return run_node(Simulator, argv)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,7 +17,7 @@ from beam_ros.measured_frames import displacement_messages, markers_message
 from beam_ros.messages import MessageContentError
 from beam_ros.nodes.frame_averaging import FrameAveraging
 from beam_ros.nodes.frame_sources import frame_source
-from beam_ros.nodes.large_messages import keep_freed_memory
+from beam_ros.nodes.large_messages import keep_freed_memory, widen_shared_memory
 from beam_ros.nodes.shell import RigNode, run_node
 from beam_ros.vision.calibration import LinearCalibration
 from beam_ros.vision.calibration_procedure import CalibrationProcedure
@@ -268,4 +269,5 @@ class VisionTracker(RigNode):
 def main(argv: list[str] | None = None) -> int:
     """Run the node."""
     keep_freed_memory()
+    widen_shared_memory(os.environ)
     return run_node(VisionTracker, argv)

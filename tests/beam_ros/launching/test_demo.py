@@ -95,8 +95,14 @@ def test_a_fallen_node_is_told_with_its_last_words(tmp_path: Path) -> None:
 
 
 def test_what_a_shell_says_of_discovery_does_not_reach_a_private_graph(tmp_path: Path) -> None:
-    environ = {"ROS_STATIC_PEERS": "192.0.2.1", "ROS_DISCOVERY_SERVER": "192.0.2.1:11811", "HOME": "/"}
+    environ = {
+        "ROS_STATIC_PEERS": "192.0.2.1",
+        "ROS_DISCOVERY_SERVER": "192.0.2.1:11811",
+        "FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA",
+        "HOME": "/",
+    }
     stay_on_this_machine(environ, 5, tmp_path)
+    assert "FASTDDS_BUILTIN_TRANSPORTS" not in environ
     assert "192.0.2.1" not in "".join(environ.values())
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert environ["HOME"] == "/"
