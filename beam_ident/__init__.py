@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # the same names as below, for tools that read the code without running it
     from beam_ident.batches import map_records as map_records
     from beam_ident.closed_loop import ClosedLoopResult as ClosedLoopResult
-    from beam_ident.closed_loop import SampledController as SampledController
     from beam_ident.closed_loop import estimate_in_closed_loop as estimate_in_closed_loop
     from beam_ident.common_pole_fit import CommonPoleResult as CommonPoleResult
     from beam_ident.common_pole_fit import estimate_common_poles as estimate_common_poles
@@ -96,6 +95,7 @@ if TYPE_CHECKING:  # the same names as below, for tools that read the code witho
     from beam_ident.repeatability import Repeatability as Repeatability
     from beam_ident.repeatability import assess_repeatability as assess_repeatability
     from beam_ident.report import write_report as write_report
+    from beam_ident.sampled_controller import SampledController as SampledController
     from beam_ident.step_comparison import StepComparison as StepComparison
     from beam_ident.step_comparison import compare_step_responses as compare_step_responses
     from beam_ident.stepped_sine import SineFit as SineFit
@@ -114,7 +114,7 @@ if TYPE_CHECKING:  # the same names as below, for tools that read the code witho
 
 _NAMES = {
     "batches": ("map_records",),
-    "closed_loop": ("ClosedLoopResult", "SampledController", "estimate_in_closed_loop"),
+    "closed_loop": ("ClosedLoopResult", "estimate_in_closed_loop"),
     "common_pole_fit": ("CommonPoleResult", "estimate_common_poles"),
     "comparison": ("ModelComparison", "compare_models"),
     "cross_validation": ("OutputValidation", "ValidationResult", "validate"),
@@ -182,6 +182,7 @@ _NAMES = {
     "records": ("InputSignal", "OutputSignal", "TimeRecord"),
     "repeatability": ("Repeatability", "assess_repeatability"),
     "report": ("write_report",),
+    "sampled_controller": ("SampledController",),
     "step_comparison": ("StepComparison", "compare_step_responses"),
     "stepped_sine": ("SineFit", "fit_sine", "stepped_sine_response"),
     "stored_results": ("restore",),

@@ -50,16 +50,16 @@ def estimate_additive(
     best: tuple[OutputErrorProblem, Optimum] | None = None
     iterations = 0
     for _ in range(_ROUNDS):
-        start_s, found = float(problem.times[0]), []
-        for k, path in enumerate(problem.paths):
+        starts_s, found = [float(own.times[0]) for own in problem.experiments], []
+        for k in range(len(problem.paths)):
             others = np.sum([part for j, part in enumerate(parts) if j != k], axis=0)
-            alone = problem.of_values(problem.values - others, (path,))
+            alone = problem.of_values(problem.values - others, (k,))
             solved, optimum = estimate_denominator(alone, method, cutoff, n_finalists=1)
-            start_s = max(start_s, float(solved.times[0]))
+            starts_s = [max(s, float(e.times[0])) for s, e in zip(starts_s, solved.experiments, strict=True)]
             iterations += optimum.iterations
             parts[k] = _share(alone, optimum.state, 0)
             found.append(alone.converted(optimum.state, problem.scale))
-        joint = problem.from_stamp(start_s)
+        joint = problem.from_stamps(starts_s)
         joint.scale = problem.scale
         start = joint.state(
             np.concatenate(
@@ -69,11 +69,15 @@ def estimate_additive(
         )
         if not math.isfinite(start.cost):
             continue
+        if len(joint.experiments) > 1:
+            joint = joint.reweighed(start, is_coloured=False)
+            start = joint.state(start.theta)
         minimum = minimise(joint, start, _ITERATIONS)
         iterations += minimum.iterations
         if best is None or minimum.state.cost < best[1].state.cost:
             best = joint, Optimum(minimum.state, minimum.converged, minimum.reason, iterations)
-        if minimum.converged and Whiteness.of(minimum.state.residuals).p_value > WHITE:
+        noise = joint.standardised(minimum.state.residuals)
+        if minimum.converged and Whiteness.of(noise).p_value > WHITE:
             break
         parts = [_share(problem, minimum.state, k) for k in range(len(problem.paths))]
     if best is None:

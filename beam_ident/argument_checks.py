@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from beam_ident.errors import EstimationError
 from beam_ident.piecewise import FloatArray
-from beam_ident.records import InputSignal, TimeRecord
+from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
 _SMALLEST = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
 
@@ -16,9 +17,58 @@ _SMALLEST = 1e-100  # size of a signal: squares of what is smaller, or larger th
 def require_record(record: object) -> None:
     """Raise EstimationError for anything but one time record."""
     if not isinstance(record, TimeRecord):
-        raise EstimationError(
-            f"record is a {type(record).__name__}; expected one TimeRecord (identify() takes several in one fit)"
-        )
+        raise EstimationError(f"record is a {type(record).__name__}; expected one TimeRecord")
+
+
+def require_records(record: object, may_lack_outputs: bool = False) -> list[TimeRecord]:
+    """Return one time record or several of one system as a list.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+    may_lack_outputs : bool -- whether a record may be without some output that others have
+
+    Raises
+    ------
+    EstimationError
+        Anything else, no record at all, or records whose signals differ in name or unit.
+    """
+    given = list(record) if isinstance(record, Sequence) and not isinstance(record, str) else [record]
+    if not given:
+        raise EstimationError("no record to identify from; give at least one TimeRecord")
+    records = [one for one in given if isinstance(one, TimeRecord)]
+    for one in given:
+        if not isinstance(one, TimeRecord):
+            raise EstimationError(
+                f"record is a {type(one).__name__}; expected one TimeRecord, or a sequence of them"
+            )
+    _require_like("input", [(one.name, one.inputs) for one in records], may_lack=False)
+    _require_like("output", [(one.name, one.outputs) for one in records], may_lack_outputs)
+    return records
+
+
+def _require_like(
+    kind: str, records: Sequence[tuple[str, Sequence[InputSignal | OutputSignal]]], may_lack: bool
+) -> None:
+    """Raise EstimationError where signals of one kind differ between records."""
+    first, signals = records[0]
+    names = {signal.name for signal in signals}
+    units: dict[str, tuple[str, str]] = {}
+    for number, (record, signals) in enumerate(records, 1):
+        own = {signal.name: signal.unit for signal in signals}
+        if own.keys() != names and not may_lack:
+            raise EstimationError(
+                f"record 1 ({first!r}) has the {kind}s {', '.join(sorted(names))} and record {number} ({record!r}) "
+                f"{', '.join(sorted(own))}; expected the same {kind}s in all records of one fit. Rename signals, "
+                "or leave out what is not common"
+            )
+        for name, unit in own.items():
+            known, where = units.setdefault(name, (unit, record))
+            if unit != known:
+                raise EstimationError(
+                    f"{kind} {name!r} is in {known!r} in record {where!r} and in {unit!r} in record {number} "
+                    f"({record!r}); expected one unit in all records of one fit. Convert one of them"
+                )
 
 
 def require_whole_number(name: str, value: Any, least: int, most: int | None = None) -> None:
@@ -60,6 +110,12 @@ def require_input(drive: InputSignal, is_needed: bool = True) -> None:
     require_size(f"input {drive.name!r}", drive.values)
     if is_needed and not np.any(drive.values):
         raise EstimationError(f"input {drive.name!r} is zero throughout; it excites nothing")
+
+
+def require_excitation(records: Sequence[TimeRecord], name: str) -> None:
+    """Raise EstimationError for an input that is at zero throughout all records."""
+    if not any(np.any(record.input(name).values) for record in records):
+        raise EstimationError(f"input {name!r} is zero throughout; it excites nothing")
 
 
 def require_moving_input(drive: InputSignal) -> None:

@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
+from beam_ident.argument_checks import require_excitation, require_records, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
-from beam_ident.levenberg_marquardt import minimise
+from beam_ident.experiment import Experiment, Nuisances
+from beam_ident.levenberg_marquardt import Minimum, minimise
 from beam_ident.modal_fit import Prior
-from beam_ident.output_error import Nuisances, OutputErrorProblem, OutputErrorState, Path, usable_samples
+from beam_ident.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.piecewise import FloatArray
+from beam_ident.record_fit import RecordFit, pooled_scores
 from beam_ident.records import TimeRecord
 from beam_ident.refined_instruments import estimate_denominator
 from beam_ident.structure_gates import (
@@ -30,10 +32,12 @@ from beam_ident.structure_gates import (
     transfer_function_warnings,
 )
 from beam_ident.transfer_function import TransferFunctionModel
-from beam_ident.transfer_function_fit import physical_model
+from beam_ident.transfer_function_fit import physical_model, pooled_level, record_fits
 from beam_ident.validation import Scores, Whiteness
 
 _ITERATIONS = 50
+_TURNS = 6  # of poles and levels of noise, with several records
+_SETTLED = 0.02  # standard deviations that a turn may still move the poles
 _MAX_POLES = 20
 
 
@@ -45,7 +49,9 @@ class CommonPoleResult:
     ----------
     models : tuple of TransferFunctionModel
         One for each output; the denominator and its covariance are the same in all.
-    times_s, measured, modelled, residuals : tuple of ndarray -- of every output, the samples used
+    times_s, measured, modelled, residuals : tuple of ndarray
+        Of every output the samples used, in the order of the records.
+    records : tuple of tuple of RecordFit -- of every output, record by record
     scores : tuple of Scores
     whiteness : tuple of Whiteness
     converged : bool
@@ -59,6 +65,7 @@ class CommonPoleResult:
     measured: tuple[FloatArray, ...]
     modelled: tuple[FloatArray, ...]
     residuals: tuple[FloatArray, ...]
+    records: tuple[tuple[RecordFit, ...], ...]
     scores: tuple[Scores, ...]
     whiteness: tuple[Whiteness, ...]
     converged: bool
@@ -101,10 +108,17 @@ class _JointProblem:
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         return np.asarray(theta + step)
 
+    def reweighed(self, state: _JointState) -> _JointProblem:
+        """Return the problem under the level of noise that every output has in every record."""
+        pairs = zip(self.problems, state.states, strict=True)
+        return _JointProblem(
+            [problem.reweighed(own, is_coloured=False) for problem, own in pairs], state.states[0].scale
+        )
+
 
 @on_one_thread
 def estimate_common_poles(
-    record: TimeRecord,
+    record: TimeRecord | Sequence[TimeRecord],
     n_poles: int,
     n_zeros: int | Sequence[int],
     has_offset: bool = False,
@@ -114,11 +128,13 @@ def estimate_common_poles(
     input_name: str | None = None,
     n_integrators: int = 0,
 ) -> CommonPoleResult:
-    """Estimate transfer functions from one input to every output of a record, with common poles.
+    """Estimate transfer functions from one input to every output, with common poles.
 
     Parameters
     ----------
-    record : TimeRecord
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share the transfer functions; each has its own clocks, offsets,
+        ramps and initial states, and every output weighs in each by its noise there.
     n_poles : int -- degree of the common denominator
     n_zeros : int or sequence of int -- degree of the numerators, or of each
     has_offset, has_ramp, has_free_response : bool -- estimated for every output
@@ -129,19 +145,20 @@ def estimate_common_poles(
     Raises
     ------
     EstimationError
-        Impossible degrees, too few samples, a constant output, or no output that gives a start.
+        Impossible degrees, too few samples, a constant output, no output that gives a start, or records
+        whose signals differ in name or unit.
     """
-    require_record(record)
-    if input_name is None and len(record.inputs) > 1:
+    records = require_records(record)
+    first = records[0]
+    if input_name is None and len(first.inputs) > 1:
         raise EstimationError(
-            f"record {record.name!r} has {len(record.inputs)} inputs; say which one by its name"
+            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name"
         )
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
-    require_input(drive, is_needed=not has_free_response)
-    zeros = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(record.outputs)
-    if len(zeros) != len(record.outputs):
+    drive = first.inputs[0] if input_name is None else first.input(input_name)
+    zeros = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(first.outputs)
+    if len(zeros) != len(first.outputs):
         raise EstimationError(
-            f"n_zeros has {len(zeros)} entries for {len(record.outputs)} outputs; expected one for each"
+            f"n_zeros has {len(zeros)} entries for {len(first.outputs)} outputs; expected one for each"
         )
     for name, value in (
         ("n_poles", n_poles),
@@ -160,40 +177,78 @@ def estimate_common_poles(
         )
     if not (math.isfinite(delay) and delay >= 0.0):
         raise EstimationError(f"delay is {delay} s; expected a time of 0 or more")
+    if not has_free_response:
+        require_excitation(records, drive.name)
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
     problems, starts = [], []
-    for output, m in zip(record.outputs, zeros, strict=True):
-        keep = usable_samples(output, [drive])
-        if has_free_response:
-            keep = keep & (output.times_s >= drive.span_s[0] + delay + 0.5 * output.exposure_s)
-        path = Path.of(drive, m, 0, Prior(delay), n_integrators, output.exposure_s)
-        times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
-        require_output(output.name, values)
-        problem = OutputErrorProblem((path,), (n_poles,), times, values, output.exposure_s, nuisances)
+    for name, m in zip(first.output_names, zeros, strict=True):
+        experiments = [
+            Experiment.of(one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, has_free_response)
+            for one in records
+        ]
+        problem, optimum = estimate_denominator(
+            OutputErrorProblem(experiments, (n_poles,), nuisances), "auto"
+        )
         problems.append(problem)
-        starts.append(estimate_denominator(problem, "auto")[1].state)
+        starts.append(optimum.state)
     joints = [_JointProblem(problems, own.scale).state(own.theta) for own in starts]
     chosen = int(np.argmin([joint.cost for joint in joints]))
     if not math.isfinite(joints[chosen].cost):
         raise EstimationError("no output gives a denominator that the others allow; give other degrees")
-    minimum = minimise(_JointProblem(problems, starts[chosen].scale), joints[chosen], _ITERATIONS)
+    joint = _JointProblem(problems, starts[chosen].scale)
+    minimum = minimise(joint, joints[chosen], _ITERATIONS)
+    iterations = minimum.iterations
+    for _ in range(_TURNS if len(records) > 1 else 0):
+        joint = joint.reweighed(minimum.state)
+        start = minimum.state.theta
+        minimum = minimise(joint, joint.state(start), _ITERATIONS)
+        iterations += minimum.iterations
+        moved = minimum.state.theta - start
+        if math.sqrt(float(moved @ joint.slope(minimum.state)[0] @ moved) / len(moved)) < _SETTLED:
+            break
+    else:
+        if len(records) > 1:
+            reason = f"system and noise still moved after {_TURNS} turns"
+            minimum = replace(minimum, converged=False, reason=reason)
+    return _result(records, joint, minimum, n_integrators, iterations)
+
+
+def _result(
+    records: Sequence[TimeRecord],
+    joint: _JointProblem,
+    minimum: Minimum[_JointState],
+    n_integrators: int,
+    iterations: int,
+) -> CommonPoleResult:
+    """Collect what an optimum says, in physical units."""
     states = minimum.state.states
-    information = [problem.slope(own)[0] for problem, own in zip(problems, states, strict=True)]
-    models = []
-    for j, (problem, own, output) in enumerate(zip(problems, states, record.outputs, strict=True)):
+    residuals = [
+        problem.unweighed_residuals(own) for problem, own in zip(joint.problems, states, strict=True)
+    ]
+    information = [problem.slope(own)[0] for problem, own in zip(joint.problems, states, strict=True)]
+    models, fits = [], []
+    for j, (problem, own, name) in enumerate(
+        zip(joint.problems, states, records[0].output_names, strict=True)
+    ):
         others = [part for k, part in enumerate(information) if k != j]
         covariance = problem.covariance(own, np.sum(others, axis=0) if others else None)
-        noise_sd = math.sqrt(covariance.variance)
-        model = physical_model(problem, own, covariance.values, n_integrators, noise_sd, output.name)
+        fits.append(record_fits(problem, own, covariance))
+        model = physical_model(problem, own, covariance.values, n_integrators, pooled_level(fits[-1]), name)
         models.append(model.path(0))
-    whiteness = tuple(Whiteness.of(own.residuals) for own in states)
+    whiteness = tuple(
+        Whiteness.of(problem.standardised(own.residuals))
+        for problem, own in zip(joint.problems, states, strict=True)
+    )
     warnings: list[str] = []
-    for problem, own, found, of_residuals in zip(problems, states, models, whiteness, strict=True):
-        n_own = n_poles + len(own.coefficients)
+    for problem, own, found, of_records, of_residuals in zip(
+        joint.problems, states, models, fits, whiteness, strict=True
+    ):
+        terms = problem.nuisances
         of_nothing = criterion_of_nothing(
-            problem.times, problem.values, nuisances.has_offset, nuisances.has_ramp
+            [(e.times, e.values) for e in problem.experiments], terms.has_offset, terms.has_ramp
         )
-        is_worth_it = information_criterion(own.residuals, n_own) < of_nothing
+        n_own = len(own.theta) + len(own.coefficients)
+        is_worth_it = information_criterion([e.residuals for e in of_records], n_own) < of_nothing
         warnings += [
             f"Output {found.output_name}: {said}"
             for said in transfer_function_warnings([found], of_residuals, is_worth_it, True, "")
@@ -202,14 +257,17 @@ def estimate_common_poles(
         warnings.insert(0, f"The fit did not converge: {minimum.reason}.")
     return CommonPoleResult(
         models=tuple(models),
-        times_s=tuple(problem.times for problem in problems),
-        measured=tuple(problem.values for problem in problems),
-        modelled=tuple(p.values - s.residuals for p, s in zip(problems, states, strict=True)),
-        residuals=tuple(own.residuals for own in states),
-        scores=tuple(Scores.of(p.values, s.residuals) for p, s in zip(problems, states, strict=True)),
+        times_s=tuple(problem.times for problem in joint.problems),
+        measured=tuple(problem.values for problem in joint.problems),
+        modelled=tuple(
+            problem.values - left for problem, left in zip(joint.problems, residuals, strict=True)
+        ),
+        residuals=tuple(residuals),
+        records=tuple(fits),
+        scores=tuple(pooled_scores([(own.measured, own.residuals) for own in parts]) for parts in fits),
         whiteness=whiteness,
         converged=minimum.converged,
         reason=minimum.reason,
-        iterations=minimum.iterations,
+        iterations=iterations,
         warnings=tuple(warnings),
     )

@@ -1,4 +1,4 @@
-"""A model against a record that it was not estimated from.
+"""A model against records that it was not estimated from.
 
 Poles, residues, gains and clock stay as they are.  What belongs to the record and
 not to the model (offset, ramp, the motion that was already there at its beginning)
@@ -7,11 +7,12 @@ is fitted to it, because it would otherwise be charged to the model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.argument_checks import require_output, require_record
+from beam_ident.argument_checks import require_output, require_records
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.linear_solution import LinearSolution
@@ -20,6 +21,7 @@ from beam_ident.modal_regression import ModalRegression
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.multi_input_model import MultiInputModel
 from beam_ident.piecewise import FloatArray
+from beam_ident.record_fit import in_units_of_level, pooled_scores
 from beam_ident.records import TimeRecord
 from beam_ident.transfer_function import TransferFunctionModel
 from beam_ident.validation import InputCorrelation, Scores, Whiteness
@@ -64,9 +66,16 @@ class OutputValidation:
 
 @dataclass(frozen=True, eq=False)
 class ValidationResult:
-    """A model against another record, output by output."""
+    """A model against other records, output by output.
+
+    Attributes
+    ----------
+    outputs : tuple of OutputValidation -- over all records, in their order; scores about each one's mean
+    records : tuple of ValidationResult -- of every record by itself, where there are several
+    """
 
     outputs: tuple[OutputValidation, ...]
+    records: tuple[ValidationResult, ...] = ()
 
     def output(self, name: str) -> OutputValidation:
         """Return the validation of one output by its name."""
@@ -80,28 +89,55 @@ class ValidationResult:
 
 @on_one_thread
 def validate(
-    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord | Sequence[TimeRecord]
 ) -> ValidationResult:
-    """Predict a record with a model that was estimated from another one.
+    """Predict a record, or several, with a model that was estimated from others.
 
     Parameters
     ----------
     model : ModalModel, TransferFunctionModel or MultiInputModel
-    record : TimeRecord
+    record : TimeRecord or sequence of TimeRecord
         With the model's inputs and at least one of its outputs under their names.
 
     Raises
     ------
     EstimationError
         The record lacks an input or every output of the model, has too few samples, or an output
-        that is constant.
+        that is constant; records whose signals differ in name or unit.
     """
-    require_record(record)
+    records = require_records(record, may_lack_outputs=True)
     if not isinstance(model, ModalModel | TransferFunctionModel | MultiInputModel):
         raise EstimationError(
             f"model is a {type(model).__name__}; expected a ModalModel, a TransferFunctionModel or a MultiInputModel "
             "(.model of a result)"
         )
+    predicted = [_predict(model, one) for one in records]
+    each = tuple(ValidationResult(tuple(_judged([part]) for part in parts)) for parts in predicted)
+    if len(each) == 1:
+        return each[0]
+    names = dict.fromkeys(part.name for parts in predicted for part in parts)
+    together = [[part for parts in predicted for part in parts if part.name == name] for name in names]
+    return ValidationResult(tuple(_judged(parts) for parts in together), each)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """One output of one record beside what the model makes of it."""
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    residuals: FloatArray
+    deflection: FloatArray
+    noise_sd: float
+    drive: FloatArray
+
+
+def _predict(
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord
+) -> list[_Prediction]:
+    """Predict one record, output by output."""
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
     present = [name for name in names if name in record.output_names]
     inputs = model.input_names if isinstance(model, MultiInputModel) else (model.input_name,)
@@ -114,11 +150,11 @@ def validate(
         )
     part = record.select(present)
     if isinstance(model, ModalModel):
-        return ValidationResult(tuple(_validate_modal(model, part)))
-    return ValidationResult((_validate_rational(model, part),))
+        return _predict_modal(model, part)
+    return [_predict_rational(model, part)]
 
 
-def _validate_modal(model: ModalModel, record: TimeRecord) -> list[OutputValidation]:
+def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
     structure = ModalStructure(model.structure)
     regression = ModalRegression([record], structure, model.input_name)
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
@@ -142,7 +178,7 @@ def _validate_modal(model: ModalModel, record: TimeRecord) -> list[OutputValidat
             rigid = rigid + model.gains[row] * matrix[:, 0]
         output = record.output(name)
         results.append(
-            _output_validation(
+            _Prediction(
                 name,
                 output.unit,
                 regression.times[j],
@@ -156,15 +192,13 @@ def _validate_modal(model: ModalModel, record: TimeRecord) -> list[OutputValidat
     return results
 
 
-def _validate_rational(
-    model: TransferFunctionModel | MultiInputModel, record: TimeRecord
-) -> OutputValidation:
+def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: TimeRecord) -> _Prediction:
     output = record.output(model.output_name)
     prediction = model.prediction(record)
     seen = np.isfinite(prediction.measured)
     times, values = prediction.times_s[seen], prediction.measured[seen]
     first = model.input_names[0] if isinstance(model, MultiInputModel) else model.input_name
-    return _output_validation(
+    return _Prediction(
         output.name,
         output.unit,
         times,
@@ -176,25 +210,28 @@ def _validate_rational(
     )
 
 
-def _output_validation(
-    name: str,
-    unit: str,
-    times: FloatArray,
-    values: FloatArray,
-    residuals: FloatArray,
-    deflection: FloatArray,
-    noise_sd: float,
-    drive: FloatArray,
-) -> OutputValidation:
-    require_output(name, values)
-    if len(values) < _MIN_SAMPLES:
-        raise EstimationError(
-            f"output {name!r} has {len(values)} samples that were seen while the input was known; expected at least "
-            f"{_MIN_SAMPLES} to validate with"
-        )
-    scores, of_deflection = Scores.of(values, residuals), Scores.of(deflection, residuals)
-    correlation = InputCorrelation.of(residuals, drive)
-    ratio = float(np.std(residuals)) / max(noise_sd, 1e-300)
+def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
+    """Return how well one output is predicted, over one record or several."""
+    first = parts[0]
+    for part in parts:
+        require_output(part.name, part.measured)
+        if len(part.measured) < _MIN_SAMPLES:
+            raise EstimationError(
+                f"output {part.name!r} has {len(part.measured)} samples that were seen while the input was known; "
+                f"expected at least {_MIN_SAMPLES} to validate with"
+            )
+    scores = pooled_scores([(part.measured, part.residuals) for part in parts])
+    of_deflection = pooled_scores([(part.deflection, part.residuals) for part in parts])
+    noise = in_units_of_level([part.residuals for part in parts])
+    drives = [part.drive for part in parts]
+    if len(parts) > 1:
+        drives = [drive - np.mean(drive) for drive in drives]
+    correlation = InputCorrelation.of(noise, np.concatenate(drives))
+    times, measured, residuals = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("times_s", "measured", "residuals")
+    )
+    ratio = float(np.std(residuals)) / max(first.noise_sd, 1e-300)
     fit = of_deflection.fit_percent
     word = "good" if fit >= _GOOD_FIT else "fair" if fit >= _FAIR_FIT else "poor"
     verdict = (
@@ -203,16 +240,16 @@ def _output_validation(
         f"those of the estimation; {correlation.verdict}"
     )
     return OutputValidation(
-        name,
-        unit,
+        first.name,
+        first.unit,
         times,
-        values,
-        values - residuals,
+        measured,
+        measured - residuals,
         residuals,
         scores,
         of_deflection,
         ratio,
-        Whiteness.of(residuals),
+        Whiteness.of(noise),
         correlation,
         verdict,
     )

@@ -10,6 +10,7 @@ which of them is right is decided by the output error.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -17,11 +18,11 @@ from scipy.fft import irfft, next_fast_len, rfft
 from beam_ident.linear_solution import LinearSolution
 from beam_ident.output_error import OutputErrorProblem
 from beam_ident.piecewise import FloatArray, Instants
-from beam_ident.rational_response import RationalResponse, upper_roots
-from beam_ident.state_variable_filter import filter_coefficients, filtered_output
+from beam_ident.rational_response import ComplexArray, RationalResponse, upper_roots
+from beam_ident.state_variable_filter import filter_coefficients, filtered_derivatives, filtered_output
 
 _STEPS_PER_SAMPLE = 2
-_LONGEST = 0.25  # of the record
+_LONGEST = 0.25  # of the shortest record
 _REACH = 4.0  # standard deviations of a prior
 _SWEEPS = 2  # over the inputs, where several have unknown delays
 _CANDIDATES = 4
@@ -48,7 +49,7 @@ def delay_candidates(problem: OutputErrorProblem, cutoffs: list[float]) -> list[
 
 def _range(problem: OutputErrorProblem, path: int) -> tuple[float, float]:
     prior = problem.paths[path].delay
-    longest = _LONGEST * problem.length
+    longest = _LONGEST * problem.shortest
     if math.isinf(prior.sd):
         return 0.0, longest
     low = max(prior.mean - _REACH * prior.sd, 0.0)
@@ -102,55 +103,120 @@ def delay_profile(
     problem.scale = cutoff
     varied = problem.free_delays[place]
     coefficients = filter_coefficients(problem.n_a)
-    upper = upper_roots(np.concatenate([[1.0], coefficients]))
-    step = problem.period / _STEPS_PER_SAMPLE
-    n = int(problem.length / step) + 1
-    grid = problem.times[0] + step * np.arange(n)
-    outputs = filtered_output(problem, upper, Instants.on(problem.measured, grid, 0.0))
-    at_grid = Instants.on(problem.measured, grid, 0.0)
-    target = at_grid.mean(problem.measured, problem.measured_integral)[0] - outputs @ coefficients
-    fixed = [outputs]
     every = problem.delays(np.concatenate([coefficients, present]))
+    step = problem.period / _STEPS_PER_SAMPLE
     shift = round(low / step) * step
-    moving = np.empty((n, 0))
-    for k, path in enumerate(problem.paths):
-        delay = shift if k == varied else every[k]
-        response = path.response(upper, cutoff, grid, problem.exposure, delay, squares=False)
-        columns = response.combined(np.eye(path.n_zeros + 1))
-        if k == varied:
-            moving = columns
-        else:
-            fixed.append(columns)
-    if problem.nuisances.has_offset:
-        fixed.append(np.ones((n, 1)))
-    if problem.nuisances.has_ramp:
-        fixed.append((grid[:, None] - problem.middle) / problem.length)
-    if problem.nuisances.has_free_response:
-        free = RationalResponse.to_impulse(upper, cutoff, grid - grid[0], 0.0, squares=False)
-        fixed.append(free.combined(np.eye(problem.n_a)))
-    basis = LinearSolution.of(np.concatenate(fixed, axis=1)).basis
+    shares = _shares(problem, coefficients, every, varied, step, shift)
+    n_nuisances = problem.n_nuisances * len(shares)
+    fixed = []
+    for record, share in enumerate(shares):
+        own = np.zeros((len(share.target), n_nuisances))
+        first = record * problem.n_nuisances
+        own[:, first : first + problem.n_nuisances] = share.nuisances
+        fixed.append(np.concatenate([share.shared, own], axis=1))
+    basis = LinearSolution.of(np.concatenate(fixed)).basis
+    target = np.concatenate([share.target for share in shares])
     target = target - basis @ (basis.T @ target)
+    ends = np.cumsum([len(share.target) for share in shares])[:-1]
+    parts = list(
+        zip([share.moving for share in shares], np.split(basis, ends), np.split(target, ends), strict=True)
+    )
     n_steps = int((high - shift) / step) + 1
-    explained = _explained(moving, basis, target, n_steps)
-    rss = np.maximum(float(target @ target) - explained, problem.floor)
-    return np.asarray(shift + step * np.arange(n_steps)), 0.5 * n / _STEPS_PER_SAMPLE * np.log(rss)
+    rss = np.maximum(float(target @ target) - _explained(parts, n_steps), problem.floor)
+    return (
+        np.asarray(shift + step * np.arange(n_steps)),
+        0.5 * len(target) / _STEPS_PER_SAMPLE * np.log(rss),
+    )
 
 
-def _explained(moving: FloatArray, basis: FloatArray, target: FloatArray, n_steps: int) -> FloatArray:
-    """Return by how much columns, shifted by 0, 1, .. rows, lower the squares left of a target."""
-    n, width = moving.shape
-    scales = np.linalg.norm(moving, axis=0)
-    moving = moving / np.where(scales > 0.0, scales, 1.0)
-    length = next_fast_len(n + n_steps, real=True)
-    spectra = np.conj(rfft(moving, length, axis=0))
-    against = rfft(np.column_stack([basis, target]), length, axis=0)
-    # shifted[l, i, j] = sum_k moving[k, i] against[k + l, j]
-    shifted = irfft(spectra[:, :, None] * against[:, None, :], length, axis=0)[:n_steps]
-    of_basis, of_target = shifted[:, :, :-1], shifted[:, :, -1]
-    products = np.einsum("ki,kj->kij", moving, moving)
-    sums = np.concatenate([np.zeros((1, width, width)), np.cumsum(products, axis=0)])
-    gram = sums[n - np.arange(n_steps)] - np.einsum("lia,lja->lij", of_basis, of_basis)
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """One record's rows of the filtered equation, on a grid of half samples, in units of its noise.
+
+    Attributes
+    ----------
+    target : ndarray, shape (n,)
+    moving : ndarray, shape (n, n_moving) -- the columns of the input whose delay is varied
+    shared : ndarray, shape (n, n_shared) -- those of the output and of the other inputs
+    nuisances : ndarray, shape (n, n_nuisances)
+    """
+
+    target: FloatArray
+    moving: FloatArray
+    shared: FloatArray
+    nuisances: FloatArray
+
+
+def _shares(
+    problem: OutputErrorProblem,
+    coefficients: FloatArray,
+    delays: FloatArray,
+    varied: int,
+    step: float,
+    shift: float,
+) -> list[_Share]:
+    """Return the rows of every record, with the varied path at its least delay."""
+    upper: ComplexArray = upper_roots(np.concatenate([[1.0], coefficients]))
+    levels = np.ones(len(problem.experiments)) if problem.noise is None else problem.noise.levels
+    shares = []
+    for own, level in zip(problem.experiments, levels, strict=True):
+        grid = np.asarray(own.times[0] + step * np.arange(int(own.length / step) + 1), dtype=np.float64)
+        at_grid = Instants.on(own.measured, grid, 0.0)
+        outputs = filtered_derivatives(filtered_output(own, upper, problem.scale, at_grid))
+        values = at_grid.mean(own.measured, own.measured_integral)[0]
+        moving, shared = np.empty((len(grid), 0)), [outputs]
+        for k, path in enumerate(own.paths):
+            delay = shift if k == varied else delays[k]
+            response = path.response(upper, problem.scale, grid, own.exposure, delay, squares=False)
+            columns = response.combined(np.eye(path.n_zeros + 1))
+            if k == varied:
+                moving = columns
+            else:
+                shared.append(columns)
+        nuisances = [column[:, None] for column in own.drifts(problem.nuisances, grid)]
+        if problem.nuisances.has_free_response:
+            free = RationalResponse.to_impulse(upper, problem.scale, grid - grid[0], 0.0, squares=False)
+            nuisances.append(free.combined(np.eye(problem.n_a)))
+        shares.append(
+            _Share(
+                (values - outputs @ coefficients) / level,
+                moving / level,
+                np.concatenate(shared, axis=1) / level,
+                np.concatenate([np.empty((len(grid), 0)), *nuisances], axis=1) / level,
+            )
+        )
+    return shares
+
+
+def _explained(parts: list[tuple[FloatArray, FloatArray, FloatArray]], n_steps: int) -> FloatArray:
+    """Return by how much columns, shifted by 0, 1, .. rows in every record, lower the squares left of a target.
+
+    Parameters
+    ----------
+    parts : list of (moving, basis, target) -- of every record, shapes (n, n_moving), (n, n_basis) and (n,)
+    n_steps : int
+    """
+    width = parts[0][0].shape[1]
+    squares = np.sum([np.sum(moving**2, axis=0) for moving, _, _ in parts], axis=0)
+    scales = np.where(squares > 0.0, np.sqrt(squares), 1.0)
+    gram = np.zeros((n_steps, width, width))
+    of_basis = np.zeros((n_steps, width, parts[0][1].shape[1]))
+    of_target = np.zeros((n_steps, width))
+    for moving, basis, target in parts:
+        n = len(moving)
+        scaled = moving / scales
+        length = next_fast_len(n + n_steps, real=True)
+        spectra = np.conj(rfft(scaled, length, axis=0))
+        against = rfft(np.column_stack([basis, target]), length, axis=0)
+        # shifted[l, i, j] = sum_k moving[k, i] against[k + l, j]
+        shifted = irfft(spectra[:, :, None] * against[:, None, :], length, axis=0)[:n_steps]
+        of_basis += shifted[:, :, :-1]
+        of_target += shifted[:, :, -1]
+        products = np.einsum("ki,kj->kij", scaled, scaled)
+        sums = np.concatenate([np.zeros((1, width, width)), np.cumsum(products, axis=0)])
+        gram += sums[np.maximum(n - np.arange(n_steps), 0)]
+    gram -= np.einsum("lia,lja->lij", of_basis, of_basis)
     size = np.sqrt(np.maximum(np.einsum("lii->li", gram), 1e-12))
-    scaled = gram / (size[:, :, None] * size[:, None, :]) + 1e-9 * np.eye(width)
+    unit = gram / (size[:, :, None] * size[:, None, :]) + 1e-9 * np.eye(width)
     right = of_target / size
-    return np.asarray(np.einsum("li,li->l", right, np.linalg.solve(scaled, right[:, :, None])[:, :, 0]))
+    return np.asarray(np.einsum("li,li->l", right, np.linalg.solve(unit, right[:, :, None])[:, :, 0]))

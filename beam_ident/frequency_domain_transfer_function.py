@@ -308,8 +308,8 @@ def fit_frequency_transfer_function(
     if not converged:
         warnings.append(f"the fit did not converge: {reason}")
     seen = likelihood.weights > 0.0
-    of_nothing = information_criterion((likelihood.weights * likelihood.values)[seen], 0)
-    if not information_criterion(state.residuals[seen], size) < of_nothing:
+    of_nothing = information_criterion([(likelihood.weights * likelihood.values)[seen]], 0)
+    if not information_criterion([state.residuals[seen]], size) < of_nothing:
         warnings.append("the model explains no more than chance would: by BIC none at all is better")
     complaint = structure_complaint(model)
     if complaint:

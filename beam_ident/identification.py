@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
+from beam_ident.argument_checks import require_input, require_output, require_records, require_whole_number
 from beam_ident.bandwidth import Band, excited_band
 from beam_ident.batches import Progress
 from beam_ident.blas_threads import on_one_thread
@@ -95,10 +95,8 @@ def identify(
         A record from which nothing can be identified: too few samples for the order,
         a constant output, an input and outputs at rest, an impossible order.
     """
-    records = list(record) if isinstance(record, Sequence) else [record]
+    records = require_records(record, may_lack_outputs=True)
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
-    for one in records:
-        require_record(one)
     if n_modes is not None:
         require_whole_number("n_modes", n_modes, 1, _MOST_MODES)
     require_whole_number("max_modes", max_modes, 1, _MOST_MODES)

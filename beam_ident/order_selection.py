@@ -11,11 +11,11 @@ damped modes it picks orders that are too low, and decides nothing here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from beam_ident.argument_checks import require_record, require_whole_number
+from beam_ident.argument_checks import require_records, require_whole_number
 from beam_ident.batches import Progress, map_records
 from beam_ident.errors import EstimationError
 from beam_ident.records import TimeRecord
@@ -90,7 +90,7 @@ class OrderSelection:
 
 
 def select_transfer_function(
-    record: TimeRecord,
+    record: TimeRecord | Sequence[TimeRecord],
     n_poles: Iterable[int] = range(1, 7),
     n_zeros: Iterable[int] | None = None,
     n_workers: int = 1,
@@ -102,7 +102,8 @@ def select_transfer_function(
 
     Parameters
     ----------
-    record : TimeRecord
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share the structure and the model.
     n_poles : iterable of int -- degrees of the denominator
     n_zeros : iterable of int or None
         Degrees of the numerator; None takes all below the denominator's.
@@ -117,7 +118,7 @@ def select_transfer_function(
     EstimationError
         An empty range, no structure that passes the gates, or no cluster where one was named.
     """
-    require_record(record)
+    records = require_records(record)
     if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
         raise EstimationError(
             f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
@@ -134,10 +135,10 @@ def select_transfer_function(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
     quick = {"n_starts": 1} | options
-    jobs = [(record, n, m, quick) for n, m in structures]
+    jobs = [(records, n, m, quick) for n, m in structures]
     results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
     suspects = [] if "n_starts" in options else _suspects(structures, results)
-    jobs = [(record, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
+    jobs = [(records, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
     again = (
         map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
     )
@@ -199,10 +200,10 @@ def _better(
     return second if isinstance(first, str) or second.bic <= first.bic else first
 
 
-def _attempt(job: tuple[TimeRecord, int, int, dict[str, Any]]) -> TransferFunctionResult | str:
-    record, n, m, options = job
+def _attempt(job: tuple[Sequence[TimeRecord], int, int, dict[str, Any]]) -> TransferFunctionResult | str:
+    records, n, m, options = job
     try:
-        return estimate_transfer_function(record, n, m, **options)
+        return estimate_transfer_function(records, n, m, **options)
     except EstimationError as err:
         return str(err)
 
@@ -215,7 +216,7 @@ def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEn
     n_parameters = n + m + 1
     refusal = "" if outcome.converged else outcome.reason
     of_nothing = criterion_of_nothing(
-        outcome.times_s, outcome.measured, outcome.offset != 0.0, outcome.ramp != 0.0
+        [(own.times_s, own.measured) for own in outcome.records], outcome.offset != 0.0, outcome.ramp != 0.0
     )
     if not refusal and not outcome.bic < of_nothing:
         refusal = "no better by BIC than no model at all"

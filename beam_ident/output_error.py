@@ -7,22 +7,29 @@ numerators, offset, ramp and free motion enter linearly and are projected out (v
 projection).  All responses and gradients are exact under each input's own hold, at the
 stamps as they are; the known integrators ``s^-q`` are applied to the inputs, whose
 antiderivatives are exact.
+
+One record is the usual case.  Several share denominators, numerators and delays, while every one has
+nuisances and noise of its own; a noise model (:mod:`beam_ident.noise_model`) weighs them.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError
+from beam_ident.experiment import Experiment, Nuisances, Path, Response, joined
 from beam_ident.linear_solution import LinearSolution
-from beam_ident.modal_fit import Prior
-from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
+from beam_ident.noise_correlation import autoregression
+from beam_ident.noise_model import NoiseModel, Whitening
+from beam_ident.piecewise import FloatArray
 from beam_ident.rational_response import RationalResponse, full_roots, upper_roots
-from beam_ident.records import InputSignal, OutputSignal
+from beam_ident.record_fit import in_units_of_level
 
 ComplexArray = NDArray[np.complex128]
 
@@ -31,76 +38,6 @@ _NOISE_FLOOR = 1e-11
 _MAX_POLE = 1e4  # of the Nyquist frequency
 _LEAST_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
 _EARLIEST = 1.0  # sampling periods: an estimated delay may come out this much below zero
-
-
-@dataclass(frozen=True, eq=False)
-class Path:
-    """How one input reaches the output.
-
-    Attributes
-    ----------
-    name : str -- of the input
-    signal, integral : PiecewisePolynomial -- the input after the known integrators, and its antiderivative
-    n_zeros : int -- degree of the numerator
-    block : int -- which denominator
-    delay : Prior -- knowledge of the delay [s]
-    """
-
-    name: str
-    signal: PiecewisePolynomial
-    integral: PiecewisePolynomial
-    n_zeros: int
-    block: int
-    delay: Prior
-
-    @staticmethod
-    def of(
-        drive: InputSignal, n_zeros: int, block: int, delay: Prior, n_integrators: int, margin_s: float
-    ) -> Path:
-        """Prepare an input that was at rest before its record begins."""
-        signal = drive.signal(margin_s=margin_s, from_rest=True)
-        for _ in range(n_integrators):
-            signal = signal.antiderivative()
-        return Path(drive.name, signal, signal.antiderivative(), n_zeros, block, delay)
-
-    def response(
-        self,
-        upper: ComplexArray,
-        scale: float,
-        times: FloatArray,
-        exposure_s: float,
-        delay: float,
-        squares: bool,
-    ) -> RationalResponse:
-        """Return the responses of a denominator to this input at output stamps."""
-        # Before the first knot nothing has happened, however far back a long delay looks.
-        shifted = np.maximum(times - delay, self.signal.knots[0] + 0.5 * exposure_s)
-        instants = Instants.on(self.signal, shifted, exposure_s)
-        return RationalResponse(upper, scale, self.signal, self.integral, instants, squares)
-
-
-@dataclass(frozen=True)
-class Nuisances:
-    """What is estimated beside the transfer functions.
-
-    Attributes
-    ----------
-    has_offset, has_ramp, has_free_response : bool
-    """
-
-    has_offset: bool = False
-    has_ramp: bool = False
-    has_free_response: bool = False
-
-    def with_integrators(self, n_integrators: int) -> Nuisances:
-        """Return the nuisances with the free motion of known integrators: a constant, and a ramp."""
-        if not self.has_free_response:
-            return self
-        return replace(
-            self,
-            has_offset=self.has_offset or n_integrators >= 1,
-            has_ramp=self.has_ramp or n_integrators >= 2,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,16 +50,21 @@ class OutputErrorState:
     scale : float -- unit of frequency [rad/s]
     cost : float -- negative log-likelihood, infinite where the point is not allowed
     uppers : tuple of ndarray -- poles of each denominator with imaginary part >= 0
-    coefficients : ndarray -- of the columns of ``matrix``
-    residuals : ndarray, shape (n_samples,)
+    responses : tuple of Response -- of every path, in all records
+    free : tuple of tuple of RationalResponse -- of every record, of each denominator
+    coefficients : ndarray
+        Of the columns of ``matrix``: all numerators, then offset, ramp and free motions of each record.
+    residuals : ndarray, shape (n_samples,) -- as the noise model sees them
+    matrix : ndarray, shape (n_samples, n_columns) -- unweighed
+    solution : LinearSolution or None -- of the weighed matrix
     """
 
     theta: FloatArray
     scale: float
     cost: float
     uppers: tuple[ComplexArray, ...]
-    responses: tuple[RationalResponse, ...] = ()
-    free: tuple[RationalResponse, ...] = ()
+    responses: tuple[Response, ...] = ()
+    free: tuple[tuple[RationalResponse, ...], ...] = ()
     coefficients: FloatArray = field(default_factory=lambda: np.empty(0))
     residuals: FloatArray = field(default_factory=lambda: np.empty(0))
     matrix: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
@@ -136,7 +78,7 @@ class JointCovariance:
     Attributes
     ----------
     values : ndarray, shape (n_theta + n_columns, n_theta + n_columns)
-    variance : float -- of the residuals
+    variance : float -- of the residuals, as the noise model sees them
     condition : float -- of the scaled information matrix
     """
 
@@ -145,89 +87,136 @@ class JointCovariance:
     condition: float
 
 
-def usable_samples(output: OutputSignal, drives: list[InputSignal]) -> NDArray[np.bool_]:
-    """Return which samples of an output lie, exposure included, where all inputs are known."""
-    half = 0.5 * output.exposure_s
-    keep = output.is_valid
-    for drive in drives:
-        first, last = drive.span_s
-        keep = keep & (output.times_s - half >= first) & (output.times_s + half <= last)
-    return np.asarray(keep)
-
-
 class OutputErrorProblem:
     """The likelihood of one output as a function of denominators and delays.
 
     Parameters
     ----------
-    paths : tuple of Path
+    experiments : sequence of Experiment -- one for every record
     orders : tuple of int -- degree of every denominator
-    times, values : ndarray, shape (n_samples,)
-    exposure_s : float
     nuisances : Nuisances
+    noise : NoiseModel or None -- None weighs all samples alike
+
+    Raises
+    ------
+    EstimationError
+        Too few samples, altogether or in one record, or nothing but a constant.
     """
 
     def __init__(
         self,
-        paths: tuple[Path, ...],
+        experiments: Sequence[Experiment],
         orders: tuple[int, ...],
-        times: FloatArray,
-        values: FloatArray,
-        exposure_s: float,
         nuisances: Nuisances,
+        noise: NoiseModel | None = None,
     ) -> None:
-        self.paths, self.orders, self.nuisances = paths, orders, nuisances
-        self.times, self.values, self.exposure = times, values, exposure_s
+        self.experiments, self.orders, self.nuisances = tuple(experiments), orders, nuisances
+        self.paths: tuple[Path, ...] = experiments[0].paths
         self.n_a = sum(orders)
-        self.free_delays = [k for k, path in enumerate(paths) if path.delay.is_free]
-        self.n_columns = sum(path.n_zeros + 1 for path in paths) + self.n_nuisances
-        n_parameters = self.n_a + len(self.free_delays) + self.n_columns
-        least = max(_MIN_SAMPLES, 3 * n_parameters)
-        if len(values) < least:
-            raise EstimationError(
-                f"the output has {len(values)} usable samples for {n_parameters} parameters; expected at least "
-                f"{least}. Record longer, or ask for a lower order"
-            )
-        if np.ptp(values) == 0.0:
-            raise EstimationError(
-                f"the output is constant ({values[0]:g}); nothing can be identified from it. Check the sensor"
-            )
-        self.period = float(np.median(np.diff(times)))
-        self.measured = self.joined(values)
-        self.measured_integral = self.measured.antiderivative()
-        self.at_stamps = Instants.on(self.measured, times, 0.0)
-        self.noise: FloatArray = np.ones(1)  # coefficients of the autoregression: white
-        self.middle = 0.5 * (times[0] + times[-1])
-        self.length = float(times[-1] - times[0])
+        self.free_delays = [k for k, path in enumerate(self.paths) if path.delay.is_free]
+        self.n_numerators = sum(path.n_zeros + 1 for path in self.paths)
+        self.n_nuisances = nuisances.count(self.n_a)
+        self.n_columns = self.n_numerators + len(experiments) * self.n_nuisances
+        ends = np.cumsum([0, *(len(own.values) for own in experiments)])
+        self.rows = [slice(int(first), int(end)) for first, end in itertools.pairwise(ends)]
+        self.values = _in_a_row([own.values for own in experiments])
+        self.times = _in_a_row([own.times for own in experiments])
+        self._refuse_few()
+        self.period = min(own.period for own in experiments)
+        self.length = max(own.length for own in experiments)
+        self.shortest = min(own.length for own in experiments)
         self.nyquist = np.pi / self.period
         self.scale = float(np.sqrt(2.0 * np.pi / self.length * self.nyquist))
-        self.floor = len(values) * (_NOISE_FLOOR * float(np.max(np.abs(values)))) ** 2
+        self.floor = len(self.values) * (_NOISE_FLOOR * float(np.max(np.abs(self.values)))) ** 2
         self.parts = np.split(np.arange(self.n_a), np.cumsum(orders)[:-1])
+        self.noise = noise
+        self._target = self.weighed(self.values)
 
-    @property
-    def n_nuisances(self) -> int:
-        """Number of columns beside the numerators."""
-        terms = self.nuisances
-        return terms.has_offset + terms.has_ramp + (sum(self.orders) if terms.has_free_response else 0)
+    def _refuse_few(self) -> None:
+        n_parameters = self.n_a + len(self.free_delays) + self.n_columns
+        least = max(_MIN_SAMPLES, 3 * n_parameters)
+        if len(self.values) < least:
+            raise EstimationError(
+                f"the output has {len(self.values)} usable samples for {n_parameters} parameters; expected at least "
+                f"{least}. Record longer, or ask for a lower order"
+            )
+        least = max(_MIN_SAMPLES, 3 * self.n_nuisances)
+        for own in self.experiments:
+            if len(own.values) < least:
+                raise EstimationError(
+                    f"the output has {len(own.values)} usable samples in record {own.name!r}; expected at least "
+                    f"{least} in each. Leave the record out"
+                )
+        if np.ptp(self.values) == 0.0:
+            raise EstimationError(
+                f"the output is constant ({self.values[0]:g}); nothing can be identified from it. Check the sensor"
+            )
 
-    def joined(self, values: FloatArray) -> PiecewisePolynomial:
-        """Return values at the stamps joined by straight lines, at rest before; every stamp is a knot."""
-        return PiecewisePolynomial.from_samples(
-            self.times, values, "linear", margin_s=1e-3 * self.period, lead="zero"
-        )
+    def weighed(self, columns: FloatArray) -> FloatArray:
+        """Return columns of shape (n_samples, ...) as the noise model sees them."""
+        return columns if self.noise is None else self.noise.apply(columns)
 
-    def from_stamp(self, start_s: float) -> OutputErrorProblem:
-        """Return the problem without the samples before an instant."""
-        keep = self.times >= start_s
-        return OutputErrorProblem(
-            self.paths, self.orders, self.times[keep], self.values[keep], self.exposure, self.nuisances
-        )
+    def under(self, noise: NoiseModel | None) -> OutputErrorProblem:
+        """Return the problem under another noise model, in the same unit of frequency."""
+        problem = OutputErrorProblem(self.experiments, self.orders, self.nuisances, noise)
+        problem.scale = self.scale
+        return problem
 
-    def of_values(self, values: FloatArray, paths: tuple[Path, ...]) -> OutputErrorProblem:
-        """Return the problem of one denominator that explains other values at the same stamps."""
-        order = (self.orders[paths[0].block],)
-        alone = tuple(replace(path, block=0) for path in paths)
-        return OutputErrorProblem(alone, order, self.times, values, self.exposure, self.nuisances)
+    def reweighed(self, state: OutputErrorState, is_coloured: bool) -> OutputErrorProblem:
+        """Return the problem under the noise that a state's residuals show.
+
+        Parameters
+        ----------
+        state : OutputErrorState
+        is_coloured : bool -- whether the noise has an autoregression, its order by BIC
+
+        Notes
+        -----
+        The level of a record's noise is that of its residuals over the samples that the parameters leave
+        free: those of the record, less its share of the trace of the projection onto the model's columns.
+        """
+        left = self.unweighed_residuals(state)
+        whitenings = None
+        if is_coloured:
+            whitenings = [
+                Whitening(autoregression(left[part]), own.times)
+                for part, own in zip(self.rows, self.experiments, strict=True)
+            ]
+        sds = np.ones(len(self.rows))
+        if len(self.rows) > 1:
+            assert state.solution is not None
+            leverage = np.einsum("ij,ij->i", state.solution.basis, state.solution.basis)
+            share = len(state.theta) / len(left)
+            for record, part in enumerate(self.rows):
+                own = left[part] if whitenings is None else whitenings[record].apply(left[part])
+                n_free = float(np.sum(1.0 - share - leverage[part]))
+                power = float(own @ own) / max(n_free, 1.0)
+                sds[record] = math.sqrt(power + self.floor / len(left) + 1e-300)
+        problem = self.under(NoiseModel(whitenings, sds, self.rows))
+        problem.scale = state.scale
+        return problem
+
+    def unweighed_residuals(self, state: OutputErrorState) -> FloatArray:
+        """Return what a state leaves of the output, whatever it is weighed by."""
+        return np.asarray(self.values - state.matrix @ state.coefficients)
+
+    def standardised(self, residuals: FloatArray) -> FloatArray:
+        """Return residuals in units of their level in every record, where there are several."""
+        return in_units_of_level([residuals[part] for part in self.rows])
+
+    def from_stamps(self, starts_s: Sequence[float]) -> OutputErrorProblem:
+        """Return the problem without the samples before an instant in every record."""
+        kept = [own.from_stamp(start) for own, start in zip(self.experiments, starts_s, strict=True)]
+        return OutputErrorProblem(kept, self.orders, self.nuisances)
+
+    def of_values(self, values: FloatArray, paths: Sequence[int]) -> OutputErrorProblem:
+        """Return the problem of one denominator and some paths that explains other values at the same stamps."""
+        experiments = [
+            replace(own, values=values[part], paths=tuple(replace(own.paths[k], block=0) for k in paths))
+            for own, part in zip(self.experiments, self.rows, strict=True)
+        ]
+        order = (self.orders[self.paths[paths[0]].block],)
+        return OutputErrorProblem(experiments, order, self.nuisances)
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Return the delay of every path [s]."""
@@ -271,22 +260,20 @@ class OutputErrorProblem:
             ):
                 return refused
         delays = self.delays(theta)
-        if any(delays[k] < -_EARLIEST * self.period or delays[k] > self.length for k in self.free_delays):
+        if any(delays[k] < -_EARLIEST * self.period or delays[k] > self.shortest for k in self.free_delays):
             return refused
-        responses = tuple(
-            path.response(uppers[path.block], self.scale, self.times, self.exposure, delay, slopes)
-            for path, delay in zip(self.paths, delays, strict=True)
-        )
+        forced = [own.forced(uppers, self.scale, delays, slopes) for own in self.experiments]
+        responses = tuple(joined(parts) for parts in zip(*forced, strict=True))
+        free: tuple[tuple[RationalResponse, ...], ...] = ()
+        if self.nuisances.has_free_response:
+            free = tuple(
+                tuple(own.free(upper, self.scale, slopes) for upper in uppers) for own in self.experiments
+            )
         columns = [
             response.combined(np.eye(path.n_zeros + 1))
             for path, response in zip(self.paths, responses, strict=True)
         ]
-        columns += [column[:, None] for column in self.drifts()]
-        free: tuple[RationalResponse, ...] = ()
-        if self.nuisances.has_free_response:
-            free = tuple(self._free_response(upper, slopes) for upper in uppers)
-            columns += [response.combined(np.eye(response.order)) for response in free]
-        matrix = np.concatenate(columns, axis=1)
+        matrix = np.concatenate([*columns, *self._own_columns(free)], axis=1)
         if not np.all(np.isfinite(matrix)):
             return refused
         return OutputErrorState(theta, self.scale, math.inf, uppers, responses, free, matrix=matrix)
@@ -296,9 +283,10 @@ class OutputErrorProblem:
         point = self.point(theta, slopes)
         if not point.matrix.size:
             return point
-        solution = LinearSolution.of(point.matrix)
-        coefficients = solution.coefficients(self.values)
-        residuals = self.values - point.matrix @ coefficients
+        matrix = self.weighed(point.matrix)
+        solution = LinearSolution.of(matrix)
+        coefficients = solution.coefficients(self._target)
+        residuals = self._target - matrix @ coefficients
         cost = 0.5 * len(self.values) * math.log(float(residuals @ residuals) + self.floor)
         delays = self.delays(theta)
         for k in self.free_delays:
@@ -306,16 +294,22 @@ class OutputErrorProblem:
             cost += 0.5 * ((delays[k] - prior.mean) / prior.sd) ** 2
         return replace(point, cost=cost, coefficients=coefficients, residuals=residuals, solution=solution)
 
-    def drifts(self) -> list[FloatArray]:
-        """Return the columns of offset and ramp."""
-        columns = [np.ones_like(self.times)] if self.nuisances.has_offset else []
-        if self.nuisances.has_ramp:
-            columns.append((self.times - self.middle) / self.length)
-        return columns
-
-    def _free_response(self, upper: ComplexArray, slopes: bool) -> RationalResponse:
-        elapsed = self.times - self.times[0] + 0.5 * self.exposure
-        return RationalResponse.to_impulse(upper, self.scale, elapsed, self.exposure, slopes)
+    def _own_columns(self, free: tuple[tuple[RationalResponse, ...], ...]) -> list[FloatArray]:
+        """Return offset, ramp and free motions of every record, zero in the others."""
+        blocks = []
+        for record, own in enumerate(self.experiments):
+            columns = [column[:, None] for column in own.drifts(self.nuisances)]
+            if free:
+                columns += [response.combined(np.eye(response.order)) for response in free[record]]
+            if columns:
+                blocks.append(np.concatenate(columns, axis=1))
+        if len(blocks) < 2:
+            return blocks
+        placed = np.zeros((len(self.values), len(blocks) * self.n_nuisances))
+        for record, (part, block) in enumerate(zip(self.rows, blocks, strict=True)):
+            first = record * self.n_nuisances
+            placed[part, first : first + self.n_nuisances] = block
+        return [placed]
 
     def numerator(self, state: OutputErrorState, path: int) -> FloatArray:
         """Return the numerator of a path in units of the scale, ascending powers."""
@@ -323,29 +317,35 @@ class OutputErrorProblem:
         return np.asarray(state.coefficients[place : place + self.paths[path].n_zeros + 1])
 
     def jacobian(self, state: OutputErrorState) -> FloatArray:
-        """Return the model's gradient by theta, shape (n_samples, n_theta), in scaled units."""
+        """Return the gradient by theta of the model as the noise model sees it, shape (n_samples, n_theta).
+
+        Both in scaled units.
+        """
         result = np.zeros((len(self.values), len(state.theta)))
-        sources = [
-            (response, self.numerator(state, k), path.block)
-            for k, (path, response) in enumerate(zip(self.paths, state.responses, strict=True))
-        ]
-        place = self.n_columns - self.n_a
-        for block, response in enumerate(state.free):
-            n = self.orders[block]
-            sources.append((response, state.coefficients[place : place + n], block))
-            place += n
-        for response, ascending, block in sources:
-            # d/da_i of B/A with a_i at s^(n-i): -s^(n-i) B / A^2
-            n = self.orders[block]
-            products = np.zeros((n, n - 1 + len(ascending)))
-            for i in range(n):
-                products[i, n - 1 - i : n - 1 - i + len(ascending)] = -ascending
-            result[:, self.parts[block]] += response.combined(products, squared=True)
+        for k, (path, response) in enumerate(zip(self.paths, state.responses, strict=True)):
+            result[:, self.parts[path.block]] += self._by_denominator(
+                response, self.numerator(state, k), path.block
+            )
+        n_drifts = self.n_nuisances - self.n_a
+        for record, (part, responses) in enumerate(zip(self.rows, state.free, strict=False)):
+            place = self.n_numerators + record * self.n_nuisances + n_drifts
+            for block, response in enumerate(responses):
+                ascending = state.coefficients[place : place + self.orders[block]]
+                result[part][:, self.parts[block]] += self._by_denominator(response, ascending, block)
+                place += self.orders[block]
         for column, k in enumerate(self.free_delays):
             ascending = self.numerator(state, k)
             derivative = np.concatenate([[0.0], ascending])[None]  # s B / A: by time, in units of 1/scale
             result[:, self.n_a + column] = -self.scale * state.responses[k].combined(derivative)[:, 0]
-        return result
+        return self.weighed(result)
+
+    def _by_denominator(self, response: Response, ascending: FloatArray, block: int) -> FloatArray:
+        """Return d/da_i of B/A with a_i at s^(n-i): -s^(n-i) B / A^2."""
+        n = self.orders[block]
+        products = np.zeros((n, n - 1 + len(ascending)))
+        for i in range(n):
+            products[i, n - 1 - i : n - 1 - i + len(ascending)] = -ascending
+        return response.combined(products, squared=True)
 
     def _information(self, state: OutputErrorState, jacobian: FloatArray, variance: float) -> FloatArray:
         """Return the information on theta with the linear parameters unknown, prior knowledge included."""
@@ -397,3 +397,7 @@ class OutputErrorProblem:
         cross = of_theta @ sensitivity.T
         of_linear = variance * state.solution.inverse_gram() + sensitivity @ cross
         return JointCovariance(np.block([[of_theta, cross], [cross.T, of_linear]]), variance, condition)
+
+
+def _in_a_row(parts: Sequence[FloatArray]) -> FloatArray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -26,15 +26,15 @@ from beam_ident.delay_search import delay_candidates
 from beam_ident.errors import EstimationError
 from beam_ident.levenberg_marquardt import minimise
 from beam_ident.output_error import OutputErrorProblem, OutputErrorState
-from beam_ident.piecewise import FloatArray, PiecewisePolynomial
-from beam_ident.rational_response import RationalResponse
+from beam_ident.piecewise import FloatArray
 from beam_ident.state_variable_filter import (
     filter_coefficients,
+    filtered_simulation,
     instrumental_step,
     least_squares_step,
     stable_coefficients,
 )
-from beam_ident.subspace import subspace_poles
+from beam_ident.subspace_projection import Stretch, subspace_poles
 from beam_ident.validation import Whiteness
 
 Method = Literal["auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf"]
@@ -97,7 +97,7 @@ def estimate_denominator(
     -------
     problem, optimum
         The problem as it was solved: with an unknown past and a delay found, without the
-        samples that depend on that past.
+        samples that depend on that past; with several records, weighed by their noise as a start shows it.
 
     Raises
     ------
@@ -109,9 +109,58 @@ def estimate_denominator(
     if problem.free_delays:
         delays = delay_candidates(problem, cutoffs)
         if problem.nuisances.has_free_response:
-            known = problem.times[0] + max(float(np.max(d)) for d in delays) + 1.5 * problem.period
-            problem = problem.from_stamp(known)
+            longest = max(float(np.max(d)) for d in delays) + 1.5 * problem.period
+            problem = problem.from_stamps([own.times[0] + longest for own in problem.experiments])
+    if len(problem.experiments) > 1:
+        start = next(_Chain(problem, method, cutoffs, delays, 1).in_turn(), None)
+        if start is not None:
+            problem = problem.reweighed(start, is_coloured=False)
     return problem, _Chain(problem, method, cutoffs, delays, n_finalists).run()
+
+
+def refine(problem: OutputErrorProblem, state: OutputErrorState, method: Method) -> Optimum:
+    """Refine a state to a method's end: SRIVC's fixed point, or the output-error optimum.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem -- in the state's unit of frequency
+    state : OutputErrorState
+    method : str
+    """
+    iterations = 0
+    if method != "output_error":
+        found = srivc(problem, state)
+        if method == "srivc":
+            return found
+        state, iterations = found.state, found.iterations
+    minimum = minimise(problem, state, _LM_ITERATIONS)
+    return Optimum(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
+
+
+def srivc(problem: OutputErrorProblem, start: OutputErrorState) -> Optimum:
+    """Iterate the refined instrumental variable at given delays, and return the best point met.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem -- in the start's unit of frequency
+    start : OutputErrorState
+    """
+    state, best, iteration = start, start, 0
+    n = problem.n_a
+    for iteration in range(1, _SRIVC_ITERATIONS + 1):
+        jacobian = problem.jacobian(state)
+        theta = instrumental_step(problem, state, jacobian[:, :n])
+        following = problem.state(theta)
+        if not math.isfinite(following.cost):
+            break
+        if following.cost < best.cost:
+            best = following
+        information, _ = problem.slope(following)
+        moved = (following.theta - state.theta)[:n]
+        state = following
+        if float(moved @ information[:n, :n] @ moved) < _SRIVC_TOLERANCE * n:
+            return Optimum(best, True, "SRIVC reached its fixed point", iteration)
+    return Optimum(best, False, f"SRIVC still moved after {iteration} iterations", iteration)
 
 
 class _Chain:
@@ -135,11 +184,12 @@ class _Chain:
                 raise EstimationError(_NO_START)
             return Optimum(starts[0], False, f"{self.method.upper()} takes one step", 1)
         best: Optimum | None = None
-        for start in self._in_turn():
+        for start in self.in_turn():
             found = self._refined(start)
             if best is None or found.state.cost < best.state.cost:
                 best = found
-            if found.converged and Whiteness.of(best.state.residuals).p_value > WHITE:
+            noise = self.problem.standardised(best.state.residuals)
+            if found.converged and Whiteness.of(noise).p_value > WHITE:
                 break
         if best is None:
             raise EstimationError(_NO_START)
@@ -189,7 +239,7 @@ class _Chain:
         other = self._refined(deepest)
         return other if other.state.cost < state.cost else found
 
-    def _in_turn(self) -> Iterator[OutputErrorState]:
+    def in_turn(self) -> Iterator[OutputErrorState]:
         """Yield starts in the order in which they are worth the work of refining them.
 
         A subspace is the quickest start and sees light modes under noise that filters lose; but
@@ -232,67 +282,34 @@ class _Chain:
     def _instrumental(self, behind: OutputErrorState, found: OutputErrorState) -> OutputErrorState:
         problem = self.problem
         problem.scale = behind.scale
-        simulated = problem.joined(problem.values - found.residuals)
-        filtered = RationalResponse(
-            behind.uppers[0],
-            problem.scale,
-            simulated,
-            simulated.antiderivative(),
-            problem.at_stamps,
-            squares=False,
-        )
-        instruments = -filtered.combined(np.eye(problem.n_a)[::-1])
+        simulated = problem.values - problem.unweighed_residuals(found)
+        instruments = -problem.weighed(filtered_simulation(problem, behind.uppers[0], simulated))
         return problem.state(instrumental_step(problem, behind, instruments), slopes=False)
 
     def _subspace_starts(self) -> list[OutputErrorState]:
         problem = self.problem
         delays = self.delays[0]
         every = problem.delays(np.concatenate([np.zeros(problem.n_a), delays]))
-        drives = [
-            PiecewisePolynomial(path.signal.knots + delay, path.signal.coefficients, path.signal.period)
-            for path, delay in zip(problem.paths, every, strict=True)
+        levels = np.ones(len(problem.rows)) if problem.noise is None else problem.noise.levels
+        stretches = [
+            Stretch(
+                [path.delayed(delay) for path, delay in zip(own.paths, every, strict=True)],
+                [(own.times, own.values)],
+                float(level),
+            )
+            for own, level in zip(problem.experiments, levels, strict=True)
         ]
         states = []
-        for poles in subspace_poles(drives, problem.times, problem.values[:, None], problem.n_a):
+        for poles in subspace_poles(stretches, problem.n_a):
             problem.scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(poles), 1e-9 * problem.nyquist)))))
             coefficients = stable_coefficients(np.real(np.poly(poles / problem.scale))[1:])
             states.append(problem.state(np.concatenate([coefficients, delays]), slopes=False))
         return [state for state in states if math.isfinite(state.cost)]
 
     def _refined(self, start: OutputErrorState) -> Optimum:
-        """Refine a start to the method's end: SRIVC's fixed point, or the output-error optimum."""
+        """Refine a start to the method's end, in the unit of frequency of its own poles."""
         problem = self.problem
         size = float(np.exp(np.mean(np.log(np.abs(start.responses[0].poles))))) * start.scale
         theta = problem.converted(start, size)
         problem.scale = size
-        state = problem.state(theta)
-        iterations, converged = 0, False
-        if self.method != "output_error":
-            state, converged, iterations = self._srivc(state)
-        if self.method == "srivc":
-            still = f"SRIVC still moved after {iterations} iterations"
-            return Optimum(
-                state, converged, "SRIVC reached its fixed point" if converged else still, iterations
-            )
-        minimum = minimise(problem, state, _LM_ITERATIONS)
-        return Optimum(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
-
-    def _srivc(self, start: OutputErrorState) -> tuple[OutputErrorState, bool, int]:
-        """Iterate the refined instrumental variable at given delays, and return the best point met."""
-        problem = self.problem
-        state, best = start, start
-        n = problem.n_a
-        for iteration in range(1, _SRIVC_ITERATIONS + 1):
-            jacobian = problem.jacobian(state)
-            theta = instrumental_step(problem, state, jacobian[:, :n])
-            following = problem.state(theta)
-            if not math.isfinite(following.cost):
-                return best, False, iteration
-            if following.cost < best.cost:
-                best = following
-            information, _ = problem.slope(following)
-            moved = (following.theta - state.theta)[:n]
-            state = following
-            if float(moved @ information[:n, :n] @ moved) < _SRIVC_TOLERANCE * n:
-                return best, True, iteration
-        return best, False, _SRIVC_ITERATIONS
+        return refine(problem, problem.state(theta), self.method)

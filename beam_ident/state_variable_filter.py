@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from beam_ident.experiment import Experiment, Response, joined
 from beam_ident.linear_solution import LinearSolution
 from beam_ident.output_error import OutputErrorProblem, OutputErrorState
-from beam_ident.piecewise import FloatArray, Instants
+from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
 from beam_ident.rational_response import ComplexArray, RationalResponse
 
 
@@ -22,40 +23,68 @@ def filter_coefficients(order: int) -> FloatArray:
 
 
 def filtered_output(
-    problem: OutputErrorProblem, upper: ComplexArray, instants: Instants | None = None
-) -> FloatArray:
-    """Return the responses of ``s^(n-1)/F .. 1/F`` to the measured output, shape (n_instants, n)."""
-    response = RationalResponse(
-        upper,
-        problem.scale,
-        problem.measured,
-        problem.measured_integral,
-        problem.at_stamps if instants is None else instants,
-        squares=False,
+    experiment: Experiment, upper: ComplexArray, scale: float, instants: Instants
+) -> RationalResponse:
+    """Return the responses of a filter 1/F to what one record measured, at instants of it."""
+    return RationalResponse(
+        upper, scale, experiment.measured, experiment.measured_integral, instants, squares=False
     )
+
+
+def filtered_derivatives(response: Response) -> FloatArray:
+    """Return the responses of ``s^(n-1)/F .. 1/F``, shape (n_instants, n)."""
     return response.combined(np.eye(response.order)[::-1])
+
+
+def filtered_outputs(problem: OutputErrorProblem, upper: ComplexArray) -> FloatArray:
+    """Return the responses of ``s^(n-1)/F .. 1/F`` to the measured output at all stamps, shape (n_samples, n)."""
+    parts = [filtered_output(own, upper, problem.scale, own.at_stamps) for own in problem.experiments]
+    return filtered_derivatives(joined(parts))
+
+
+def filtered_simulation(
+    problem: OutputErrorProblem, upper: ComplexArray, simulated: FloatArray
+) -> FloatArray:
+    """Return the responses of ``s^(n-1)/F .. 1/F`` to a simulated output, shape (n_samples, n)."""
+    parts = []
+    for own, part in zip(problem.experiments, problem.rows, strict=True):
+        signal: PiecewisePolynomial = own.joined(simulated[part])
+        integral = signal.antiderivative()
+        parts.append(RationalResponse(upper, problem.scale, signal, integral, own.at_stamps, squares=False))
+    return filtered_derivatives(joined(parts))
 
 
 def least_squares_step(problem: OutputErrorProblem, state: OutputErrorState) -> FloatArray:
     """Return the denominator that least squares finds behind the filter of a state (LSSVF)."""
-    outputs = filtered_output(problem, state.uppers[0])
-    regressors = np.concatenate([-outputs, state.matrix], axis=1)
-    target = problem.values - outputs @ state.theta[: problem.n_a]
+    regressors, target = _equations(problem, state)
     return _with_delays(problem, state, LinearSolution.of(regressors).coefficients(target))
 
 
 def instrumental_step(
     problem: OutputErrorProblem, state: OutputErrorState, instruments: FloatArray
 ) -> FloatArray:
-    """Return the denominator that instrumental variables find behind the filter of a state."""
-    outputs = filtered_output(problem, state.uppers[0])
-    regressors = np.concatenate([-outputs, state.matrix], axis=1)
-    target = problem.values - outputs @ state.theta[: problem.n_a]
-    basis = LinearSolution.of(np.concatenate([instruments, state.matrix], axis=1)).basis
+    """Return the denominator that instrumental variables find behind the filter of a state.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    state : OutputErrorState
+    instruments : ndarray, shape (n_samples, n) -- as the noise model sees them
+    """
+    regressors, target = _equations(problem, state)
+    others = regressors[:, problem.n_a :]
+    basis = LinearSolution.of(np.concatenate([instruments, others], axis=1)).basis
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
     found = np.linalg.lstsq(basis.T @ (regressors / scale), basis.T @ target, rcond=1e-13)[0] / scale
     return _with_delays(problem, state, found)
+
+
+def _equations(problem: OutputErrorProblem, state: OutputErrorState) -> tuple[FloatArray, FloatArray]:
+    """Return regressors and target behind the filter of a state, as the noise model sees them."""
+    outputs = filtered_outputs(problem, state.uppers[0])
+    target = problem.values - outputs @ state.theta[: problem.n_a]
+    return problem.weighed(np.concatenate([-outputs, state.matrix], axis=1)), problem.weighed(target)
 
 
 def _with_delays(problem: OutputErrorProblem, state: OutputErrorState, found: FloatArray) -> FloatArray:

@@ -21,24 +21,39 @@ _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
 
 
-def information_criterion(residuals: FloatArray, n_parameters: int) -> float:
-    """Return BIC of residuals as they are, with their variance unknown, up to a constant."""
-    n = len(residuals)
-    return n * math.log(max(float(residuals @ residuals), 1e-300)) + n_parameters * math.log(n)
+def information_criterion(residuals: Sequence[FloatArray], n_parameters: int) -> float:
+    """Return BIC of every record's residuals as they are, with their variances unknown, up to a constant.
+
+    Notes
+    -----
+    The constant is that of a common variance ``n log RSS``: with one record it is nothing else.
+    """
+    n = sum(len(own) for own in residuals)
+    misfit = sum(len(own) * math.log(n / len(own) * max(float(own @ own), 1e-300)) for own in residuals)
+    return misfit + n_parameters * math.log(n)
 
 
 def criterion_of_nothing(
-    times_s: FloatArray, measured: FloatArray, has_offset: bool, has_ramp: bool
+    records: Sequence[tuple[FloatArray, FloatArray]], has_offset: bool, has_ramp: bool
 ) -> float:
-    """Return BIC of no model at all, beside an offset and a ramp where these are estimated anyway."""
-    columns = [np.ones_like(times_s)] if has_offset else []
-    if has_ramp:
-        columns.append((times_s - times_s.mean()) / float(np.ptp(times_s)))
-    if not columns:
-        return information_criterion(measured, 0)
-    known = np.stack(columns, axis=1)
-    left = measured - known @ LinearSolution.of(known).coefficients(measured)
-    return information_criterion(left, len(columns))
+    """Return BIC of no model at all, beside offsets and ramps where these are estimated anyway.
+
+    Parameters
+    ----------
+    records : sequence of (times [s], measured) -- each of shape (n,)
+    has_offset, has_ramp : bool
+    """
+    left, n_parameters = [], 0
+    for times_s, measured in records:
+        columns = [np.ones_like(times_s)] if has_offset else []
+        if has_ramp:
+            columns.append((times_s - times_s.mean()) / float(np.ptp(times_s)))
+        if columns:
+            known = np.stack(columns, axis=1)
+            measured = measured - known @ LinearSolution.of(known).coefficients(measured)
+        n_parameters += len(columns)
+        left.append(measured)
+    return information_criterion(left, n_parameters)
 
 
 def transfer_function_warnings(

@@ -1,5 +1,8 @@
 """Direct estimation of transfer functions from sampled data, with no hints beyond their degrees.
 
+Several records of one system are one fit: denominators, numerators and delays are common to them, while
+every record has its own clocks, offset, drift and initial state, and its own noise, by which it weighs.
+
 What is estimated is a :class:`~beam_ident.output_error.OutputErrorProblem`; how a start is found and
 refined to the optimum stands in :mod:`beam_ident.refined_instruments`, how a delay is found in
 :mod:`beam_ident.delay_search`, and how inputs with denominators of their own are told apart in
@@ -16,15 +19,17 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from beam_ident.additive_fit import estimate_additive
-from beam_ident.argument_checks import require_input, require_output, require_record, require_whole_number
+from beam_ident.argument_checks import require_excitation, require_records, require_whole_number
 from beam_ident.blas_threads import on_one_thread
-from beam_ident.coloured_noise import coloured_residuals, refine_with_noise_model
+from beam_ident.coloured_noise import refine_with_noise_model
 from beam_ident.errors import EstimationError
+from beam_ident.experiment import Experiment, Nuisances
 from beam_ident.modal_fit import Prior
 from beam_ident.multi_input_model import MultiInputModel
-from beam_ident.output_error import Nuisances, OutputErrorProblem, OutputErrorState, Path, usable_samples
+from beam_ident.output_error import JointCovariance, OutputErrorProblem, OutputErrorState
 from beam_ident.piecewise import FloatArray
-from beam_ident.records import InputSignal, TimeRecord
+from beam_ident.record_fit import RecordFit, pooled_scores
+from beam_ident.records import TimeRecord
 from beam_ident.refined_instruments import FINALISTS, METHODS, Method, Optimum, estimate_denominator
 from beam_ident.structure_gates import (
     criterion_of_nothing,
@@ -48,10 +53,12 @@ class RationalFit:
     ----------
     method : str -- which estimator the numbers come from
     times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit, in the order of the records.
     noise_coefficients : ndarray
-        1, c_1 .. c_p of the noise's autoregression; 1 alone for all methods but "rivc".
-    scores : Scores
-    whiteness : Whiteness -- of the residuals, or of the innovations of their autoregression
+        1, c_1 .. c_p of the noise's autoregression; 1 alone for all methods but "rivc".  Of the first record.
+    scores : Scores -- with several records, each about its own mean
+    whiteness : Whiteness
+        Of the residuals, or of the innovations of their autoregression; in units of each record's level.
     bic, yic : float
         Bayesian information criterion, and Young's information criterion
         ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
@@ -59,7 +66,9 @@ class RationalFit:
     converged : bool
     reason : str
     iterations : int
-    offset, ramp : float -- at the middle of the record, and over its whole length
+    offset, ramp : float
+        Of the first record: at its middle, and over its whole length.
+    records : tuple of RecordFit -- the same record by record
     warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
@@ -79,6 +88,7 @@ class RationalFit:
     iterations: int
     offset: float
     ramp: float
+    records: tuple[RecordFit, ...]
     warnings: tuple[str, ...]
 
 
@@ -110,7 +120,7 @@ class MultiInputResult(RationalFit):
 
 @overload
 def estimate_transfer_function(
-    record: TimeRecord,
+    record: TimeRecord | Sequence[TimeRecord],
     n_poles: int,
     n_zeros: int,
     method: Method = ...,
@@ -128,7 +138,7 @@ def estimate_transfer_function(
 
 @overload
 def estimate_transfer_function(
-    record: TimeRecord,
+    record: TimeRecord | Sequence[TimeRecord],
     n_poles: int | Sequence[int],
     n_zeros: Sequence[int],
     method: Method = ...,
@@ -146,7 +156,7 @@ def estimate_transfer_function(
 
 @on_one_thread
 def estimate_transfer_function(
-    record: TimeRecord,
+    record: TimeRecord | Sequence[TimeRecord],
     n_poles: int | Sequence[int],
     n_zeros: int | Sequence[int],
     method: Method = "auto",
@@ -164,12 +174,14 @@ def estimate_transfer_function(
 
     Parameters
     ----------
-    record : TimeRecord
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share transfer functions and delays.  Each has its own clocks,
+        offset, ramp and initial state, and weighs by the noise that its residuals show.
     n_poles : int or sequence of int
         Degree of A.  With several inputs one number is a denominator common to all of them,
         and a sequence gives every input a denominator of its own.
     n_zeros : int or sequence of int
-        Degree of B, or one for each input of the record; no more than poles and integrators.
+        Degree of B, or one for each input of the records; no more than poles and integrators.
     method : {"auto", "rivc", "output_error", "srivc", "ivsvf", "lssvf"}
         "auto" goes by SRIVC to the output-error optimum, "output_error" by Levenberg-Marquardt alone;
         "rivc" goes on from there under an autoregression of the noise, whose order BIC chooses;
@@ -179,7 +191,7 @@ def estimate_transfer_function(
         Unknown constant, drift, and initial state, estimated along with the rest.
     delay : float, Prior, "estimate" or a sequence of these, one for each input
         Pure delay [s]: known, or estimated with what is known beforehand; "estimate" is
-        ``Prior(0, inf)``, searched up to a quarter of the record.
+        ``Prior(0, inf)``, searched up to a quarter of the shortest record.
     input_name, output_name : str or None -- which signals, where there are several
     cutoff : float or None
         Cut-off of the state-variable filter [rad/s]; None tries a portfolio.
@@ -198,36 +210,44 @@ def estimate_transfer_function(
     ------
     EstimationError
         Impossible degrees, too few samples, a constant output, an input at rest; irregular stamps
-        where the noise is to have a model ("rivc").
+        where the noise is to have a model ("rivc"); records whose signals differ in name or unit.
+
+    Notes
+    -----
+    The noise of every record has its own variance (and colour, with "rivc"): samples of a quiet record count
+    for more, and the stated standard deviations stay true whatever the levels.  The model's ``noise_sd``
+    is the root of the mean square over all samples; each record's own stands in ``records``.  The weights
+    of "lssvf" and "ivsvf" are those of a first estimate.
     """
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
-    require_record(record)
+    records = require_records(record)
+    first = records[0]
     require_whole_number("n_starts", n_starts, 1)
     require_whole_number("n_integrators", n_integrators, 0, _MAX_INTEGRATORS)
     if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0.0):
         raise EstimationError(
             f"cutoff is {cutoff}; expected a frequency > 0 in rad/s, or None for a portfolio"
         )
-    if output_name is None and len(record.outputs) > 1:
+    if output_name is None and len(first.outputs) > 1:
         raise EstimationError(
-            f"record {record.name!r} has {len(record.outputs)} outputs; say which one by its name"
+            f"record {first.name!r} has {len(first.outputs)} outputs; say which one by its name"
         )
-    output = record.outputs[0] if output_name is None else record.output(output_name)
+    output_name = (first.outputs[0] if output_name is None else first.output(output_name)).name
     several = isinstance(n_zeros, Sequence) and not isinstance(n_zeros, str)
     if several:
         if input_name is not None:
             raise EstimationError(
                 "input_name goes with one number of zeros; a sequence of them takes all inputs"
             )
-        drives = list(record.inputs)
-    elif input_name is None and len(record.inputs) > 1:
+        drives = [drive.name for drive in first.inputs]
+    elif input_name is None and len(first.inputs) > 1:
         raise EstimationError(
-            f"record {record.name!r} has {len(record.inputs)} inputs; say which one by its name, or give one "
+            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name, or give one "
             "number of zeros for each"
         )
     else:
-        drives = [record.inputs[0] if input_name is None else record.input(input_name)]
+        drives = [(first.inputs[0] if input_name is None else first.input(input_name)).name]
     zeros = _one_each("n_zeros", n_zeros, drives)
     own_poles = isinstance(n_poles, Sequence) and not isinstance(n_poles, str)
     poles = _one_each("n_poles", n_poles, drives)
@@ -245,39 +265,33 @@ def estimate_transfer_function(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
             "or 'rivc'"
         )
-    for drive in drives:
-        require_input(drive, is_needed=not has_free_response)
-    keep = usable_samples(output, drives)
-    if has_free_response:  # what the delayed input was before its record is unknown: leave those samples out
-        for drive, prior in zip(drives, delays, strict=True):
-            known = drive.span_s[0] + (0.0 if prior.is_free else prior.mean) + 0.5 * output.exposure_s
-            keep = keep & (output.times_s >= known)
-    times, values = np.asarray(output.times_s[keep]), np.asarray(output.values[keep])
-    require_output(output.name, values)
-    period = float(np.median(np.diff(output.times_s))) if len(output.times_s) > 1 else 0.0
-    paths = tuple(
-        Path.of(drive, m, block if own_poles else 0, prior, n_integrators, output.exposure_s + 2.0 * period)
-        for block, (drive, m, prior) in enumerate(zip(drives, zeros, delays, strict=True))
-    )
+    if not has_free_response:
+        for name in drives:
+            require_excitation(records, name)
+    blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
+    experiments = [
+        Experiment.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
+        for one in records
+    ]
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
     orders = tuple(poles) if own_poles else (poles[0],)
-    problem = OutputErrorProblem(paths, orders, times, values, output.exposure_s, nuisances)
+    problem = OutputErrorProblem(experiments, orders, nuisances)
     if len(orders) == 1:
         problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
     else:
         problem, optimum = estimate_additive(problem, method, cutoff)
-    if method == "rivc":
-        problem, optimum = refine_with_noise_model(problem, optimum)
-    return _result(problem, optimum, method, n_integrators, output.name, several)
+    if method == "rivc" or (len(records) > 1 and method not in ("lssvf", "ivsvf")):
+        problem, optimum = refine_with_noise_model(problem, optimum, method)
+    return _result(problem, optimum, method, n_integrators, output_name, several)
 
 
-def _one_each(name: str, value: Any, drives: list[InputSignal]) -> list[Any]:
+def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:
     """Return one value for each input."""
     if isinstance(value, Sequence) and not isinstance(value, str):
         if len(value) != len(drives):
             raise EstimationError(
                 f"{name} has {len(value)} entries for {len(drives)} inputs "
-                f"({', '.join(d.name for d in drives)}); expected one for each"
+                f"({', '.join(drives)}); expected one for each"
             )
         return list(value)
     return [value] * len(drives)
@@ -314,44 +328,87 @@ def _result(
     joint = problem.covariance(state)
     if not joint.condition < 1e14:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
-    n_all = len(state.theta) + len(state.coefficients) + len(problem.noise) - 1
-    residuals = coloured_residuals(problem, state)
-    place = sum(path.n_zeros + 1 for path in problem.paths)
+    n_noise = 0 if problem.noise is None else problem.noise.n_parameters
+    n_all = len(state.theta) + len(state.coefficients) + n_noise
+    residuals = problem.unweighed_residuals(state)
+    records = record_fits(problem, state, joint)
     terms = problem.nuisances
     relative = np.diag(joint.values)[: problem.n_a] / np.maximum(state.theta[: problem.n_a] ** 2, 1e-300)
-    spread = max(float(np.var(problem.values)), 1e-300)
+    sizes = [len(own.measured) for own in records]
+    spread = float(np.average([np.var(own.measured) for own in records], weights=sizes))
     figures: dict[str, Any] = {
         "method": method,
         "times_s": problem.times,
         "measured": problem.values,
         "modelled": problem.values - residuals,
         "residuals": residuals,
-        "noise_coefficients": problem.noise,
-        "scores": Scores.of(problem.values, residuals),
-        "whiteness": Whiteness.of(state.residuals),
+        "noise_coefficients": records[0].noise_coefficients,
+        "scores": pooled_scores([(own.measured, own.residuals) for own in records]),
+        "whiteness": Whiteness.of(problem.standardised(state.residuals)),
         "bic": 2.0 * state.cost + n_all * math.log(len(problem.values)),
-        "yic": math.log(max(float(np.var(residuals)), 1e-300) / spread)
+        "yic": math.log(max(float(np.var(residuals)), 1e-300) / max(spread, 1e-300))
         + math.log(max(float(np.mean(relative)), 1e-300)),
         "condition": joint.condition,
         "converged": converged,
         "reason": reason,
         "iterations": optimum.iterations,
-        "offset": float(state.coefficients[place]) if terms.has_offset else 0.0,
-        "ramp": float(state.coefficients[place + terms.has_offset]) if terms.has_ramp else 0.0,
+        "offset": records[0].offset,
+        "ramp": records[0].ramp,
+        "records": records,
     }
-    noise_sd = math.sqrt(joint.variance) if len(problem.noise) == 1 else float(np.std(residuals))
+    noise_sd = pooled_level(records)
     model = physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
-    of_nothing = criterion_of_nothing(problem.times, problem.values, terms.has_offset, terms.has_ramp)
+    of_nothing = criterion_of_nothing(
+        [(own.times, own.values) for own in problem.experiments], terms.has_offset, terms.has_ramp
+    )
     figures["warnings"] = transfer_function_warnings(
         [model.path(k) for k in range(len(problem.paths))],
         figures["whiteness"],
-        information_criterion(residuals, n_all) < of_nothing,
+        information_criterion([own.residuals for own in records], n_all) < of_nothing,
         converged,
         reason,
     )
     if several:
         return MultiInputResult(model=model, **figures)
     return TransferFunctionResult(model=model.path(0), **figures)
+
+
+def record_fits(
+    problem: OutputErrorProblem, state: OutputErrorState, joint: JointCovariance
+) -> tuple[RecordFit, ...]:
+    """Return what every record says of an optimum."""
+    residuals, terms = problem.unweighed_residuals(state), problem.nuisances
+    fits = []
+    for record, (own, part) in enumerate(zip(problem.experiments, problem.rows, strict=True)):
+        colour, level = np.ones(1), 1.0
+        if problem.noise is not None:
+            colour, level = problem.noise.colours[record], float(problem.noise.levels[record])
+        place = problem.n_numerators + record * problem.n_nuisances
+        left = residuals[part]
+        fits.append(
+            RecordFit(
+                name=own.name,
+                times_s=own.times,
+                measured=own.values,
+                modelled=own.values - left,
+                residuals=left,
+                noise_sd=level * math.sqrt(joint.variance) if len(colour) == 1 else float(np.std(left)),
+                noise_coefficients=colour,
+                scores=Scores.of(own.values, left),
+                whiteness=Whiteness.of(state.residuals[part]),
+                offset=float(state.coefficients[place]) if terms.has_offset else 0.0,
+                ramp=float(state.coefficients[place + terms.has_offset]) if terms.has_ramp else 0.0,
+            )
+        )
+    return tuple(fits)
+
+
+def pooled_level(records: Sequence[RecordFit]) -> float:
+    """Return the standard deviation of the noise over all samples of all records."""
+    if len(records) == 1:
+        return records[0].noise_sd
+    sizes = [len(own.residuals) for own in records]
+    return math.sqrt(float(np.average([own.noise_sd**2 for own in records], weights=sizes)))
 
 
 def physical_model(

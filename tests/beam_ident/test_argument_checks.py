@@ -136,7 +136,7 @@ def test_an_order_that_is_no_whole_number_is_refused(asked, value):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        (lambda r: estimate_transfer_function([r, r], 2, 0), "expected one TimeRecord"),
+        (lambda r: estimate_transfer_function([r, 3], 2, 0), "expected one TimeRecord"),
         (lambda r: subspace_model(None, 2), "record is a NoneType"),
         (lambda r: identify([r, 3], "receptance"), "record is a int"),
         (lambda r: identify(r, "receptance", latency=0.01), "latency is 0.01; expected a Prior"),

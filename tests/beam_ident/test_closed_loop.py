@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
-from beam_ident.closed_loop import SampledController, estimate_in_closed_loop
+from beam_ident.closed_loop import estimate_in_closed_loop
+from beam_ident.sampled_controller import SampledController
 from benchmarks.ident.closed_loop import CONTROLLER, PARAMETERS, PERIOD_S, LoopCase, loop_record
 
 

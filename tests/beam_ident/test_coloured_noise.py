@@ -6,7 +6,7 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.signal import lfilter
 
 from beam_ident import EstimationError, OutputSignal, TimeRecord, estimate_transfer_function
-from beam_ident.coloured_noise import Whitening
+from beam_ident.noise_model import Whitening
 from benchmarks.ident.forced_beam import ForcedBeam
 from benchmarks.ident.noise_models import coloured
 from tests.beam_ident.rao_garnier import PARAMETERS, PERIOD_S, benchmark_record, noise_level, prbs, response

@@ -12,7 +12,8 @@ from beam_ident import (
     estimate_transfer_function,
 )
 from beam_ident.delay_search import delay_profile
-from beam_ident.output_error import Nuisances, OutputErrorProblem, Path
+from beam_ident.experiment import Experiment, Nuisances, Path
+from beam_ident.output_error import OutputErrorProblem
 from beam_ident.transfer_function import TransferFunctionModel
 from benchmarks.ident.delay import DelayedBeam, DoublePole, LateBeam
 from tests.beam_ident.rao_garnier import PERIOD_S, noise_level, prbs
@@ -101,7 +102,8 @@ def test_the_profile_is_lowest_at_the_delay():
     record = late_record(0.2537, snr_db=30.0)
     path = Path.of(record.inputs[0], 1, 0, Prior(0.0, np.inf), 0, 0.02)
     output = record.outputs[0]
-    problem = OutputErrorProblem((path,), (2,), output.times_s, output.values, 0.0, Nuisances())
+    experiment = Experiment("record", (path,), output.times_s, output.values, 0.0)
+    problem = OutputErrorProblem([experiment], (2,), Nuisances())
     delays, cost = delay_profile(problem, 9.0, np.zeros(1), 0, 0.0, 3.0)
     assert np.max(np.abs(np.diff(delays) - 0.5 * PERIOD_S)) < 1e-12
     assert abs(delays[np.argmin(cost)] - 0.2537) < PERIOD_S

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, Prior
-from beam_ident.output_error import Nuisances, OutputErrorProblem, Path, usable_samples
+from beam_ident.experiment import Experiment, Nuisances, Path, usable_samples
+from beam_ident.output_error import OutputErrorProblem
 
 RNG = np.random.default_rng(3)
 DRIVES = (
@@ -15,7 +16,11 @@ STAMPS = np.sort(RNG.uniform(0.4, 9.6, 150))
 
 
 def problem(
-    own_poles: bool = True, exposure_s: float = 0.0, n_integrators: int = 0, delay: Prior | None = None
+    own_poles: bool = True,
+    exposure_s: float = 0.0,
+    n_integrators: int = 0,
+    delay: Prior | None = None,
+    several: bool = False,
 ) -> OutputErrorProblem:
     nuisances = Nuisances(True, True, True)
     delay = delay or Prior(0.0, np.inf)
@@ -24,7 +29,11 @@ def problem(
         for block, (drive, m) in enumerate(zip(DRIVES, (1, 2), strict=True))
     )
     values = np.sin(3.0 * STAMPS) + 0.3 * STAMPS + RNG.standard_normal(len(STAMPS))
-    return OutputErrorProblem(paths, (2, 3) if own_poles else (3,), STAMPS, values, exposure_s, nuisances)
+    experiments = [Experiment("record", paths, STAMPS, values, exposure_s)]
+    if several:  # the same inputs, another clock
+        later = np.sort(np.random.default_rng(7).uniform(0.4, 9.6, 80))
+        experiments.append(Experiment("second", paths, later, np.cos(2.0 * later) + 1.0, exposure_s))
+    return OutputErrorProblem(experiments, (2, 3) if own_poles else (3,), nuisances)
 
 
 def a_point(case: OutputErrorProblem) -> np.ndarray:
@@ -94,4 +103,9 @@ def test_samples_count_where_every_input_is_known():
 def test_too_few_samples_are_refused_with_their_number():
     case = problem()
     with pytest.raises(EstimationError, match="15 usable samples"):
-        OutputErrorProblem(case.paths, (2, 3), STAMPS[:15], case.values[:15], 0.0, Nuisances())
+        OutputErrorProblem(
+            [Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)], (2, 3), Nuisances()
+        )
+    long, short = case.experiments[0], Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)
+    with pytest.raises(EstimationError, match="15 usable samples in record 'short'"):
+        OutputErrorProblem([long, short], (2, 3), Nuisances())

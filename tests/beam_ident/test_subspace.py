@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
-from beam_ident.subspace import subspace_model, subspace_poles
+from beam_ident.subspace import subspace_model
+from beam_ident.subspace_projection import Stretch, subspace_poles
 from benchmarks.ident.forced_beam import ForcedBeam
 from tests.beam_ident.rao_garnier import PARAMETERS, PERIOD_S, benchmark_record, prbs, response
 
@@ -58,9 +59,8 @@ def test_irregular_stamps_are_good_enough_to_start_from():
     drive = prbs(2000)
     times = PERIOD_S * (np.arange(2, 1990) + np.random.default_rng(0).uniform(-0.3, 0.3, 1988))
     values = np.interp(times, PERIOD_S * np.arange(2000), response(drive))
-    poles = subspace_poles(
-        [InputSignal("u", "", (0.0, PERIOD_S), drive).signal()], times, values[:, None], 4
-    )[0]
+    stretch = Stretch([InputSignal("u", "", (0.0, PERIOD_S), drive).signal()], [(times, values)])
+    poles = subspace_poles([stretch], 4)[0]
     np.testing.assert_allclose(np.sort_complex(poles), TRUE_POLES, rtol=0.1)
 
 
@@ -93,6 +93,7 @@ def test_windows_together_see_what_each_alone_does_not():
     # The short window loses the weak slow mode in the noise, the long one averages the fast one away.
     assert len(alone[0]) < 3 or not np.allclose(alone[0], beam.omegas, rtol=3e-2)
     assert not np.allclose(alone[1], beam.omegas, rtol=3e-2)
-    together = subspace_poles([record.inputs[0].signal()], output.times_s, output.values[:, None], 6)[-1]
+    stretch = Stretch([record.inputs[0].signal()], [(output.times_s, output.values)])
+    together = subspace_poles([stretch], 6)[-1]
     found = np.sort(np.abs(together[together.imag > 0.0]))
     np.testing.assert_allclose(found, beam.omegas, rtol=3e-2)
