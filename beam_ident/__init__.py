@@ -80,7 +80,7 @@ if TYPE_CHECKING:  # the same names as below, for tools that read the code witho
     from beam_ident.modal_analysis import phase_collinearity as phase_collinearity
     from beam_ident.modal_analysis import stabilisation_chart as stabilisation_chart
     from beam_ident.modal_fit import Prior as Prior
-    from beam_ident.modal_model import ModalFrequencyResponse as ModalFrequencyResponse
+    from beam_ident.modal_frequency_response import ModalFrequencyResponse as ModalFrequencyResponse
     from beam_ident.modal_model import ModalModel as ModalModel
     from beam_ident.modal_structure import ModalStructure as ModalStructure
     from beam_ident.multi_input_model import MultiInputModel as MultiInputModel
@@ -174,7 +174,8 @@ _NAMES = {
         "stabilisation_chart",
     ),
     "modal_fit": ("Prior",),
-    "modal_model": ("ModalFrequencyResponse", "ModalModel"),
+    "modal_frequency_response": ("ModalFrequencyResponse",),
+    "modal_model": ("ModalModel",),
     "modal_structure": ("ModalStructure",),
     "multi_input_model": ("MultiInputModel",),
     "order_selection": ("OrderSelection", "StructureEntry", "select_transfer_function"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from beam_ident.errors import EstimationError
+from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
@@ -69,6 +71,62 @@ def _require_like(
                     f"{kind} {name!r} is in {known!r} in record {where!r} and in {unit!r} in record {number} "
                     f"({record!r}); expected one unit in all records of one fit. Convert one of them"
                 )
+
+
+def require_frequency_record(record: object) -> None:
+    """Raise EstimationError for anything but one frequency record."""
+    if not isinstance(record, FrequencyRecord):
+        raise EstimationError(
+            f"record is a {type(record).__name__}; expected a FrequencyRecord (periodic_response(), "
+            "welch_response() and local_polynomial_response() make one of a TimeRecord)"
+        )
+
+
+def require_input_signal(drive: object) -> None:
+    """Raise EstimationError for anything but an input signal."""
+    if not isinstance(drive, InputSignal):
+        raise EstimationError(f"the input is a {type(drive).__name__}; expected an InputSignal")
+
+
+def finite_row(what: str, values: Any) -> FloatArray:
+    """Return numbers that a person gave as an array of one dimension, or raise EstimationError.
+
+    Parameters
+    ----------
+    what : str -- what they are, with their unit
+    values : array_like, shape (n,)
+    """
+    try:
+        row = np.asarray(values)
+        row = row if np.iscomplexobj(row) else np.asarray(row, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise EstimationError(
+            f"{what} are no numbers ({err}); expected a row of finite real numbers"
+        ) from err
+    if np.iscomplexobj(row) or row.ndim != 1:
+        kind = "complex" if np.iscomplexobj(row) else f"of shape {row.shape}"
+        raise EstimationError(f"{what} are {kind}; expected a row of finite real numbers")
+    if not np.all(np.isfinite(row)):
+        first = int(np.flatnonzero(~np.isfinite(row))[0])
+        raise EstimationError(f"{what}: number {first} is {row[first]}; expected finite real numbers")
+    return row
+
+
+def require_time(name: str, value: Any) -> None:
+    """Raise EstimationError for what is no finite time of 0 or more [s]."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not is_number or not (math.isfinite(value) and value >= 0.0):
+        raise EstimationError(f"{name} is {value!r}; expected a time of 0 or more [s]")
+
+
+def require_arrival(drive: InputSignal, delay_s: float, output: OutputSignal) -> None:
+    """Raise EstimationError for a delay so long that nothing of an input reaches an output within the record."""
+    if not delay_s < float(output.times_s[-1] - drive.times_s[0]):
+        raise EstimationError(
+            f"the delay is {delay_s:.6g} s, but output {output.name!r} ends "
+            f"{output.times_s[-1] - drive.times_s[0]:.6g} s after input {drive.name!r} begins: nothing "
+            "of it has arrived. Expected a shorter delay, or a longer record"
+        )
 
 
 def require_whole_number(name: str, value: Any, least: int, most: int | None = None) -> None:

@@ -15,7 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beam_ident.argument_checks import require_excitation, require_records, require_whole_number
+from beam_ident.argument_checks import (
+    require_arrival,
+    require_excitation,
+    require_records,
+    require_time,
+    require_whole_number,
+)
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.experiment import Experiment, Nuisances
@@ -175,8 +181,10 @@ def estimate_common_poles(
             f"{n_poles} poles, {n_integrators} integrators and {zeros} zeros; expected 1 to {_MAX_POLES} poles, at "
             "most 2 integrators, and no more zeros than both together"
         )
-    if not (math.isfinite(delay) and delay >= 0.0):
-        raise EstimationError(f"delay is {delay} s; expected a time of 0 or more")
+    require_time("delay", delay)
+    for one in records:
+        for output in one.outputs:
+            require_arrival(one.input(drive.name), delay, output)
     if not has_free_response:
         require_excitation(records, drive.name)
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)

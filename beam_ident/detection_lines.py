@@ -100,6 +100,8 @@ def nonlinear_distortion(found: PeriodicResponse, significance: float = 0.01) ->
     response, interpolated from the neighbouring excited lines.  A transient that has not died
     out answers on all lines too: `PeriodicResponse.drift` far above 1 says so.
     """
+    if not isinstance(found, PeriodicResponse):
+        raise EstimationError(f"found is a {type(found).__name__}; expected what periodic_response() returns")
     if not 0.0 < significance < 1.0:
         raise EstimationError(f"significance is {significance}; expected a number between 0 and 1")
     excited = np.flatnonzero(found.is_excited)

@@ -183,9 +183,12 @@ def fit_free_decay(
     -----
     Frequencies are looked for up to half the mean rate of the stamps.
     """
-    signals = (outputs,) if isinstance(outputs, OutputSignal) else tuple(outputs)
-    if not signals:
-        raise EstimationError("no output to fit a decay to; give at least one")
+    signals = tuple(outputs) if isinstance(outputs, list | tuple) else (outputs,)
+    if not signals or not all(isinstance(signal, OutputSignal) for signal in signals):
+        found = ", ".join(type(signal).__name__ for signal in signals) or "nothing"
+        raise EstimationError(
+            f"there is {found} to fit a decay to; expected an OutputSignal, or a list of them"
+        )
     limit = max_modes if n_modes is None else n_modes
     require_whole_number("max_modes" if n_modes is None else "n_modes", limit, 1, _MOST_MODES)
     kept = [(s.times_s >= start_s) & (s.times_s <= end_s) & s.is_valid for s in signals]

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.argument_checks import require_whole_number
+from beam_ident.argument_checks import require_frequency_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
@@ -251,7 +251,11 @@ def fit_frequency_modes(
     are those of each output alone, the stated covariance is that of this estimator under the
     full covariance of the record.
     """
-    data = (records,) if isinstance(records, FrequencyRecord) else tuple(records)
+    data = tuple(records) if isinstance(records, list | tuple) else (records,)
+    for record in data:
+        require_frequency_record(record)
+    if latency is not None and not isinstance(latency, Prior):
+        raise EstimationError(f"latency is {latency!r}; expected a Prior(mean, sd) in s, or None")
     form = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     prior = Prior(0.0, 0.0) if latency is None else latency
     problem = _problem(data, form, prior)

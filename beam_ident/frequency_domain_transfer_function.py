@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.argument_checks import require_whole_number
+from beam_ident.argument_checks import require_frequency_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_domain_fit import line_weights, require_responses, stacked_values
@@ -221,6 +221,18 @@ def _stable(a: FloatArray) -> FloatArray:
     return np.asarray(np.real(np.poly(np.minimum(-np.abs(roots.real), floor) + 1j * roots.imag)))
 
 
+def _require_resolved(delay: Prior, record: FrequencyRecord) -> None:
+    """Raise EstimationError for a delay longer than the period that the closest two lines have together."""
+    if record.n_lines < 2:
+        return
+    longest = 1.0 / float(np.min(np.diff(record.frequencies_hz)))
+    if delay.mean > longest:
+        raise EstimationError(
+            f"the delay is {delay.mean:.6g} s; lines {1.0 / longest:.4g} Hz apart cannot tell it from others beyond "
+            f"{longest:.6g} s. Take a whole number of these off, or measure over a longer time"
+        )
+
+
 @on_one_thread
 def fit_frequency_transfer_function(
     record: FrequencyRecord, n_poles: int, n_zeros: int, delay: DelayLike = 0.0
@@ -238,8 +250,10 @@ def fit_frequency_transfer_function(
     Raises
     ------
     EstimationError
-        Several inputs or outputs, degrees that do not fit, fewer lines than unknowns.
+        Several inputs or outputs, degrees that do not fit, fewer lines than unknowns, a delay below 0
+        or longer than the time that the lines resolve.
     """
+    require_frequency_record(record)
     if record.n_outputs != 1 or record.n_inputs != 1:
         raise EstimationError(
             f"frequency record {record.name!r} has {record.n_outputs} outputs and {record.n_inputs} inputs; a "
@@ -253,6 +267,7 @@ def fit_frequency_transfer_function(
         )
     require_responses(record)
     prior = delay_prior(delay)
+    _require_resolved(prior, record)
     likelihood = _Likelihood(record, n_poles, n_zeros, prior)
     if likelihood.n_rows < 2 * likelihood.n_theta:
         raise EstimationError(

@@ -139,16 +139,22 @@ class FrequencyRecord:
     name: str = field(default="frequency record")
 
     def __post_init__(self) -> None:
-        omegas = np.asarray(self.omegas, dtype=np.float64)
+        omegas = self._numbers("omegas", np.float64)
         if omegas.ndim != 1 or not len(omegas) or not np.all(np.isfinite(omegas)):
             self._refuse(f"omegas have shape {omegas.shape}; expected a row of finite frequencies")
         if not (omegas[0] > 0.0 and np.all(np.diff(omegas) > 0.0)):
             self._refuse("omegas must be positive and strictly increasing; sort the lines, leave out 0")
-        response = np.asarray(self.response, dtype=np.complex128)
+        response = self._numbers("response", np.complex128)
         shape = response.shape
         if not 1 <= response.ndim <= 3 or shape[0] != len(omegas) or 0 in shape:
             self._refuse(
                 f"the response has shape {shape} for {len(omegas)} lines; expected (n_lines, n_outputs, n_inputs)"
+            )
+        if np.any(np.isinf(response)):
+            self._refuse("the response is infinite at some lines; mark a line that was not measured with NaN")
+        if not self.degrees_of_freedom > 0.0:
+            self._refuse(
+                f"degrees_of_freedom is {self.degrees_of_freedom}; expected a number > 0, or infinity"
             )
         shape = shape + (1,) * (3 - response.ndim)
         object.__setattr__(self, "omegas", _fixed(omegas, np.float64))
@@ -173,10 +179,22 @@ class FrequencyRecord:
                     self._refuse(
                         f"{what} is negative at {np.count_nonzero(values < 0.0)} lines; expected >= 0"
                     )
+                if what == "variance" and not np.all(
+                    np.isfinite(values.ravel()[np.isfinite(response.ravel())])
+                ):
+                    self._refuse(
+                        "the variance is not finite where a response is; mark lines without one with NaN"
+                    )
                 object.__setattr__(self, what, _fixed(values.reshape(shape), np.float64))
         if self.folding is not None and (shape[2] != 1 or len(self.folding.omegas) != len(omegas)):
             self._refuse("folding needs one input and one row for every line")
         self._complete_names(shape)
+
+    def _numbers(self, what: str, kind: type[np.generic]) -> NDArray[Any]:
+        try:
+            return np.asarray(getattr(self, what), dtype=kind)
+        except (TypeError, ValueError) as err:
+            raise RecordError(f"frequency record {self.name!r}: {what} are no numbers ({err})") from err
 
     def _refuse(self, what: str) -> None:
         raise RecordError(f"frequency record {self.name!r}: {what}")

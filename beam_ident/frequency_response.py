@@ -25,7 +25,12 @@ from typing import Literal
 import numpy as np
 from scipy.signal import csd, welch
 
-from beam_ident.argument_checks import require_moving_input, require_output, require_whole_number
+from beam_ident.argument_checks import (
+    require_moving_input,
+    require_output,
+    require_record,
+    require_whole_number,
+)
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.piecewise import FloatArray, Instants, regular_period
@@ -96,6 +101,7 @@ def _for_every_output(
     method: str,
     estimate: Callable[[_Pair], _Estimate],
 ) -> FrequencyRecord:
+    require_record(record)
     if input_name is None and len(record.inputs) > 1:
         raise EstimationError(
             f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_frequency_record
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.piecewise import FloatArray
@@ -73,10 +74,16 @@ def half_power_damping(
     A window widens every peak by its own bandwidth: take a response without one (periods, a
     stepped sine, a local polynomial).  For a damping with its uncertainty fit a model.
     """
+    require_frequency_record(record)
+    if near_hz is not None and not (math.isfinite(near_hz) and near_hz > 0.0):
+        raise EstimationError(
+            f"near_hz is {near_hz}; expected a frequency > 0 in Hz, or None for the highest peak"
+        )
     chosen = record.select(
         None if output_name is None else [output_name], None if input_name is None else [input_name]
     )
-    size, omegas = np.abs(chosen.response[:, 0, 0]), record.omegas
+    seen = np.isfinite(chosen.response[:, 0, 0])
+    size, omegas = np.abs(chosen.response[seen, 0, 0]), record.omegas[seen]
     inner = np.arange(1, len(size) - 1)
     peaks = inner[(size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
     if not len(peaks):

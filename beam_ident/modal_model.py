@@ -16,9 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ident.errors import EstimationError
+from beam_ident.argument_checks import finite_row, require_input_signal, require_time
+from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.modal_fit import ModalFit
-from beam_ident.modal_realisation import modal_state_space, modal_step_response, transfer_polynomials
+from beam_ident.modal_frequency_response import ModalFrequencyResponse
+from beam_ident.modal_realisation import (
+    modal_state_space,
+    modal_step_response,
+    n_integrations,
+    transfer_polynomials,
+)
 from beam_ident.modal_regression import ClockState, ModalRegression, forced_columns
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.piecewise import FloatArray
@@ -26,45 +33,6 @@ from beam_ident.records import InputSignal
 from beam_ident.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
 
 SCHEMA = 1
-
-
-@dataclass(frozen=True, eq=False)
-class ModalFrequencyResponse:
-    """Frequency response of a model, with the uncertainty of the model's parameters.
-
-    Attributes
-    ----------
-    omegas : ndarray, shape (n_frequencies,) -- [rad/s]
-    output_names : tuple of str
-    response : complex ndarray, shape (n_frequencies, n_outputs)
-    covariance : ndarray, shape (n_frequencies, n_outputs, 2, 2)
-        Covariance of real and imaginary part.
-    """
-
-    omegas: FloatArray
-    output_names: tuple[str, ...]
-    response: NDArray[np.complex128]
-    covariance: FloatArray
-
-    @property
-    def magnitude_sd(self) -> FloatArray:
-        """Standard deviation of the magnitude, shape (n_frequencies, n_outputs)."""
-        unit = self._unit
-        variance = np.einsum("foa,foab,fob->fo", unit, self.covariance, unit)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    @property
-    def phase_sd(self) -> FloatArray:
-        """Standard deviation of the phase [rad], shape (n_frequencies, n_outputs)."""
-        unit = self._unit
-        across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
-        variance = np.einsum("foa,foab,fob->fo", across, self.covariance, across)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / np.maximum(np.abs(self.response), 1e-300))
-
-    @property
-    def _unit(self) -> FloatArray:
-        size = np.maximum(np.abs(self.response), 1e-300)
-        return np.stack([self.response.real / size, self.response.imag / size], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +99,20 @@ class ModalModel:
             "covariance": (len(names), len(names)),
         }
         require_shapes(f"modal model of {n} modes and {m} outputs", self, shapes)
+        self._require_parameters()
+
+    def _require_parameters(self) -> None:
+        """Raise ModelFormatError for an unknown structure, or for numbers that describe no modes."""
+        try:
+            ModalStructure(self.structure)
+        except EstimationError as err:
+            raise ModelFormatError(f"modal model: {err}") from err
+        is_oscillation = (self.natural_frequencies > 0.0) & (np.abs(self.damping_ratios) < 1.0)
+        if not (np.all(np.isfinite(self.parameters)) and np.all(is_oscillation)):
+            raise ModelFormatError(
+                f"modal model: natural frequencies {self.natural_frequencies} rad/s, damping ratios "
+                f"{self.damping_ratios}; expected frequencies > 0, damping ratios below 1, and all parameters finite"
+            )
 
     @property
     def n_modes(self) -> int:
@@ -213,10 +195,12 @@ class ModalModel:
         times_s : ndarray, shape (n_times,) -- instants on the input's clock [s]
         exposure_s : float -- box average centred on each instant [s]
         """
+        require_input_signal(drive)
+        require_time("exposure_s", exposure_s)
         columns = forced_columns(
             drive,
             ModalStructure(self.structure),
-            np.asarray(times_s, dtype=np.float64),
+            finite_row("instants [s]", times_s),
             exposure_s,
             self.natural_frequencies,
             self.damping_ratios,
@@ -236,8 +220,12 @@ class ModalModel:
         ----------
         omegas : ndarray, shape (n_frequencies,) -- positive frequencies [rad/s]
         """
-        omegas = np.asarray(omegas, dtype=np.float64)
+        omegas = finite_row("frequencies [rad/s]", omegas)
         structure = ModalStructure(self.structure)
+        if n_integrations(structure) and not np.all(omegas):
+            raise EstimationError(
+                f"the response to {structure.kind} at 0 rad/s is infinite: a free base drifts away. Leave 0 out"
+            )
         s = 1j * omegas
         front = structure.sign * s**structure.differentiations
         direct = np.array([structure.direct_response(value) for value in s], dtype=np.complex128)
@@ -322,11 +310,11 @@ class ModalModel:
         ----------
         times_s : ndarray, shape (n_times,) -- after the step [s]
         """
-        return modal_step_response(*self._own(), np.asarray(times_s, dtype=np.float64))
+        return modal_step_response(*self._own(), _after_the_step(times_s))
 
     def step_response_sd(self, times_s: FloatArray) -> FloatArray:
         """Return the standard deviation of :meth:`step_response`, shape (n_times, n_outputs)."""
-        times = np.asarray(times_s, dtype=np.float64)
+        times = _after_the_step(times_s)
         structure, n, m = ModalStructure(self.structure), self.n_modes, len(self.output_names)
 
         def response(parameters: FloatArray) -> FloatArray:
@@ -485,6 +473,16 @@ class ModalModel:
     def clock(self) -> ClockState:
         """Latency and clock rate together."""
         return ClockState(self.latency, self.clock_rate)
+
+
+def _after_the_step(times_s: FloatArray) -> FloatArray:
+    """Return instants, or raise EstimationError for one before the step."""
+    times = finite_row("instants [s]", times_s)
+    if np.any(times < 0.0):
+        raise EstimationError(
+            f"an instant is {float(np.min(times))} s; the step is at 0 s: expected times from there on"
+        )
+    return times
 
 
 def _parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:

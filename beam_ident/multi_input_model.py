@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from beam_ident.argument_checks import require_input_signal, require_record
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray
@@ -59,6 +60,13 @@ class MultiInputModel:
                 f"{len(self.delays)} delays for {n_inputs} inputs; expected one of each for every input, or one "
                 "denominator for all"
             )
+        if not all(
+            len(values) and np.all(np.isfinite(values)) for values in (*self.numerators, *self.denominators)
+        ):
+            raise ModelFormatError(
+                f"multi-input model: {list(self.numerators)} over {list(self.denominators)}; expected "
+                "finite coefficients"
+            )
         size = len(self.parameter_names)
         if self.covariance.shape != (size, size) or any(a[0] != 1.0 for a in self.denominators):
             raise ModelFormatError(
@@ -100,6 +108,10 @@ class MultiInputModel:
                     f"no input {drive!r} in this model; available: {', '.join(self.input_names)}"
                 )
             drive = self.input_names.index(drive)
+        if not 0 <= drive < len(self.input_names):
+            raise EstimationError(
+                f"no input of number {drive}; expected 0 to {len(self.input_names) - 1}, or a name"
+            )
         block = 0 if self.has_common_poles else drive
         lengths = [len(a) - 1 for a in self.denominators] + [len(b) for b in self.numerators]
         starts = np.concatenate([[0], np.cumsum(lengths)])
@@ -132,6 +144,8 @@ class MultiInputModel:
         times_s : ndarray, shape (n_times,) -- inside the span of every input [s]
         exposure_s : float -- box average centred on each instant [s]
         """
+        for drive in (drives,) if not isinstance(drives, Sequence) else drives:
+            require_input_signal(drive)
         given = {drive.name: drive for drive in drives}
         missing = [name for name in self.input_names if name not in given]
         if missing:
@@ -143,6 +157,7 @@ class MultiInputModel:
 
     def prediction(self, record: TimeRecord) -> OutputPrediction:
         """Return the output beside its prediction, with the record's own offset and initial state."""
+        require_record(record)
         drives = [record.input(name) for name in self.input_names]
 
         def simulate(times: FloatArray, exposure_s: float) -> FloatArray:

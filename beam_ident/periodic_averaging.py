@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ident.argument_checks import require_output
+from beam_ident.argument_checks import finite_row, require_output, require_record
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import TAIL_POWERS, ComplexArray, Folding, FrequencyRecord
 from beam_ident.piecewise import HOLDS, FloatArray, Hold, Instants, PiecewisePolynomial, regular_period
@@ -355,6 +355,7 @@ def _level(periods: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _chosen_input(record: TimeRecord, input_name: str | None) -> InputSignal:
+    require_record(record)
     if input_name is None and len(record.inputs) > 1:
         raise EstimationError(
             f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
@@ -369,7 +370,7 @@ def _excited_numbers(source: _Input, excited_hz: FloatArray | None, line_period_
         size = np.abs(np.mean(source.coefficients(np.arange(1, top + 1), line_period_s), axis=0))
         numbers = 1 + np.flatnonzero(size > _EXCITED * np.max(size))
     else:
-        exact = np.asarray(excited_hz, dtype=np.float64) * line_period_s
+        exact = finite_row("excited_hz [Hz]", excited_hz) * line_period_s
         numbers = np.unique(np.round(exact).astype(np.intp))
         if np.any(np.abs(exact - np.round(exact)) > 1e-3) or np.any((numbers < 1) | (numbers > top)):
             raise EstimationError(

@@ -38,14 +38,16 @@ def _numbers(name: str, what: str, values: Any) -> FloatArray:
     raise RecordError(f"signal {name!r}: {what} are complex; expected real numbers")
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite real number."""
+    is_real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_real and bool(np.isfinite(value))
+
+
 def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
     """Return stamps as an array, or raise RecordError naming the first bad one."""
     if isinstance(times_s, tuple):
-        if (
-            len(times_s) != 2
-            or not all(np.isfinite(float(t)) for t in times_s)
-            or not float(times_s[1]) > 0.0
-        ):
+        if len(times_s) != 2 or not all(_is_number(t) for t in times_s) or not float(times_s[1]) > 0.0:
             raise RecordError(
                 f"signal {name!r}: times_s is the tuple {times_s!r}; expected (start, period > 0) in seconds "
                 "or an array of stamps"
@@ -117,8 +119,8 @@ class InputSignal:
             raise RecordError(
                 f"input {self.name!r}: hold is {self.hold!r}; expected one of {', '.join(HOLDS)}"
             )
-        if not (np.isfinite(self.sigma) and self.sigma >= 0.0):
-            raise RecordError(f"input {self.name!r}: sigma is {self.sigma}; expected a finite number >= 0")
+        if not (_is_number(self.sigma) and self.sigma >= 0.0):
+            raise RecordError(f"input {self.name!r}: sigma is {self.sigma!r}; expected a finite number >= 0")
         object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
         object.__setattr__(self, "values", _read_only(values))
 
@@ -200,12 +202,14 @@ class OutputSignal:
             )
         if np.all(np.isnan(values)):
             raise RecordError(f"output {self.name!r}: all {len(values)} values are NaN; leave the output out")
-        if not (np.isfinite(self.exposure_s) and self.exposure_s >= 0.0):
+        if not (_is_number(self.exposure_s) and self.exposure_s >= 0.0):
             raise RecordError(
-                f"output {self.name!r}: exposure_s is {self.exposure_s}; expected a number >= 0"
+                f"output {self.name!r}: exposure_s is {self.exposure_s!r}; expected a number >= 0"
             )
-        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0.0):
-            raise RecordError(f"output {self.name!r}: sigma is {self.sigma}; expected a number > 0, or None")
+        if self.sigma is not None and not (_is_number(self.sigma) and self.sigma > 0.0):
+            raise RecordError(
+                f"output {self.name!r}: sigma is {self.sigma!r}; expected a number > 0, or None"
+            )
         object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
         object.__setattr__(self, "values", _read_only(values))
 
@@ -249,8 +253,14 @@ class TimeRecord:
     name: str = field(default="record")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "inputs", _as_tuple(self.inputs))
-        object.__setattr__(self, "outputs", _as_tuple(self.outputs))
+        for what, kind in (("inputs", InputSignal), ("outputs", OutputSignal)):
+            signals = _as_tuple(getattr(self, what))
+            strangers = [type(signal).__name__ for signal in signals if not isinstance(signal, kind)]
+            if strangers:
+                raise RecordError(
+                    f"record {self.name!r}: there is a {strangers[0]} among the {what}; expected {kind.__name__}s"
+                )
+            object.__setattr__(self, what, signals)
         if not self.inputs or not self.outputs:
             raise RecordError(
                 f"record {self.name!r}: {len(self.inputs)} inputs and {len(self.outputs)} outputs; "
@@ -306,7 +316,7 @@ _Signal = TypeVar("_Signal", InputSignal, OutputSignal)
 def _as_tuple(signals: Any) -> tuple[Any, ...]:
     if isinstance(signals, InputSignal | OutputSignal):
         return (signals,)
-    return tuple(signals)
+    return tuple(signals) if isinstance(signals, Iterable) else (signals,)
 
 
 def _find(signals: Iterable[_Signal], name: str, record: str) -> _Signal:

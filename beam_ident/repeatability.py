@@ -142,6 +142,8 @@ def assess_repeatability(models: Sequence[ModalModel] | Sequence[TransferFunctio
     where the covariances are right.  Latency, clock rate and residues are left out: a camera that is moved
     between records changes them without changing the beam.
     """
+    if not isinstance(models, Sequence):
+        raise EstimationError(f"models is a {type(models).__name__}; expected a list of at least two")
     if len(models) < 2:
         raise EstimationError(f"models: {len(models)} given; expected at least two records to compare")
     modal = [model for model in models if isinstance(model, ModalModel)]

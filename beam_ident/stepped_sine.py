@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.argument_checks import require_size
+from beam_ident.argument_checks import finite_row, require_record, require_size
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.periodic_averaging import exposure_gain, hold_gain
@@ -82,7 +82,12 @@ def fit_sine(
     EstimationError
         Fewer than eight samples, a frequency that is not positive, stamps that cannot tell the sine.
     """
-    times, data = np.asarray(times_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    times, data = finite_row("stamps [s]", times_s), np.asarray(values, dtype=np.float64)
+    if data.shape != times.shape or np.any(np.isinf(data)):
+        raise EstimationError(
+            f"values of shape {data.shape} for {len(times)} stamps, {np.count_nonzero(np.isinf(data))} of them "
+            "infinite; expected one for each, NaN where nothing was seen"
+        )
     seen = np.isfinite(data)
     times, data = times[seen], data[seen]
     if len(data) < _MIN_SAMPLES:
@@ -172,9 +177,10 @@ def stepped_sine_response(
     The variances take the residuals of every segment as white, and count the noise of the
     input where its samples scatter about its own sine.
     """
-    hertz = np.asarray(frequencies_hz, dtype=np.float64)
-    starts, ends = np.asarray(starts_s, dtype=np.float64), np.asarray(ends_s, dtype=np.float64)
-    if not (hertz.ndim == 1 and hertz.shape == starts.shape == ends.shape and len(hertz)):
+    require_record(record)
+    hertz = finite_row("frequencies_hz [Hz]", frequencies_hz)
+    starts, ends = finite_row("starts_s [s]", starts_s), finite_row("ends_s [s]", ends_s)
+    if not (hertz.shape == starts.shape == ends.shape and len(hertz)):
         raise EstimationError(
             f"{hertz.shape} frequencies, {starts.shape} starts and {ends.shape} ends; expected one of each per step"
         )

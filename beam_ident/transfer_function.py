@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beam_ident.argument_checks import finite_row, require_input_signal, require_record, require_time
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.output_prediction import OutputPrediction
 from beam_ident.piecewise import FloatArray, Instants
@@ -47,6 +48,17 @@ class TransferFunctionModel:
             values = np.array(getattr(self, name), dtype=np.float64, copy=True)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
+        sizes = [self.numerator.ndim, self.denominator.ndim, len(self.numerator), len(self.denominator)]
+        if min(sizes) < 1 or max(sizes[:2]) > 1:
+            raise ModelFormatError(
+                f"transfer function: numerator of shape {self.numerator.shape} and denominator of shape "
+                f"{self.denominator.shape}; expected a row of coefficients each"
+            )
+        if not np.all(np.isfinite([*self.numerator, *self.denominator, self.delay])):
+            raise ModelFormatError(
+                f"transfer function: {self.numerator} over {self.denominator} with a delay of {self.delay} s; "
+                "expected finite numbers"
+            )
         n = len(self.denominator) - 1 + len(self.numerator) + 1
         if self.covariance.shape != (n, n) or self.denominator[0] != 1.0:
             raise ModelFormatError(
@@ -179,12 +191,13 @@ class TransferFunctionModel:
         times_s : ndarray, shape (n_times,) -- inside the input's span [s]
         exposure_s : float -- box average centred on each instant [s]
         """
-        response = self._response(drive, np.asarray(times_s, dtype=np.float64), exposure_s, squares=False)
+        times = finite_row("instants [s]", times_s)
+        response = self._response(drive, times, exposure_s, squares=False)
         return response.combined(self._scaled_numerator()[None])[:, 0]
 
     def simulation_sd(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
         """Return the standard deviation of :meth:`simulate` that the parameters' covariance causes, (n_times,)."""
-        times = np.asarray(times_s, dtype=np.float64)
+        times = finite_row("instants [s]", times_s)
         response = self._response(drive, times, exposure_s, squares=True)
         scale, n, ascending = self._scale, response.order, self._scaled_numerator()
         gradient = np.zeros((len(times), len(self.parameters)))
@@ -209,6 +222,8 @@ class TransferFunctionModel:
     def _response(
         self, drive: InputSignal, times: FloatArray, exposure_s: float, squares: bool
     ) -> RationalResponse:
+        require_input_signal(drive)
+        require_time("exposure_s", exposure_s)
         first, last = drive.span_s
         half = 0.5 * exposure_s
         if len(times) and (times.min() - half < first - 1e-9 or times.max() + half > last + 1e-9):
@@ -242,6 +257,7 @@ class TransferFunctionModel:
 
     def prediction(self, record: TimeRecord) -> OutputPrediction:
         """Return the output beside its prediction."""
+        require_record(record)
         drive = record.input(self.input_name)
 
         def simulate(times: FloatArray, exposure_s: float) -> FloatArray:
@@ -262,12 +278,12 @@ class TransferFunctionModel:
 
     def step_response(self, times_s: FloatArray) -> FloatArray:
         """Return the response to a unit step at 0 s, shape (n_times,)."""
-        times = np.asarray(times_s, dtype=np.float64)
+        times = finite_row("instants [s]", times_s)
         return self.simulate(_unit_step(times), times)
 
     def step_response_sd(self, times_s: FloatArray) -> FloatArray:
         """Return the standard deviation of :meth:`step_response`, shape (n_times,)."""
-        times = np.asarray(times_s, dtype=np.float64)
+        times = finite_row("instants [s]", times_s)
         return self.simulation_sd(_unit_step(times), times)
 
     def frequency_response(self, omegas: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
@@ -277,8 +293,13 @@ class TransferFunctionModel:
         ----------
         omegas : ndarray, shape (n_frequencies,) -- [rad/s]
         """
-        s = 1j * np.asarray(omegas, dtype=np.float64)
+        s = 1j * finite_row("frequencies [rad/s]", omegas)
         bottom = np.polyval(self.denominator, s)
+        if np.any(bottom == 0.0):
+            raise EstimationError(
+                f"this model has a pole at {s[bottom == 0.0][0].imag:.6g} rad/s on the imaginary axis; its response "
+                "there is infinite. Leave that frequency out"
+            )
         lag = np.exp(-s * self.delay)
         response = np.polyval(self.numerator, s) / bottom * lag
         powers_a = s[:, None] ** np.arange(self.n_poles - 1, -1, -1)

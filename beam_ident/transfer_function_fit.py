@@ -19,7 +19,12 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from beam_ident.additive_fit import estimate_additive
-from beam_ident.argument_checks import require_excitation, require_records, require_whole_number
+from beam_ident.argument_checks import (
+    require_arrival,
+    require_excitation,
+    require_records,
+    require_whole_number,
+)
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.coloured_noise import refine_with_noise_model
 from beam_ident.errors import EstimationError
@@ -265,6 +270,9 @@ def estimate_transfer_function(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
             "or 'rivc'"
         )
+    for one in records:
+        for name, prior in zip(drives, delays, strict=True):
+            require_arrival(one.input(name), prior.mean, one.output(output_name))
     if not has_free_response:
         for name in drives:
             require_excitation(records, name)
@@ -303,6 +311,8 @@ def delay_prior(delay: DelayLike) -> Prior:
         if delay != "estimate":
             raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
         return Prior(0.0, math.inf)
+    if isinstance(delay, bool) or not isinstance(delay, Prior | int | float | np.integer | np.floating):
+        raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
     prior = delay if isinstance(delay, Prior) else Prior(float(delay))
     if prior.mean < 0.0:
         raise EstimationError(

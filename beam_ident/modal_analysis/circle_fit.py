@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.argument_checks import require_frequency_record
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.modal_analysis.stabilisation import ResponseForm, checked_form
@@ -76,16 +77,22 @@ def circle_fit(
     EstimationError
         Fewer than five lines in the band, or points that do not run along a circle.
     """
+    require_frequency_record(record)
     power = 1 - checked_form(form)
+    if not (math.isfinite(near_hz) and math.isfinite(width_hz) and width_hz > 0.0):
+        raise EstimationError(
+            f"the band is {width_hz} Hz around {near_hz} Hz; expected finite numbers, the width > 0"
+        )
     chosen = record.select(
         None if output_name is None else [output_name], None if input_name is None else [input_name]
     ).between(near_hz - 0.5 * width_hz, near_hz + 0.5 * width_hz)
-    omegas = chosen.omegas
+    seen = np.isfinite(chosen.response[:, 0, 0])
+    omegas = chosen.omegas[seen]
     if len(omegas) < _FEWEST:
         raise EstimationError(
             f"{len(omegas)} lines within {width_hz} Hz around {near_hz} Hz; a circle needs at least {_FEWEST}"
         )
-    points = chosen.response[:, 0, 0] * (1j * omegas) ** power
+    points = chosen.response[seen, 0, 0] * (1j * omegas) ** power
     centre, radius = _circle(points)
     # The sweep runs clockwise; unwrapped, it falls by at most a full turn.
     sweep = np.unwrap(np.angle(points - centre))

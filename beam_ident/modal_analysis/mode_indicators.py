@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from beam_ident.argument_checks import require_frequency_record
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.piecewise import FloatArray
 
@@ -15,9 +16,13 @@ def complex_mode_indicator(record: FrequencyRecord) -> FloatArray:
     -------
     ndarray, shape (n_lines, min(n_outputs, n_inputs))
         A mode is a peak; two modes at one frequency are peaks of two curves (Shih, Tsuei, Allemang
-        and Brown 1988).
+        and Brown 1988).  NaN at lines that were not measured.
     """
-    return np.asarray(np.linalg.svd(record.response, compute_uv=False))
+    require_frequency_record(record)
+    seen = np.all(np.isfinite(record.response), axis=(1, 2))
+    values = np.full((record.n_lines, min(record.n_outputs, record.n_inputs)), np.nan)
+    values[seen] = np.linalg.svd(record.response[seen], compute_uv=False)
+    return values
 
 
 def multivariate_mode_indicator(record: FrequencyRecord, differentiations: int = 0) -> FloatArray:
@@ -34,9 +39,11 @@ def multivariate_mode_indicator(record: FrequencyRecord, differentiations: int =
     -------
     ndarray, shape (n_lines, n_inputs)
         Eigenvalues of ``(Re^T Re) x = lambda (Re^T Re + Im^T Im) x`` (Williams, Crowley and Vold 1985).
-        At most as many can be near 0 as there are modes at a line.
+        At most as many can be near 0 as there are modes at a line.  NaN at lines that were not measured.
     """
-    response = record.response / 1j**differentiations
+    require_frequency_record(record)
+    seen = np.all(np.isfinite(record.response), axis=(1, 2))
+    response = record.response[seen] / 1j**differentiations
     real, imaginary = response.real, response.imag
     top = np.einsum("loi,loj->lij", real, real)
     whole = top + np.einsum("loi,loj->lij", imaginary, imaginary)
@@ -45,4 +52,6 @@ def multivariate_mode_indicator(record: FrequencyRecord, differentiations: int =
     bottom = whole / shrink + 1e-12 * np.eye(record.n_inputs)
     lower = np.linalg.cholesky(bottom)
     half = np.linalg.solve(lower, top / shrink)
-    return np.asarray(np.linalg.eigvalsh(np.linalg.solve(lower, np.swapaxes(half, 1, 2))))
+    values = np.full((record.n_lines, record.n_inputs), np.nan)
+    values[seen] = np.linalg.eigvalsh(np.linalg.solve(lower, np.swapaxes(half, 1, 2)))
+    return values

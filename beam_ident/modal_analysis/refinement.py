@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc as chi_squared_sf
 
+from beam_ident.argument_checks import finite_row
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_domain_fit import line_weights, stacked_values
@@ -215,6 +216,10 @@ def analyse_modes(
     Residues of different pairs of output and input are free, also where one shape and one
     participation should make them all: ``rank_one`` tests that instead of assuming it.
     """
+    if not isinstance(chart, StabilisationChart):
+        raise EstimationError(
+            f"chart is a {type(chart).__name__}; expected what stabilisation_chart() returns"
+        )
     omegas, zetas = _start(chart, natural_frequencies_hz)
     record = chart.record
     n_unknown = 2 * len(omegas) + 2 * len(omegas) + int(has_upper) + int(has_lower)
@@ -242,12 +247,13 @@ def _start(
             )
         return chart.natural_frequencies, chart.damping_ratios
     stable = [pole for pole in chart.poles if pole.stability > 0]
-    if not len(wanted_hz):
+    hertzes = finite_row("natural_frequencies_hz [Hz]", wanted_hz)
+    if not len(hertzes):
         raise EstimationError(
             "no natural frequency is named; give at least one, or None for the chart's choice"
         )
     omegas, zetas = [], []
-    for hertz in wanted_hz:
+    for hertz in hertzes:
         near = [p for p in stable if abs(p.natural_frequency / (2.0 * np.pi) - hertz) < 0.02 * hertz]
         if not near:
             raise EstimationError(

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from beam_ident.argument_checks import require_frequency_record
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import ComplexArray, FrequencyRecord
@@ -129,6 +130,7 @@ def stabilisation_chart(
     EstimationError
         Lines that were not measured, an order that the lines cannot carry, an unknown form.
     """
+    require_frequency_record(record)
     differentiations = checked_form(form)
     rules = StabilityCriteria() if criteria is None else criteria
     columns: list[list[ChartPole]] = []
