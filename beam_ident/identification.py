@@ -20,6 +20,7 @@ from beam_ident.batches import Progress
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.clock_search import clock_places
 from beam_ident.errors import EstimationError
+from beam_ident.hub_friction import HubFriction
 from beam_ident.identification_result import IdentificationResult, OrderEntry, OutputFit
 from beam_ident.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.levenberg_marquardt import HOPELESS
@@ -371,6 +372,10 @@ class _Search:
             complaint = mode_complaint(fit, self.regression, mode, self.band)
             if complaint:
                 warnings.append(f"Mode {mode + 1}: {complaint}.")
+        if model.structure == "force" and self.band.is_excited:
+            friction = HubFriction.of(fit, self.regression)
+            if friction.is_visible:
+                warnings.append(friction.warning())
         if fit.rank_deficient and self.band.is_excited:
             warnings.append(
                 f"Some linear terms cannot be told apart at {', '.join(fit.rank_deficient)}; they were set "

@@ -191,6 +191,11 @@ class _PreparedRecord:
         self._samplings[number] = known
         return known
 
+    def position_integral_at(self, number: int, clock: ClockState) -> FloatArray:
+        """Return the integral of the position that the input stands for, at one grid of stamps [m s]."""
+        instants = self._sampling(number, clock).instants
+        return instants.mean(self.position_integral, self.position_integral.antiderivative())[0]
+
     def columns(
         self, number: int, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
     ) -> _GridColumns:
@@ -360,6 +365,18 @@ class ModalRegression:
         """Number of parameters that one more mode adds."""
         n_free = 2 if self.structure.has_free_response else 0
         return 2 + sum(1 + n_free * len(parts) for parts in self._parts)
+
+    def position_integrals(self, clock: ClockState) -> list[FloatArray]:
+        """Return the integral of what stands behind the direct gain, at the samples of every output."""
+        return [
+            np.concatenate(
+                [
+                    self._prepared[part[0]].position_integral_at(part[1], clock)[self._rows[part]]
+                    for part in parts
+                ]
+            )
+            for parts in self._parts
+        ]
 
     def blocks(
         self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool

@@ -182,6 +182,19 @@ class TransferFunctionModel:
         ]
         return omega, zeta, sd[0], sd[1]
 
+    def real_poles(self) -> tuple[FloatArray, FloatArray]:
+        """Return the real poles [rad/s] and their standard deviations, the slowest first.
+
+        Known integrators are left out.
+        """
+        poles = self.poles
+        poles = poles[(poles.imag == 0.0) & (poles != 0.0)]
+        poles = poles[np.argsort(np.abs(poles))]
+        by_a = np.real(self.pole_sensitivities(poles))
+        covariance = self.covariance[: self.n_poles, : self.n_poles]
+        variance = np.einsum("ka,ab,kb->k", by_a, covariance, by_a)
+        return np.asarray(poles.real), np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
     def simulate(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
         """Return the output that an input causes from rest, shape (n_times,).
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
 from beam_model import AxisStepper, BeamModel, BeamParameters, Damping, PositionServo
-from beam_model.stepping import discretise
+from beam_model.stepping import ForceStepper, discretise
 from benchmarks.ident.rig import flat
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
 
@@ -34,9 +34,10 @@ class ForcedHub:
     Parameters
     ----------
     hub_mass : float -- [kg]
+    viscous_friction : float -- of the hub on its rail [N s/m]
     """
 
-    def __init__(self, hub_mass: float = 0.8) -> None:
+    def __init__(self, hub_mass: float = 0.8, viscous_friction: float = 0.0) -> None:
         parameters = BeamParameters.from_section(
             0.30,
             0.025,
@@ -48,21 +49,26 @@ class ForcedHub:
             damping=Damping(ratios=(0.005,)),
         )
         self.model = BeamModel(parameters, n_modes=14)
+        self.A, self.B = self.model.matrices.state_space()
+        self.A[:, self.model.n_modes + 1] -= viscous_friction * self.B
+        lowest = self.model.natural_frequencies[0]
+        self.scale = np.concatenate(
+            [[lowest], self.model.natural_frequencies, np.ones(self.model.n_modes + 1)]
+        )
 
     def film(self, forces: Array) -> tuple[Array, Array, Array]:
         """Return hub positions at the ticks, stamps, and displacements averaged over exposures, (n, 3)."""
         model = self.model
-        states = model.force_stepper(PERIOD_S).run(forces)
-        A, B = model.matrices.state_space()
+        A, B, scale = self.A, self.B, self.scale
+        states = ForceStepper(A, B, PERIOD_S, scale).run(forces)
         n = model.n_modes
         row = np.concatenate([np.ones((3, 1)), model.shape(HEIGHTS), np.zeros((3, n + 1))], axis=1)
         row = row - model.residual_terms(HEIGHTS)[:, None] * A[n + 1]
         direct = -model.residual_terms(HEIGHTS) * B[n + 1]
-        scale = np.concatenate([[1.0], np.ones(n), np.full(n + 1, model.natural_frequencies[-1])])
         halves = np.zeros((2 * len(forces), 3))
         for half in range(2):
             for node in _NODES:
-                step, held, _ = discretise(A, B, node + 0.5 * half * PERIOD_S, 1.0 / scale)
+                step, held, _ = discretise(A, B, node + 0.5 * half * PERIOD_S, scale)
                 inside = states[:-1] @ (row @ step).T + np.outer(forces, row @ held + direct)
                 halves[half::2] += 0.5 * inside
         total = np.concatenate([np.zeros((1, 3)), np.cumsum(halves, axis=0)])
