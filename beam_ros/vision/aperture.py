@@ -100,9 +100,9 @@ def aperture_at(
     u, v : float -- the aperture's centre [px]
     """
     at_u, at_v = round(u * _PHASES_U), round(v * _PHASES_V)
-    column, phase_u = divmod(at_u, _PHASES_U)
-    row, phase_v = divmod(at_v, _PHASES_V)
-    aperture = _tabulated(phase_u, phase_v, *disc, round(smear / _SMEAR_STEP_PX) if smear > 0.0 else 0)
+    column, row = at_u // _PHASES_U, at_v // _PHASES_V
+    smear_steps = round(smear / _SMEAR_STEP_PX) if smear > 0.0 else 0
+    aperture = _tabulated(at_u % _PHASES_U, at_v % _PHASES_V, disc[0], disc[1], smear_steps)
     return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -170,16 +171,22 @@ class LinearCalibration:
                 f"positions have shape {u.shape} and {sigma.shape}; expected ({self.n_markers},), one per "
                 "calibrated marker"
             )
-        scale, zero = np.asarray(self.pixels_per_metre), np.asarray(self.zero_px)
-        matrices = np.asarray(self.covariance)
+        scale, zero, scale_variance, twice_covariance, zero_variance = self._arrays
         x = self.direction * (u - zero) / scale
-        variance = (
-            sigma**2
-            + x**2 * matrices[:, 0, 0]
-            + 2 * self.direction * x * matrices[:, 0, 1]
-            + matrices[:, 1, 1]
-        )
+        variance = sigma**2 + x**2 * scale_variance + x * twice_covariance + zero_variance
         return Displacement(x, np.sqrt(np.maximum(variance, 0.0)) / scale)
+
+    @cached_property
+    def _arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Scale, zero, and the terms of the displacement's variance, for every marker."""
+        matrices = np.asarray(self.covariance, dtype=np.float64)
+        return (
+            np.asarray(self.pixels_per_metre, dtype=np.float64),
+            np.asarray(self.zero_px, dtype=np.float64),
+            matrices[:, 0, 0],
+            2 * self.direction * matrices[:, 0, 1],
+            matrices[:, 1, 1],
+        )
 
     def tare(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> LinearCalibration:
         """Make the mean of positions at rest the zero of every marker.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from beam_ros.vision.appearance import Appearance, Light
-from beam_ros.vision.spots import Image, Reason, Spot, SpotMeter
+from beam_ros.vision.images import GreyImage
+from beam_ros.vision.spots import Reason, Spot, SpotMeter
 
 _THRESHOLD = 0.5
 """Fraction of a marker's own contrast at which it is looked for."""
@@ -11,7 +12,7 @@ _THRESHOLD = 0.5
 
 def alike_spots(
     meter: SpotMeter,
-    image: Image,
+    image: GreyImage,
     window: tuple[int, int, int, int],
     light: Light,
     appearance: Appearance,

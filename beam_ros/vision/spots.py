@@ -12,18 +12,17 @@ position over the exposure however far the marker moved.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from beam_ros.vision.aperture import aperture_at
 from beam_ros.vision.appearance import QUANTISATION_VARIANCE, Appearance, Light
+from beam_ros.vision.images import GreyImage
+from beam_ros.vision.moments import beyond, central_moments, raw_moments
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.refinement import fit_disc, radial_symmetry_centre
-
-Image = npt.NDArray[Any]
 
 Reason = Literal[
     "ok",
@@ -143,7 +142,7 @@ class SpotMeter:
     # -- moments -------------------------------------------------------------------------------------------
 
     def measure(
-        self, image: Image, u: float, v: float, light: Light, *, is_narrow: bool = False
+        self, image: GreyImage, u: float, v: float, light: Light, *, is_narrow: bool = False
     ) -> tuple[Spot | None, Reason]:
         """Measure the spot near (u, v).
 
@@ -169,13 +168,10 @@ class SpotMeter:
             if right - left <= half or bottom - top <= half:
                 return None, "border"
             region = image[top:bottom, left:right]
-            moments = cv2.moments(
-                cv2.subtract(level, region) if self._is_dark else cv2.subtract(region, level)
-            )
-            mass = moments["m00"]
+            moments = raw_moments(beyond(region, level, is_dark=self._is_dark))
+            mass, first_u, first_v = moments[:3]
             if mass < least:
                 return None, "hidden"
-            first_u, first_v = moments["m10"], moments["m01"]
             if speck > 0.0:
                 # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
                 grey = speck * region.size
@@ -193,8 +189,9 @@ class SpotMeter:
         x, y = round(u) - left, round(v) - top
         pixel = region.item
         plateau = 0.2 * (pixel(y, x) + pixel(y - 1, x) + pixel(y + 1, x) + pixel(y, x - 1) + pixel(y, x + 1))
-        variance_u = max(moments["mu20"] / mass, 1e-3)
-        variance_v = max(moments["mu02"] / mass, 1e-3)
+        mu20, mu11, mu02, mu30, mu03 = central_moments(moments)
+        variance_u = max(mu20 / mass, 1e-3)
+        variance_v = max(mu02 / mass, 1e-3)
         above_plateau = level - plateau if self._is_dark else plateau - level
         spot = Spot(
             u,
@@ -203,15 +200,15 @@ class SpotMeter:
             mass / max(above_plateau, 1.0),
             variance_u,
             variance_v,
-            moments["mu11"] / mass,
-            moments["mu30"] / (mass * variance_u * math.sqrt(variance_u)),
-            moments["mu03"] / (mass * variance_v * math.sqrt(variance_v)),
+            mu11 / mass,
+            mu30 / (mass * variance_u * math.sqrt(variance_u)),
+            mu03 / (mass * variance_v * math.sqrt(variance_v)),
             plateau,
             (left, top, right, bottom),
         )
         return spot, "ok"
 
-    def sides(self, image: Image, spot: Spot) -> Sides:
+    def sides(self, image: GreyImage, spot: Spot) -> Sides:
         """Measure the outermost columns of a spot's region."""
         left, top, right, bottom = spot.region
         mean_left, at_left = cv2.meanStdDev(image[top:bottom, left : left + _SIDE_PX])
@@ -221,7 +218,7 @@ class SpotMeter:
         return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, QUANTISATION_VARIANCE))
 
     def centre(
-        self, image: Image, spot: Spot, light: Light, appearance: Appearance
+        self, image: GreyImage, spot: Spot, light: Light, appearance: Appearance
     ) -> tuple[float, float, float] | None:
         """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
 
@@ -236,8 +233,7 @@ class SpotMeter:
         right, bottom = left + aperture.width, top + aperture.height
         if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
             return None
-        region = image[top:bottom, left:right]
-        grey = cv2.subtract(light.floor, region) if self._is_dark else cv2.subtract(region, light.floor)
+        grey = beyond(image[top:bottom, left:right], light.floor, is_dark=self._is_dark)
         mass, first_u, first_v = aperture.weights.dot(grey.ravel().astype(np.float32)).tolist()
         base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
         mass -= base * sum_w
@@ -251,7 +247,7 @@ class SpotMeter:
         )
 
     def refine(
-        self, image: Image, spot: Spot, light: Light, appearance: Appearance
+        self, image: GreyImage, spot: Spot, light: Light, appearance: Appearance
     ) -> tuple[float, float, float] | None:
         """Centre and standard deviation by the refinement that the parameters ask for.
 
@@ -373,21 +369,21 @@ class SpotMeter:
 
     # -- whole images --------------------------------------------------------------------------------------
 
-    def centres(self, region: Image, background: float, beyond: float) -> list[tuple[float, float, bool]]:
+    def centres(self, region: GreyImage, background: float, height: float) -> list[tuple[float, float, bool]]:
         """Find spots of about a marker's size by threshold and contours.
 
         Parameters
         ----------
         region : ndarray, shape (height, width)
         background : float -- [grey levels]
-        beyond : float -- distance of the threshold from the background [grey levels]
+        height : float -- distance of the threshold from the background [grey levels]
 
         Returns
         -------
         list of (float, float, bool) -- centres of their bounding boxes [px of the region], and whether
             another spot reaches into the surroundings of this one
         """
-        threshold = background - beyond if self._is_dark else background + beyond
+        threshold = background - height if self._is_dark else background + height
         mode = cv2.THRESH_BINARY_INV if self._is_dark else cv2.THRESH_BINARY
         _, mask = cv2.threshold(region, math.floor(threshold), 255, mode)
         if mask.dtype != np.uint8:
@@ -416,7 +412,7 @@ class SpotMeter:
             if smallest <= w <= widest and smallest <= h <= tallest
         ]
 
-    def levels(self, image: Image) -> tuple[float, float]:
+    def levels(self, image: GreyImage) -> tuple[float, float]:
         """Background of a whole image and the extreme of the markers' polarity, lone pixels aside."""
         background = float(np.median(image[::8, ::8]))
         lowest, highest, _, _ = cv2.minMaxLoc(cv2.blur(image, (3, 3)))
@@ -424,7 +420,7 @@ class SpotMeter:
 
     def candidate(
         self,
-        image: Image,
+        image: GreyImage,
         u: float,
         v: float,
         background: float,

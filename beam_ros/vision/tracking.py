@@ -269,6 +269,8 @@ class MarkerTracker:
         distance = abs(u - predicted)
         if distance > self.parameters.max_jump_px:
             return False
+        if not marker.rivals:
+            return True
         return all(2 * distance < abs(u - rival.predicted(self._frame)) for rival in marker.rivals)
 
     def _may_have_met(self, spot: Spot, marker: MarkerState, appearance: Appearance) -> bool:
