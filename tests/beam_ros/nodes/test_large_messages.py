@@ -126,6 +126,12 @@ def test_nodes_that_send_frames_share_much_memory(executables, graph, tmp_path: 
         )
 
 
+def test_the_page_tells_how_a_camera_driver_gets_the_profile() -> None:
+    root = Path(__file__).parents[3]
+    page = (root / "docs" / "tracker-node.md").read_text(encoding="utf-8")
+    assert f"export {PROFILE_VARIABLE}=$PWD/{PROFILE.relative_to(root)} " in page
+
+
 def test_a_choice_of_the_user_stays(tmp_path: Path) -> None:
     for name in (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
         environ = {name: "mine"}
