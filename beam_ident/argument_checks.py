@@ -13,6 +13,7 @@ from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
 
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # of the largest value: less is no movement
 _SMALLEST = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
 
 
@@ -156,7 +157,8 @@ def require_output(name: str, values: FloatArray) -> None:
     values : ndarray, shape (n,) -- the samples that can be used; whether they are enough is asked elsewhere
     """
     require_size(f"output {name!r}", values)
-    if len(values) > 1 and np.ptp(values) == 0.0:
+    size = float(np.max(np.abs(values), initial=0.0))
+    if len(values) > 1 and np.ptp(values) <= _ROUNDING * size:
         raise EstimationError(
             f"output {name!r} is constant ({values[0] + 0.0:g}) over {len(values)} samples; nothing can be "
             "identified from it. Check the sensor, or leave this output out"

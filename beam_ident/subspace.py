@@ -195,6 +195,10 @@ def _model(
             warnings.append(
                 f"Output {output.name}: the model explains no more than chance would: by BIC none at all is better."
             )
+        if not whiteness[-1].is_white:
+            warnings.append(
+                f"Output {output.name}: the residuals are not white: take the poles for a start, or ask for more."
+            )
     return SubspaceModel(
         poles=found.poles,
         denominator=np.real(np.poly(found.poles)),
