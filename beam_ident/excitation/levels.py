@@ -155,7 +155,28 @@ def _brought_home(accelerations: FloatArray, inside: slice) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Pulse(LevelRecipe):
+class PulseRecipe(LevelRecipe):
+    """A recipe of pulses of one width, with pauses.
+
+    Parameters
+    ----------
+    drive, amplitude, rise_s, still_s : see :class:`LevelRecipe`
+    width_s : float -- of each pulse, no shorter than its edges [s]
+    gap_s : float -- rest between pulses [s]
+    """
+
+    width_s: float = 0.1
+    gap_s: float = 0.1
+
+    def _check(self) -> None:
+        super()._check()
+        self._positive("width_s")
+        self._not_negative("gap_s")
+        self._require(self.rise_s <= self.width_s, "rise_s", self.rise_s, f"at most width_s = {self.width_s}")
+
+
+@dataclass(frozen=True)
+class Pulse(PulseRecipe):
     """Pulse to a level and back; in velocity or acceleration, with what undoes it.
 
     Parameters
@@ -172,15 +193,6 @@ class Pulse(LevelRecipe):
     """
 
     kind: ClassVar[str] = "pulse"
-
-    width_s: float = 0.1
-    gap_s: float = 0.1
-
-    def _check(self) -> None:
-        super()._check()
-        self._positive("width_s")
-        self._not_negative("gap_s")
-        self._require(self.rise_s <= self.width_s, "rise_s", self.rise_s, f"at most width_s = {self.width_s}")
 
     @property
     def _signs(self) -> tuple[float, ...]:
@@ -204,7 +216,7 @@ class Pulse(LevelRecipe):
 
 
 @dataclass(frozen=True)
-class Doublet(LevelRecipe):
+class Doublet(PulseRecipe):
     """Two pulses of opposite sign, one right after the other.
 
     Parameters
@@ -221,14 +233,7 @@ class Doublet(LevelRecipe):
 
     kind: ClassVar[str] = "doublet"
 
-    width_s: float = 0.1
     gap_s: float = 1.0
-
-    def _check(self) -> None:
-        super()._check()
-        self._positive("width_s")
-        self._not_negative("gap_s")
-        self._require(self.rise_s <= self.width_s, "rise_s", self.rise_s, f"at most width_s = {self.width_s}")
 
     @property
     def active_s(self) -> float:

@@ -109,3 +109,22 @@ def test_only_positions_have_a_displacement_without_a_period():
     assert Pulse().displacement(np.array([0.08]))[0] == pytest.approx(0.0005)
     with pytest.raises(ExcitationError, match=r"use sample\(period_s\).positions"):
         Pulse(drive="velocity").displacement(np.array([0.05]))
+
+
+@pytest.mark.parametrize("kind", [Pulse, Doublet])
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"width_s": 0.1, "rise_s": 0.2}, "at most width_s = 0.1"),
+        ({"width_s": 0.0}, "width_s"),
+        ({"gap_s": -0.1}, "gap_s"),
+    ],
+)
+def test_pulses_of_both_kinds_are_no_shorter_than_their_edges(kind, fields, says):
+    with pytest.raises(ExcitationError, match=says):
+        kind(**fields)
+    assert kind(width_s=0.05, rise_s=0.05).width_s == 0.05
+
+
+def test_the_pause_is_each_kinds_own():
+    assert (Pulse().gap_s, Doublet().gap_s) == (0.1, 1.0)
