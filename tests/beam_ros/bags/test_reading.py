@@ -17,6 +17,7 @@ from beam_ros.bags.errors import (
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import summarise
 from beam_ros.bags.writing import BagWriter
+from beam_ros.hub.contract import SampleBatch
 from tests.beam_ros.bags.small_bags import (
     BATCH,
     FRAME,
@@ -105,7 +106,7 @@ def test_a_lost_batch_is_a_gap_of_its_samples(tmp_path):
 
 @pytest.mark.parametrize(("late_ns", "is_gap"), [(400_000, False), (600_000, True)])
 def test_loss_is_a_gap_of_more_than_half_a_period(tmp_path, late_ns, is_gap):
-    late = messages.SampleBatch(START + BATCH * PERIOD + late_ns, PERIOD, 1, np.zeros(BATCH))
+    late = SampleBatch(START + BATCH * PERIOD + late_ns, PERIOD, 1, np.zeros(BATCH))
     with Bag(_write_batches(tmp_path / "run", [batch(0, positions=np.zeros(BATCH)), late])) as bag:
         assert bool(bag.hub_samples().gaps) == is_gap
 
@@ -137,7 +138,7 @@ def test_a_quantity_in_some_batches_only_is_nan_elsewhere(tmp_path):
 
 
 def test_single_sample_batches_join_by_the_period_they_name(tmp_path):
-    ones = [messages.SampleBatch(START + k * PERIOD, PERIOD, 1, np.array([float(k)])) for k in range(30)]
+    ones = [SampleBatch(START + k * PERIOD, PERIOD, 1, np.array([float(k)])) for k in range(30)]
     with Bag(_write_batches(tmp_path / "run", ones)) as bag:
         samples = bag.hub_samples()
     assert samples.period_ns == PERIOD
@@ -147,7 +148,7 @@ def test_single_sample_batches_join_by_the_period_they_name(tmp_path):
 def test_unreadable_and_unstamped_messages_are_left_out_and_counted(tmp_path):
     with BagWriter(tmp_path / "run") as bag:
         bag.write("hub/measured", START, b"\x00\x01\x00\x00rubbish")
-        bag.write_batch("hub/measured", START, messages.SampleBatch(0, PERIOD, 1, np.zeros(BATCH)))
+        bag.write_batch("hub/measured", START, SampleBatch(0, PERIOD, 1, np.zeros(BATCH)))
         bag.write_batch("hub/measured", START, batch(0))
     with Bag(tmp_path / "run") as bag:
         samples = bag.hub_samples()

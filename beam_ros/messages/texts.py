@@ -1,0 +1,64 @@
+"""Strings that carry JSON, such as `hub/sequence_state`, and texts that carry named numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from beam_ros import interfaces
+from beam_ros.hub.contract import SequenceReport
+from beam_ros.messages.errors import MessageContentError
+from beam_ros.messages.message_types import MessageTypes
+
+_KEY_VALUES = re.compile(r"(\w+)=(-?\d+)")
+
+
+def json_text(types: MessageTypes, content: Mapping[str, Any]) -> Any:
+    """Build a String that carries JSON; NaN and infinities, which JSON does not know, become null."""
+    return types.make(interfaces.STRING, data=json.dumps(_without_nan(content)))
+
+
+def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
+    """Build the String of `hub/sequence_state`."""
+    content = {
+        "id": report.sequence_id,
+        "state": report.state,
+        "points": report.points,
+        "reason": report.reason,
+    }
+    return json_text(types, content)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _without_nan(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def read_json(message: Any) -> dict[str, Any]:
+    """Read a String that carries a JSON object.
+
+    Raises
+    ------
+    MessageContentError
+        The text is no JSON object.
+    """
+    try:
+        content = json.loads(message.data)
+    except (ValueError, RecursionError) as err:
+        raise MessageContentError(f"text {message.data[:80]!r} is no JSON ({err})") from err
+    if not isinstance(content, dict):
+        raise MessageContentError(f"text {message.data[:80]!r}: expected a JSON object {{..}}")
+    return content
+
+
+def key_values(text: str) -> dict[str, int]:
+    """Return the whole numbers of a text such as ``epoch=3 period_ns=1000000``, by their names."""
+    return {name: int(value) for name, value in _KEY_VALUES.findall(text)}
