@@ -31,6 +31,8 @@ from beam_ident.modal_scan import ModalScan
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.mode_gates import mode_complaint
 from beam_ident.piecewise import FloatArray
+from beam_ident.record_fit import RecordFit, in_units_of_level, pooled_scores
+from beam_ident.record_levels import unweighed, weigh_records
 from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.validation import Scores, Whiteness
 from beam_ident.weighted_fit import WeightedFit
@@ -69,7 +71,8 @@ def identify(
     Parameters
     ----------
     record : TimeRecord or sequence of TimeRecord
-        One experiment, or several that share the model.
+        One experiment, or several that share the model.  Every output weighs in each by the level of
+        its noise there; where noise on the input matters, by one level in all of them.
     structure : str or ModalStructure
         Which model goes with the input; "base_motion" for a hub position.
     n_modes : int or None
@@ -306,13 +309,17 @@ class _Search:
                 self.records, regression.structure, self.input_name, smoothing
             )
             fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
-        weighted = WeightedFit(self.records, regression, fit, self.latency, self.clock_rate, smoothing)
-        fit = self.chosen = weighted.result()
+        by_record = regression
+        if smoothing is None:
+            by_record, fit = weigh_records(regression, fit, self.latency, self.clock_rate)
+        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing)
+        fit = self.chosen = unweighed(by_record, weighted.result())
         model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         outputs = tuple(
-            self._output_fit(j, blocks[regression.block_of[j]].matrix) for j in range(regression.n_outputs)
+            self._output_fit(j, blocks[regression.block_of[j]].matrix, by_record.row_levels(j))
+            for j in range(regression.n_outputs)
         )
         entries = [
             OrderEntry(**{**vars(entry), "is_chosen": index == self.chosen_entry})
@@ -330,7 +337,7 @@ class _Search:
             warnings=tuple(self._warnings(model, outputs)),
         )
 
-    def _output_fit(self, j: int, matrix: FloatArray) -> OutputFit:
+    def _output_fit(self, j: int, matrix: FloatArray, levels: FloatArray) -> OutputFit:
         fit, regression = self.chosen, self.regression
         structure = regression.structure
         found = fit.coefficients[j]
@@ -340,13 +347,28 @@ class _Search:
             rigid[0] = found[0]
         n_own = regression.n_nuisance(n)
         n_plain = int(structure.has_offset) + int(structure.has_ramp)
-        for own in range(n_fixed + n, len(found), n_own) if n_own else ():
+        starts = [n_fixed + n + n_own * k for k in range(len(regression.segments[j]))]
+        for own in starts:
             rigid[own : own + n_plain] = found[own : own + n_plain]
         values, residuals = regression.values[j], fit.residuals[j]
         deflection = values - matrix @ rigid
-        own = n_fixed + n
-        offset = float(found[own]) if structure.has_offset else 0.0
-        ramp = float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0
+        noise_sd = float(fit.sigmas[j]) * levels / math.sqrt(float(np.mean(np.square(levels))))
+        records = tuple(
+            RecordFit(
+                name=self.records[index].name,
+                times_s=regression.times[j][part],
+                measured=values[part],
+                modelled=values[part] - residuals[part],
+                residuals=residuals[part],
+                noise_sd=float(noise_sd[part.start]),
+                scores=Scores.of(values[part], residuals[part]),
+                whiteness=Whiteness.of(residuals[part]),
+                offset=float(found[own]) if structure.has_offset else 0.0,
+                ramp=float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0,
+            )
+            for (index, part), own in zip(regression.segments[j], starts, strict=True)
+        )
+        parts = [part for _, part in regression.segments[j]]
         return OutputFit(
             name=regression.output_names[j],
             unit=regression.units[j],
@@ -356,11 +378,12 @@ class _Search:
             residuals=residuals,
             deflection=deflection,
             noise_sd=float(fit.sigmas[j]),
-            scores=Scores.of(values, residuals),
-            deflection_scores=Scores.of(deflection, residuals),
-            whiteness=Whiteness.of(residuals),
-            offset=offset,
-            ramp=ramp,
+            scores=pooled_scores([(values[part], residuals[part]) for part in parts]),
+            deflection_scores=pooled_scores([(deflection[part], residuals[part]) for part in parts]),
+            whiteness=Whiteness.of(in_units_of_level([residuals[part] for part in parts])),
+            offset=records[0].offset,
+            ramp=records[0].ramp,
+            records=records,
         )
 
     def _warnings(self, model: ModalModel, outputs: tuple[OutputFit, ...]) -> list[str]:

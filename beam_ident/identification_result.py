@@ -9,6 +9,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.piecewise import FloatArray
+from beam_ident.record_fit import RecordFit
 from beam_ident.validation import Scores, Whiteness
 
 
@@ -51,12 +52,13 @@ class OutputFit:
         The samples that entered the fit, in the order of the records.
     deflection : ndarray, shape (n_used,)
         Measured less direct part, offset and ramp.
-    noise_sd : float
-    scores : Scores -- on the output
+    noise_sd : float -- root of the mean square over all records
+    scores : Scores -- on the output; with several records, each about its own mean
     deflection_scores : Scores -- on the deflection
-    whiteness : Whiteness
+    whiteness : Whiteness -- in units of each record's level
     offset, ramp : float
         Of the first record: at its middle, and over its whole length.
+    records : tuple of RecordFit -- record by record, where the output is
     """
 
     name: str
@@ -72,6 +74,7 @@ class OutputFit:
     whiteness: Whiteness
     offset: float
     ramp: float
+    records: tuple[RecordFit, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ share columns.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beam_ident.errors import EstimationError
+from beam_ident.free_motion import free_motions
 from beam_ident.input_noise import Smoothing
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.piecewise import FloatArray, Instants, PiecewisePolynomial
@@ -228,29 +230,10 @@ class _PreparedRecord:
             values += structure.sign * (sampling.direct[0] - self.rest)
         free: tuple[NDArray[np.complex128], ...] = ()
         if structure.has_free_response:
-            free = _free_response(
+            free = free_motions(
                 column, sampling.elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
             )
         return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length)
-
-
-def _free_response(
-    poles: NDArray[np.complex128],
-    elapsed: FloatArray,
-    exposure_s: float,
-    pole_slopes: tuple[NDArray[np.complex128], ...],
-) -> tuple[NDArray[np.complex128], ...]:
-    """Return decays averaged over the exposure, and their derivatives by what moves the poles and by time."""
-    half = 0.5 * poles * exposure_s
-    is_small = np.abs(half) < 1e-4
-    safe = np.where(is_small, 1.0, half)
-    shape = np.where(is_small, 1.0 + half**2 / 6.0, np.sinh(safe) / safe)
-    decay = np.exp(poles * elapsed) * shape
-    if not pole_slopes:
-        return (decay,)
-    log_shape = 0.5 * exposure_s * np.where(is_small, half / 3.0, 1.0 / np.tanh(safe) - 1.0 / safe)
-    slope = decay * (elapsed + log_shape)
-    return (decay, *(slope * d for d in pole_slopes), poles * decay)
 
 
 def modal_poles(omegas: FloatArray, zetas: FloatArray) -> NDArray[np.complex128]:
@@ -305,7 +288,8 @@ class ModalRegression:
         self.output_names: tuple[str, ...] = tuple(names)
         self.values: list[FloatArray] = []
         self.times: list[FloatArray] = []
-        self._parts: list[tuple[tuple[int, int, bytes], ...]] = []
+        # Of every output: record, grid of stamps, rows of it, and the level by which they are divided.
+        self._parts: list[tuple[tuple[int, int, bytes, float], ...]] = []
         self._rows: dict[tuple[int, int, bytes], NDArray[np.intp]] = {}
         self.segments: list[list[tuple[int, slice]]] = []  # of every output: record and its rows
         for name in names:
@@ -317,7 +301,7 @@ class ModalRegression:
                 rows = prepared.rows_of[name]
                 key = (index, prepared.grid_of[name], rows.tobytes())
                 self._rows[key] = rows
-                parts.append(key)
+                parts.append((*key, 1.0))
                 segments.append((index, slice(n_rows, n_rows + len(rows))))
                 n_rows += len(rows)
                 values.append(prepared.values[name][rows])
@@ -332,8 +316,37 @@ class ModalRegression:
                     "was known; "
                     f"expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
+        self._find_blocks()
+
+    def _find_blocks(self) -> None:
         self._block_keys = list(dict.fromkeys(self._parts))
         self.block_of: tuple[int, ...] = tuple(self._block_keys.index(p) for p in self._parts)
+
+    def weighed(self, levels: Sequence[FloatArray]) -> ModalRegression:
+        """Return the regression whose rows and values are divided by the level of the noise in their record.
+
+        Parameters
+        ----------
+        levels : sequence of ndarray -- of every output, one number for each of its ``segments``
+        """
+        result = copy.copy(self)
+        result._parts = [
+            tuple((*part[:3], float(level)) for part, level in zip(parts, own, strict=True))
+            for parts, own in zip(self._parts, levels, strict=True)
+        ]
+        result._find_blocks()
+        result.values = [
+            values / rows
+            for values, rows in zip(
+                self.values, (result.row_levels(j) for j in range(self.n_outputs)), strict=True
+            )
+        ]
+        return result
+
+    def row_levels(self, output: int) -> FloatArray:
+        """Return by what every sample of an output is divided, shape (n_samples,)."""
+        sizes = [part.stop - part.start for _, part in self.segments[output]]
+        return np.repeat([part[3] for part in self._parts[output]], sizes)
 
     @property
     def n_outputs(self) -> int:
@@ -371,7 +384,7 @@ class ModalRegression:
         return [
             np.concatenate(
                 [
-                    self._prepared[part[0]].position_integral_at(part[1], clock)[self._rows[part]]
+                    self._prepared[part[0]].position_integral_at(part[1], clock)[self._rows[part[:3]]]
                     for part in parts
                 ]
             )
@@ -396,14 +409,14 @@ class ModalRegression:
 
     def _assemble(
         self,
-        parts: tuple[tuple[int, int, bytes], ...],
+        parts: tuple[tuple[int, int, bytes, float], ...],
         cache: dict[tuple[int, int], _GridColumns],
         n_modes: int,
         gradients: bool,
     ) -> ColumnBlock:
         structure = self.structure
         n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
-        lengths = [len(self._rows[part]) for part in parts]
+        lengths = [len(self._rows[part[:3]]) for part in parts]
         n_rows, n_columns = sum(lengths), n_fixed + n_modes + n_own * len(parts)
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
@@ -413,7 +426,7 @@ class ModalRegression:
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first = 0
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
-            rows = self._rows[part]
+            rows, level = self._rows[part[:3]], part[3]
             here = slice(first, first + length)
             first += length
             source = cache[part[0], part[1]]
@@ -448,6 +461,12 @@ class ModalRegression:
                     touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
                     touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
                     by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
+            if level != 1.0:
+                for columns in (matrix, by_time):
+                    if columns is not None:
+                        columns[here] /= level
+                for slopes in touched:
+                    slopes[:, :, here] /= level
         modes = tuple(ModeColumns(i, t[0].T, t[1].T) for i, t in zip(indices, touched, strict=False))
         return ColumnBlock(matrix, modes, by_time, latency_factor, rate_factor)
 

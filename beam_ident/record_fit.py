@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,10 +22,11 @@ class RecordFit:
     times_s, measured, modelled, residuals : ndarray, shape (n_used,)
         The samples that entered the fit; times on the record's own axis.
     noise_sd : float -- of this record's noise, by which it was weighed
-    noise_coefficients : ndarray -- 1, c_1 .. c_p of its autoregression; 1 alone where it was taken as white
     scores : Scores
     whiteness : Whiteness -- of the residuals, or of the innovations of their autoregression
     offset, ramp : float -- at the middle of the record, and over its whole length
+    noise_coefficients : ndarray
+        1, c_1 .. c_p of an autoregression that the estimator gave this record's noise; 1 alone otherwise.
     """
 
     name: str
@@ -34,11 +35,11 @@ class RecordFit:
     modelled: FloatArray
     residuals: FloatArray
     noise_sd: float
-    noise_coefficients: FloatArray
     scores: Scores
     whiteness: Whiteness
     offset: float
     ramp: float
+    noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
 
 
 def in_units_of_level(parts: Sequence[FloatArray]) -> FloatArray:

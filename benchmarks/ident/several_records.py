@@ -1,19 +1,25 @@
-"""Two records in one fit: Rao-Garnier cut in two, a quiet and a loud part with offsets of their own."""
+"""Two records in one fit, a quiet and a loud one with offsets of their own: Rao-Garnier cut in two, and a beam."""
 
 from __future__ import annotations
 
+import dataclasses
 import time
+from functools import cached_property
 
 import numpy as np
 
 from beam_ident import (
     InputSignal,
+    LogChirp,
+    ModalModel,
     OutputSignal,
     TimeRecord,
     TransferFunctionModel,
     estimate_common_poles,
     estimate_transfer_function,
+    identify,
 )
+from benchmarks.ident.noise_models import coloured
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 from tests.beam_ident import rao_garnier
 
@@ -105,8 +111,99 @@ class TwoRecords(AgainstBound):
         return Outcome(seconds, model.parameters[:6], model.standard_deviations[:6])
 
 
+class TwoFilms(AgainstBound):
+    """Two modes of a beam on a moved hub from two films, the second with six times the noise; their poles."""
+
+    model = ModalModel(
+        "base_motion", "hub", ("root", "tip"), 2 * np.pi * np.array([4.4, 28.3]), np.array([0.005, 0.005]),
+        np.array([[0.01, -0.05], [1.5, -0.75]]), np.zeros(2), np.ones(2), 0.0, 0.0, np.zeros((14, 14)), np.ones(2),
+    )  # fmt: skip
+    sigmas = (4e-6, 2.4e-5)
+    offsets = (0.0, 1e-3)
+    exposure_s = 5e-3
+    rate_sd = 50e-6  # what identify() takes the clocks' rate to be known to
+
+    def __init__(self) -> None:
+        chirp = LogChirp(start_hz=1.0, end_hz=45.0, sweep_s=6.0, still_s=3.0).sample(1e-3)
+        self.hub = chirp.input_signal("position", "hub")
+        self.stamps = 0.01 * np.arange(1, 890)
+        self.clean = self.model.simulate(self.hub, self.stamps, self.exposure_s)
+        self.truth = np.concatenate([self.model.natural_frequencies, self.model.damping_ratios])
+
+    @cached_property
+    def bound(self) -> np.ndarray:
+        """The joint bound on the poles: clocks, gains, residues, offsets, ramps and free motions unknown."""
+        middle = self.stamps.mean()
+
+        def outputs(parameters: np.ndarray) -> np.ndarray:
+            omegas, zetas, (latency, rate), own = np.split(parameters, [2, 4, 6])
+            gains, terms, *residues = own.reshape(4, 2)
+            model = dataclasses.replace(
+                self.model,
+                natural_frequencies=omegas,
+                damping_ratios=zetas,
+                gains=gains,
+                residual_terms=terms,
+                residues=np.array(residues).T,
+            )
+            instants = middle + (self.stamps - latency - middle) / (1.0 + rate)
+            return model.simulate(self.hub, instants, self.exposure_s)
+
+        start = np.concatenate(
+            [
+                self.truth,
+                [0.0, 0.0],
+                self.model.gains,
+                self.model.residual_terms,
+                self.model.residues.T.ravel(),
+            ]
+        )
+        steps = np.concatenate([1e-6 * self.truth, [1e-7, 1e-7], np.full(8, 1e-6)])
+        slopes = []
+        for k, step in enumerate(steps):
+            change = np.zeros(len(start))
+            change[k] = step
+            slopes.append((outputs(start + change) - outputs(start - change)) / (2.0 * step))
+        poles = self.truth[:2] * (-self.truth[2:] + 1j * np.sqrt(1.0 - self.truth[2:] ** 2))
+        decays = np.exp(np.outer(self.stamps, poles))
+        ramp = self.stamps - middle
+        own = np.linalg.qr(np.column_stack([np.ones_like(ramp), ramp, decays.real, decays.imag]))[0]
+        columns = np.array(slopes).transpose(2, 1, 0)  # (output, sample, parameter)
+        columns = columns - own @ (own.T @ columns)
+        information = np.sum([columns[j].T @ columns[j] for j in range(2)], axis=0)
+        information = information * sum(sigma**-2 for sigma in self.sigmas)
+        information[5, 5] += self.rate_sd**-2
+        scale = 1.0 / np.sqrt(np.diag(information))
+        covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+        return np.sqrt(np.diag(covariance))[:4]
+
+    def records(self, seed: int, colour: float = 0.0) -> list[TimeRecord]:
+        """Return the two films of one seed, under white noise or an AR(1) of the same power."""
+        made = []
+        for number, (sigma, offset) in enumerate(zip(self.sigmas, self.offsets, strict=True)):
+            outputs = []
+            for j, name in enumerate(self.model.output_names):
+                noise = coloured(4 * seed + 2 * number + j, len(self.stamps), [1.0], [1.0, -colour])
+                seen = self.clean[:, j] + offset + sigma * noise
+                outputs.append(OutputSignal(name, "m", self.stamps, seen, self.exposure_s))
+            made.append(TimeRecord((self.hub,), tuple(outputs), name=("quiet", "loud")[number]))
+        return made
+
+    def run(self, seed: int) -> Outcome:
+        """Identify from both films of one seed; another number of modes is a failure."""
+        records = self.records(seed)
+        start = time.perf_counter()
+        model = identify(records).model
+        seconds = time.perf_counter() - start
+        if model.n_modes != 2:
+            return Outcome(seconds)
+        sds = np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd])
+        return Outcome(seconds, np.concatenate([model.natural_frequencies, model.damping_ratios]), sds)
+
+
 STUDIES = {
     "two-records": Study("Rao-Garnier in two records of different noise", 1000, TwoRecords),
+    "two-films": Study("modes from two films of different noise", 400, TwoFilms),
     "two-records-common-poles": Study(
         "the same by the estimator of common poles", 200, lambda: TwoRecords(has_common_poles=True)
     ),

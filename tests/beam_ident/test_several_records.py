@@ -1,4 +1,4 @@
-"""Several experiments in one fit, by every estimator of transfer functions."""
+"""Several experiments in one fit, by every parametric estimator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from beam_ident import (
 from benchmarks.ident.closed_loop import CONTROLLER, loop_record
 from benchmarks.ident.closed_loop import PARAMETERS as LOOP_PARAMETERS
 from benchmarks.ident.noise_models import coloured
-from benchmarks.ident.several_records import TwoRecords
+from benchmarks.ident.several_records import TwoFilms, TwoRecords
 from tests.beam_ident import rao_garnier
 from tests.beam_ident.rao_garnier import benchmark_record
 
@@ -263,6 +263,46 @@ def test_records_that_do_not_belong_together_are_refused(case, estimate, spoil, 
         estimate([first, spoil(second)])
     with pytest.raises(EstimationError, match="no record"):
         estimate([])
+
+
+@pytest.fixture(scope="module")
+def films() -> TwoFilms:
+    return TwoFilms()
+
+
+def test_modes_weigh_every_output_in_every_record(films):
+    outcomes = [films.run(seed) for seed in range(3)]
+    z = np.array([(o.estimate - films.truth) / o.sd for o in outcomes])
+    assert np.max(np.abs(z)) < 4.0
+    # With one level for both the stated deviations would be three times the bound.
+    np.testing.assert_allclose(np.median([o.sd for o in outcomes], axis=0), films.bound, rtol=0.1)
+
+
+def test_films_keep_what_is_their_own(films):
+    found = identify(films.records(0), n_modes=2)
+    assert found.converged
+    assert not found.warnings
+    for output in found.outputs:
+        assert [own.name for own in output.records] == ["quiet", "loud"]
+        np.testing.assert_allclose([own.noise_sd for own in output.records], films.sigmas, rtol=0.1)
+        np.testing.assert_allclose([own.offset for own in output.records], films.offsets, atol=1e-5)
+        assert output.noise_sd == pytest.approx(np.sqrt(np.mean(np.square(films.sigmas))), rel=0.1)
+        np.testing.assert_array_equal(
+            output.residuals, np.concatenate([own.residuals for own in output.records])
+        )
+        np.testing.assert_allclose(output.modelled + output.residuals, output.measured)
+        assert output.offset == output.records[0].offset
+        assert output.whiteness.is_white
+
+
+def test_modes_weigh_records_of_coloured_noise_too(films):
+    found = identify(films.records(0, 0.8), n_modes=2)
+    model = found.model
+    z = (model.natural_frequencies - films.truth[:2]) / model.natural_frequency_sd
+    assert np.max(np.abs(z)) < 4.0
+    # An AR(1) of 0.8 and power one has innovations of 0.6: these are what the levels compare.
+    ratio = found.outputs[0].records[1].noise_sd / found.outputs[0].records[0].noise_sd
+    assert ratio == pytest.approx(6.0, rel=0.25)
 
 
 def test_modes_take_records_of_one_unit_and_input_that_may_lack_an_output(case):
