@@ -27,3 +27,6 @@ def test_one_core_takes_the_frames_of_a_topic(answers, size: str, wanted_hz: flo
     found = measure(answers, size, "shared", wanted_hz, 5.0, is_reliable=True)
     print(found)  # noqa: T201 - the figures, with `pytest -s`
     assert found.core_hz >= wanted_hz
+    if size == "hd":
+        # In shared memory of the usual size a quarter of them is lost; 100 a second leave time for other programs.
+        assert found.lost <= 0.01 * wanted_hz * 5.0
