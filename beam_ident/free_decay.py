@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from beam_ident.argument_checks import require_output, require_whole_number
 from beam_ident.blas_threads import on_one_thread
 from beam_ident.errors import EstimationError
-from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
+from beam_ident.mode_search import Family, PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 from beam_ident.records import OutputSignal
@@ -231,7 +231,7 @@ class _Periodogram:
         self.omegas = np.asarray(np.pi * rate * (np.arange(count) + 1.0) / count)
         self.times = times
 
-    def proposals(self, fit: PoleFit) -> tuple[FloatArray, FloatArray]:
+    def proposals(self, fit: PoleFit) -> list[Family]:
         """Return the highest peaks, each with every damping."""
         power = np.zeros(len(self.omegas))
         for times, residuals in zip(self.times, fit.residuals, strict=True):
@@ -244,7 +244,7 @@ class _Periodogram:
         peaks = np.flatnonzero(is_peak)
         peaks = peaks[np.argsort(-power[peaks])][:_PEAKS]
         grid, damping = np.meshgrid(self.omegas[peaks], np.array(_DAMPING), indexing="ij")
-        return grid.ravel(), damping.ravel()
+        return [(grid.ravel(), damping.ravel())]
 
 
 def _result(

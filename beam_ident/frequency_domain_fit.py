@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beam_ident.argument_checks import require_frequency_record, require_whole_number
 from beam_ident.blas_threads import on_one_thread
@@ -28,7 +29,7 @@ from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.modal_fit import Prior
 from beam_ident.modal_model import ModalModel
 from beam_ident.modal_structure import ModalStructure, StructureKind
-from beam_ident.mode_search import PoleOrder, mode_warnings, search_modes
+from beam_ident.mode_search import Family, PoleOrder, mode_warnings, search_modes
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 
@@ -83,17 +84,18 @@ class LineBasis:
     ----------
     record : FrequencyRecord
     structure : ModalStructure
+    is_late : bool -- whether derivatives by the latency are wanted; they are 0 otherwise
     """
 
-    def __init__(self, record: FrequencyRecord, structure: ModalStructure) -> None:
-        self.structure = structure
+    def __init__(self, record: FrequencyRecord, structure: ModalStructure, is_late: bool = True) -> None:
+        self.structure, self.is_late = structure, is_late
         self.folding = record.folding
-        self.s: ComplexArray = np.asarray(1j * record.omegas[:, None], dtype=np.complex128)
-        self.weights = np.ones(self.s.shape, dtype=np.complex128)
+        s: ComplexArray = np.asarray(1j * record.omegas[:, None], dtype=np.complex128)
+        weights = np.ones(s.shape, dtype=np.complex128)
         self.tails: ComplexArray | None = None
         if self.folding is not None:
-            self.s = np.concatenate([self.s, 1j * self.folding.omegas], axis=1)
-            self.weights = np.concatenate([self.weights, self.folding.weights], axis=1)
+            s = np.concatenate([s, 1j * self.folding.omegas], axis=1)
+            weights = np.concatenate([weights, self.folding.weights], axis=1)
             self.tails = self.folding.tails
             lowest = 2 - (structure.differentiations if structure.has_residual else 0)
             if not np.all(np.isfinite(self.tails[:, lowest:])):
@@ -101,41 +103,49 @@ class LineBasis:
                     f"frequency record {record.name!r} comes from a held input, which jumps; the structure "
                     f"{structure.kind} differentiates it. Give the input hold='cubic', or has_residual=False"
                 )
-        self.front: ComplexArray = np.asarray(structure.sign * self.s**structure.differentiations)
+        self.s, self.weights = s, weights
+        self._squares = s.imag**2
+        # What every mode is multiplied by, and that once more times s: a fit asks for it many hundred times.
+        self._front = weights * structure.sign * s**structure.differentiations
+        self._rising = self._front * s
+        self._last_fixed: tuple[float, Columns] | None = None
         # A mode falls as 1/omega^2 beyond the band: far images do not move a maximum of the scan.
-        reach = np.minimum(1.0, record.omegas[-1] / np.abs(self.s)) ** 2
-        self._scanned = np.flatnonzero(np.max(np.abs(self.weights) * reach, axis=0) > _SCAN_IMAGE)
+        reach = np.minimum(1.0, record.omegas[-1] / np.abs(s)) ** 2
+        self._scanned = np.flatnonzero(np.max(np.abs(weights) * reach, axis=0) > _SCAN_IMAGE)
 
-    def _folded(
-        self, values: ComplexArray, expansion: Sequence[tuple[int, float]], latency: float
-    ) -> ComplexArray:
-        """Return the lines of a function given at all frequencies and by its first terms in 1/s."""
-        weights = self.weights
-        if latency:
-            weights = weights * np.exp(-self.s * latency)
-        total = np.sum(weights * values, axis=1)
+    @property
+    def seen_images(self) -> NDArray[np.intp]:
+        """Places of the images, among those of the folding, that a scan counts."""
+        return np.asarray(self._scanned[self._scanned > 0] - 1)
+
+    def _with_tails(self, lines: ComplexArray, expansion: Sequence[tuple[int, float]]) -> FloatArray:
+        """Return a real column: the sum over all images, and what its first terms in 1/s add for those left out."""
         if self.tails is not None:
             for power, factor in expansion:
-                total = total + factor * self.tails[:, power + 2]
-        return np.asarray(total)
+                lines = lines + factor * self.tails[:, power + 2]
+        return np.concatenate([lines.real, lines.imag])
 
-    def _both(
-        self, values: ComplexArray, expansion: Sequence[tuple[int, float]], latency: float
-    ) -> list[FloatArray]:
-        """Return a column and its derivative by the latency, both real."""
-        column = self._folded(values, expansion, latency)
-        slope = self._folded(-self.s * values, (), latency)
-        return [np.concatenate([part.real, part.imag]) for part in (column, slope)]
+    def _fixed_pair(self, exponent: int, factor: float, latency: float) -> list[FloatArray]:
+        """Return the column ``factor s^exponent`` and its derivative by the latency, both real."""
+        values = self.weights * (factor * self.s**exponent)
+        if latency:
+            values = values * np.exp(-self.s * latency)
+        column = self._with_tails(np.sum(values, axis=1), [(-exponent, factor)])
+        return [column, self._with_tails(np.sum(-self.s * values, axis=1), ())]
 
     def fixed(self, latency: float) -> Columns:
         """Return direct gain and residual term, where the structure has them."""
+        if self._last_fixed is None or self._last_fixed[0] != latency:
+            self._last_fixed = latency, self._fixed_columns(latency)
+        return self._last_fixed[1]
+
+    def _fixed_columns(self, latency: float) -> Columns:
         structure, pairs = self.structure, []
         power = structure.differentiations
         if structure.has_direct:
-            exponent = -2 if structure.kind == "force" else power - 2
-            pairs.append(self._both(np.asarray(self.s**exponent), [(-exponent, 1.0)], latency))
+            pairs.append(self._fixed_pair(-2 if structure.kind == "force" else power - 2, 1.0, latency))
         if structure.has_residual:
-            pairs.append(self._both(self.front, [(-power, structure.sign)], latency))
+            pairs.append(self._fixed_pair(power, structure.sign, latency))
         if not pairs:
             empty = np.zeros((2 * len(self.s), 0))
             return Columns(empty, empty, empty, empty)
@@ -144,34 +154,46 @@ class LineBasis:
 
     def modal(self, omega: float, zeta: float, latency: float) -> Columns:
         """Return the column of one mode with its derivatives."""
-        s, sign, power = self.s, self.structure.sign, self.structure.differentiations
-        inverse = 1.0 / (s * (s + 2.0 * zeta * omega) + omega**2)
-        value = self.front * inverse
-        slope = -value * inverse
+        sign, power = self.structure.sign, self.structure.differentiations
+        front, rising = self._front, self._rising
+        if latency:
+            late = np.exp(-self.s * latency)
+            front, rising = front * late, rising * late
+        inverse = 1.0 / ((omega**2 - self._squares) + (2.0 * zeta * omega) * self.s)
+        squared = inverse * inverse
+        lines = np.einsum("li,li->l", front, inverse)
+        level, slope = -np.einsum("li,li->l", front, squared), -np.einsum("li,li->l", rising, squared)
         # Powers of 1/s in front / d(s) = sign s^p (s^-2 - 2 zeta omega s^-3 + (4 zeta^2 - 1) omega^2 s^-4 ..).
-        squared = (4.0 * zeta**2 - 1.0) * omega**2
+        third = (4.0 * zeta**2 - 1.0) * omega**2
         terms = [(2 - power, 1.0, 0.0, 0.0)]
         if power >= 1:
             terms.append((3 - power, -2.0 * zeta * omega, -2.0 * zeta * omega, -2.0 * omega))
         if power == 2:
-            terms.append((4 - power, squared, 2.0 * squared, 8.0 * zeta * omega**2))
+            terms.append((4 - power, third, 2.0 * third, 8.0 * zeta * omega**2))
         expansions = [[(term[0], sign * term[k]) for term in terms] for k in (1, 2, 3)]
-        column, by_latency = self._both(value, expansions[0], latency)
-        by_omega = self._folded(slope * (2.0 * zeta * omega * s + 2.0 * omega**2), expansions[1], latency)
-        by_zeta = self._folded(slope * (2.0 * omega * s), expansions[2], latency)
-        parts = [np.concatenate([part.real, part.imag])[:, None] for part in (by_omega, by_zeta)]
-        return Columns(column[:, None], parts[0], parts[1], by_latency[:, None])
+        column = self._with_tails(lines, expansions[0])
+        by_omega = self._with_tails(2.0 * zeta * omega * slope + 2.0 * omega**2 * level, expansions[1])
+        by_zeta = self._with_tails(2.0 * omega * slope, expansions[2])
+        by_latency = np.zeros_like(column)
+        if self.is_late:
+            by_latency = self._with_tails(-np.einsum("li,li->l", rising, inverse), ())
+        return Columns(column[:, None], by_omega[:, None], by_zeta[:, None], by_latency[:, None])
 
     def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
         """Return the columns of candidate modes, the weakest images left out."""
-        total = np.zeros((len(self.s), len(omegas)), dtype=np.complex128)
+        n = len(self.s)
+        total = np.zeros((2 * n, len(omegas)))
         for column in self._scanned:
-            s = self.s[:, column, None]
-            weight = (self.weights[:, column] * np.exp(-self.s[:, column] * latency) * self.front[:, column])[
-                :, None
-            ]
-            total += weight / (s * (s + 2.0 * zetas * omegas) + omegas**2)
-        return np.concatenate([total.real, total.imag])[:, :, None]
+            # In real numbers: 1 / (a + jb) = (a - jb) / (a^2 + b^2).
+            w = self.s[:, column, None].imag
+            factor = (self._front[:, column] * np.exp(-self.s[:, column] * latency))[:, None]
+            stiff, lossy = omegas**2 - w**2, w * (2.0 * zetas * omegas)
+            size = stiff**2 + lossy**2
+            stiff /= size
+            lossy /= size
+            total[:n] += factor.real * stiff + factor.imag * lossy
+            total[n:] += factor.imag * stiff - factor.real * lossy
+        return total[:, :, None]
 
 
 def line_weights(record: FrequencyRecord, output: int, drive: int) -> FloatArray:
@@ -258,7 +280,7 @@ def fit_frequency_modes(
         raise EstimationError(f"latency is {latency!r}; expected a Prior(mean, sd) in s, or None")
     form = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     prior = Prior(0.0, 0.0) if latency is None else latency
-    problem = _problem(data, form, prior)
+    problem, bases = _problem(data, form, prior)
     limit = max_modes if n_modes is None else n_modes
     require_whole_number("max_modes" if n_modes is None else "n_modes", limit, 1, _MOST_MODES)
     lines = sum(record.n_lines for record in data)
@@ -266,7 +288,7 @@ def fit_frequency_modes(
         raise EstimationError(
             f"{lines} lines for {n_modes} modes; a fit needs at least {2 * n_modes + 2}. Ask for fewer modes"
         )
-    proposals = _Proposals(data)
+    proposals = _Proposals(data, bases)
     chosen, orders = search_modes(problem, proposals, proposals.band, n_modes, limit)
     if not len(chosen.omegas):
         raise EstimationError(
@@ -277,7 +299,9 @@ def fit_frequency_modes(
     return _result(problem, data, form, chosen, orders, proposals.band)
 
 
-def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, latency: Prior) -> PoleProblem:
+def _problem(
+    data: tuple[FrequencyRecord, ...], structure: ModalStructure, latency: Prior
+) -> tuple[PoleProblem, tuple[LineBasis, ...]]:
     if not data:
         raise EstimationError("no frequency record to fit; give at least one")
     first = data[0]
@@ -304,36 +328,53 @@ def _problem(data: tuple[FrequencyRecord, ...], structure: ModalStructure, laten
         )
         for j in range(first.n_outputs)
     )
-    return PoleProblem(tuple(LineBasis(r, structure) for r in data), blocks, all(known), latency)
+    bases = tuple(LineBasis(record, structure, latency.is_free) for record in data)
+    return PoleProblem(bases, blocks, all(known), latency), bases
 
 
 class _Proposals:
-    """Where a scan looks for a further mode: evenly over the band, and where the residuals stand out."""
+    """Where a scan looks for a further mode: evenly over the band, and where the residuals stand out.
 
-    def __init__(self, data: tuple[FrequencyRecord, ...]) -> None:
-        self.data = data
-        parts = [record.omegas for record in data]
-        for folding in (record.folding for record in data if record.folding is not None):
-            # Lines that share a bin with a stronger one were excited too.
-            parts.append(np.abs(folding.omegas[np.abs(folding.weights) > _EXCITED_IMAGE]))
-        omegas = np.unique(np.concatenate(parts))
-        self.band = (float(omegas[0]) / _EDGE, float(omegas[-1]) * _EDGE)
-        self.even = omegas[np.linspace(0, len(omegas) - 1, min(_EVENLY, len(omegas))).astype(np.intp)]
+    What stands out at a line may be a mode at one of its images: these are a family of their own.
+    """
 
-    def __call__(self, fit: PoleFit) -> tuple[FloatArray, FloatArray]:
-        first, parts = 0, [self.even]
-        for record in self.data:
+    def __init__(self, data: tuple[FrequencyRecord, ...], bases: tuple[LineBasis, ...]) -> None:
+        self.data, self.bases = data, bases
+        own = np.unique(np.concatenate([record.omegas for record in data]))
+        everywhere = slice(None)
+        excited = self._images(everywhere)
+        # Lines that share a bin with a stronger one were excited too.
+        top = max(float(own[-1]), float(np.max(excited, initial=0.0)))
+        self.band = (float(min(own[0], np.min(excited, initial=math.inf))) / _EDGE, top * _EDGE)
+        self.even = [_thinned(own), _thinned(excited)]
+
+    def _images(self, lines: slice | NDArray[np.intp], record: int | None = None) -> FloatArray:
+        """Return frequencies of images of some lines that were excited and that a scan sees [rad/s]."""
+        found = [np.zeros(0)]
+        for k, (own, basis) in enumerate(zip(self.data, self.bases, strict=True)):
+            if own.folding is not None and record in (None, k):
+                seen = own.folding.omegas[lines][:, basis.seen_images]
+                excited = np.abs(own.folding.weights[lines][:, basis.seen_images]) > _EXCITED_IMAGE
+                found.append(np.abs(seen[excited]))
+        return np.unique(np.concatenate(found))
+
+    def __call__(self, fit: PoleFit) -> list[Family]:
+        first, own, images = 0, [self.even[0]], [self.even[1]]
+        for k, record in enumerate(self.data):
             n = record.n_lines
             power = sum(e[first : first + n] ** 2 + e[first + n : first + 2 * n] ** 2 for e in fit.residuals)
             first += 2 * n
             lines = np.argsort(-np.asarray(power))[:_STANDING_OUT]
-            parts.append(record.omegas[lines])
-            if record.folding is not None:
-                images = np.abs(record.folding.weights[lines]) > _EXCITED_IMAGE
-                parts.append(np.abs(record.folding.omegas[lines][images]))
-        omegas = np.unique(np.concatenate(parts))
-        grid, damping = np.meshgrid(omegas, np.array(_SCAN_DAMPING), indexing="ij")
-        return grid.ravel(), damping.ravel()
+            own.append(record.omegas[lines])
+            images.append(self._images(lines, k))
+        families = [np.unique(np.concatenate(parts)) for parts in (own, images)]
+        grids = [np.meshgrid(omegas, _SCAN_DAMPING, indexing="ij") for omegas in families if len(omegas)]
+        return [(omegas.ravel(), damping.ravel()) for omegas, damping in grids]
+
+
+def _thinned(omegas: FloatArray) -> FloatArray:
+    """Return some of many frequencies, evenly."""
+    return omegas[np.linspace(0, len(omegas) - 1, min(_EVENLY, len(omegas))).astype(np.intp)]
 
 
 def _real_covariance(problem: PoleProblem, data: tuple[FrequencyRecord, ...], fit: PoleFit) -> FloatArray:

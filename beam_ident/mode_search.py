@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +20,13 @@ from beam_ident.modal_fit import MIN_DAMPING
 from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import PoleFit, PoleProblem, fit_poles, scan_poles
 
-Proposals = Callable[[PoleFit], tuple[FloatArray, FloatArray]]
+Family = tuple[FloatArray, FloatArray]
+Proposals = Callable[[PoleFit], Sequence[Family]]
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
+_RIVAL = 0.3  # of the best candidate's gain: a scan with all else held does not decide between families
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
-_FINAL_ITERATIONS, _TRIAL_ITERATIONS = 60, 40
+_FINAL_ITERATIONS, _TRIAL_ITERATIONS, _RIVAL_ITERATIONS = 60, 40, 6
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,9 @@ def search_modes(
     ----------
     problem : PoleProblem
     proposals : callable
-        From the fit so far to candidate frequencies [rad/s] and damping ratios, each (n_candidates,).
+        From the fit so far to families of candidates, each with frequencies [rad/s] and damping ratios, both
+        (n_candidates,).  Candidates of different families may be each other's aliases: the best of each is
+        fitted, and the fits decide.
     band : tuple of float -- where a pole may stand [rad/s]
     n_modes : int or None -- how many; None lets the criterion decide
     max_modes : int -- bound on the search
@@ -62,12 +66,16 @@ def search_modes(
     best = 0
     limit = max_modes if n_modes is None else n_modes
     while len(current.omegas) < limit:
-        grid, damping = proposals(current)
-        place = int(np.argmax(scan_poles(problem, current, grid, damping)))
-        omegas = np.append(current.omegas, grid[place])
-        zetas = np.append(current.zetas, damping[place])
-        iterations = _FINAL_ITERATIONS if len(omegas) == limit else _TRIAL_ITERATIONS
-        trial = fit_poles(problem, omegas, zetas, current.latency, iterations)
+        iterations = _FINAL_ITERATIONS if len(current.omegas) + 1 == limit else _TRIAL_ITERATIONS
+        starts = [
+            (np.append(current.omegas, omega), np.append(current.zetas, zeta), current.latency)
+            for omega, zeta in _starts(problem, current, proposals(current))
+        ]
+        if len(starts) > 1:
+            rivals = [fit_poles(problem, *start, _RIVAL_ITERATIONS) for start in starts]
+            best_rival = min(rivals, key=lambda fit: fit.cost)
+            starts = [(best_rival.omegas, best_rival.zetas, best_rival.latency)]
+        trial = fit_poles(problem, *starts[0], iterations)
         refusal = "" if n_modes is not None else _complaint(problem, band, trial, current)
         orders.append(_order(problem, trial, refusal))
         if refusal:
@@ -75,6 +83,19 @@ def search_modes(
         current, best = trial, len(orders) - 1
     orders[best] = dataclasses.replace(orders[best], is_chosen=True)
     return current, tuple(orders)
+
+
+def _starts(problem: PoleProblem, current: PoleFit, families: Sequence[Family]) -> list[tuple[float, float]]:
+    """Return the best candidate of every family that promises enough, as frequency [rad/s] and damping ratio."""
+    omegas, zetas = (np.concatenate([family[k] for family in families]) for k in range(2))
+    gains = scan_poles(problem, current, omegas, zetas)
+    starts, first = [], 0
+    for family in families:
+        place = first + int(np.argmax(gains[first : first + len(family[0])]))
+        first += len(family[0])
+        if gains[place] >= _RIVAL * np.max(gains):
+            starts.append((float(omegas[place]), float(zetas[place])))
+    return starts
 
 
 def _bic(problem: PoleProblem, fit: PoleFit) -> float:

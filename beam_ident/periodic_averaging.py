@@ -306,7 +306,8 @@ def periodic_response(
     lines = _Lines.of(source, numbers, n_bins, line_period_s, outputs[0].exposure_s)
     at = lines.bins - 1
     measured = np.where(lines.sign > 0, spectra[:, :, at], np.conj(spectra[:, :, at]))
-    drives = np.stack([lines.input_of(source, o.exposure_s, line_period_s) for o in outputs])
+    of_input = lines.input_of(source, outputs[0].exposure_s, line_period_s)
+    drives = np.stack([of_input] * len(outputs))
     mean_y, mean_u = np.mean(measured, axis=1), np.mean(drives, axis=1)
     response = mean_y / mean_u
     covariance, freedom = _covariance(measured - mean_y[:, None], drives - mean_u[:, None], response, mean_u)

@@ -283,19 +283,16 @@ def scan_poles(problem: PoleProblem, fit: PoleFit, omegas: FloatArray, zetas: Fl
     candidates = [basis.scanned(omegas, zetas, fit.latency) for basis in problem.bases]
     n_columns = candidates[0].shape[2]
     flat = [c.reshape(len(c), -1) for c in candidates]
+    squares = [c**2 for c in flat] if n_columns == 1 else []
     gain = np.zeros(len(omegas))
     for block, residuals in enumerate(state.residuals):
-        columns = likelihood.stacked(block, flat)
         basis = state.solutions[block].basis
-        size = np.sum(columns**2, axis=0)
-        columns = columns - basis @ (basis.T @ columns)
-        along = (residuals @ columns).reshape(-1, n_columns)
         if n_columns == 1:
-            power = np.sum(columns**2, axis=0)
-            # A candidate that the present columns already span would divide rounding by rounding.
-            power = np.where(power > 1e-10 * size, power, np.inf)
-            lowered = along[:, 0] ** 2 / power
+            lowered = _lowered(problem.blocks[block], flat, squares, residuals, basis)
         else:
+            columns = likelihood.stacked(block, flat)
+            columns = columns - basis @ (basis.T @ columns)
+            along = (residuals @ columns).reshape(-1, n_columns)
             shaped = columns.reshape(len(columns), -1, n_columns)
             gram = np.einsum("rka,rkb->kab", shaped, shaped)
             gram += 1e-10 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(
@@ -308,6 +305,29 @@ def scan_poles(problem: PoleProblem, fit: PoleFit, omegas: FloatArray, zetas: Fl
             share = np.clip(lowered / state.rss[block], 0.0, 1.0 - 1e-12)
             gain -= 0.5 * likelihood.sizes[block] * np.log1p(-share)
     return gain
+
+
+def _lowered(
+    block: tuple[Part, ...],
+    candidates: list[FloatArray],
+    squares: list[FloatArray],
+    residuals: FloatArray,
+    basis: FloatArray,
+) -> FloatArray:
+    """Return by how much single columns lower a block's sum of squares, none of them weighted or projected itself."""
+    count, first = candidates[0].shape[1], 0
+    size, along, within = np.zeros(count), np.zeros(count), np.zeros((basis.shape[1], count))
+    for part in block:
+        rows = slice(first, first + len(part.values))
+        first += len(part.values)
+        size = size + part.weights**2 @ squares[part.basis]
+        along = along + (part.weights * residuals[rows]) @ candidates[part.basis]
+        within = within + (part.weights[:, None] * basis[rows]).T @ candidates[part.basis]
+    # The residuals are orthogonal to the basis already.
+    power = size - np.sum(np.square(within), axis=0)
+    # A candidate that the present columns already span would divide rounding by rounding.
+    power = np.where(power > 1e-10 * size, power, np.inf)
+    return np.asarray(np.square(along) / power)
 
 
 def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> PoleFit:

@@ -8,6 +8,7 @@ from beam_ident.frequency_domain_fit import fit_frequency_modes
 from beam_ident.frequency_record import FrequencyRecord
 from beam_ident.modal_structure import ModalStructure
 from beam_ident.periodic_averaging import periodic_response
+from tests.beam_ident import result_cases
 from tests.beam_ident.periodic import (
     LINE_PERIOD_S,
     LINES_HZ,
@@ -142,3 +143,11 @@ def test_what_cannot_be_fitted_is_refused():
     held = periodic_response(modal_record("receptance", hold="zoh"), LINE_PERIOD_S, LINES_HZ).response
     with pytest.raises(EstimationError, match="comes from a held input"):
         fit_frequency_modes(held, ModalStructure("base_motion"))
+
+
+def test_a_mode_below_half_the_rate_is_not_taken_for_its_image():
+    # The held input's images share the bins: 96.8 Hz, 100 Hz less 3.2 Hz, bends these lines almost alike.
+    found = fit_frequency_modes(result_cases.lines(), "receptance")
+    assert found.model.n_modes == 1
+    assert found.model.frequencies_hz[0] == pytest.approx(20.0 / (2.0 * np.pi), rel=1e-3)
+    assert found.misfit.is_noise
