@@ -32,7 +32,7 @@ from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.mode_gates import mode_complaint
 from beam_ident.piecewise import FloatArray
 from beam_ident.record_fit import RecordFit, in_units_of_level, pooled_scores
-from beam_ident.record_levels import unweighed, weigh_records
+from beam_ident.record_levels import record_levels, unweighed, weigh_records
 from beam_ident.records import InputSignal, TimeRecord
 from beam_ident.validation import Scores, Whiteness
 from beam_ident.weighted_fit import WeightedFit
@@ -149,7 +149,7 @@ class _Search:
         input_name: str | None,
         progress: Progress,
     ) -> None:
-        self.regression = regression
+        self.plain = self.regression = regression
         self.records, self.input_name = records, input_name
         self.max_iterations = _ITERATIONS
         self.latency, self.clock_rate = latency, clock_rate
@@ -215,6 +215,8 @@ class _Search:
         self.max_iterations = _ITERATIONS if n_modes is not None else _TRIAL_ITERATIONS
         thorough = self.max_iterations
         while len(self.chosen.omegas) < limit:
+            if len(self.records) > 1:
+                self._weigh()
             current = self.chosen
             n = len(current.omegas)
             self.max_iterations = _SHORT if _MANY_MODES <= n < limit - 1 else thorough
@@ -241,6 +243,14 @@ class _Search:
                 excluded.append(candidate.omega)
             if not found:
                 break
+
+    def _weigh(self) -> None:
+        """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
+        levels = record_levels(self.regression, self.chosen)
+        self.regression = self.plain.weighed(levels)
+        self.scan.weigh(levels)
+        fit = self.chosen
+        self.chosen = self._fit(fit.omegas, fit.zetas, fit.clock, len(fit.omegas))
 
     def _affords(self, n_modes: int) -> bool:
         columns = self.regression.n_shared_fixed + n_modes + self.regression.n_nuisance(n_modes)
@@ -289,7 +299,8 @@ class _Search:
         )
 
     def result(self) -> IdentificationResult:
-        fit, regression = self.chosen, self.regression
+        fit, regression = unweighed(self.regression, self.chosen), self.plain
+        self.regression = regression
         n = len(fit.omegas)
         if n == 0:
             raise EstimationError(

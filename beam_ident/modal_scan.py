@@ -71,12 +71,17 @@ class ModalScan:
             if structure.has_direct:
                 structure = dataclasses.replace(structure, kind="base_motion")
         thinned = [_thinned_record(r, d, seed) for r, d in zip(records, drives, strict=True)]
-        self.regression = ModalRegression(thinned, structure)
+        self._plain = self.regression = ModalRegression(thinned, structure)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
         self._candidates: list[_Candidates] | None = None
         self._clock = ClockState()
+
+    def weigh(self, levels: Sequence[FloatArray]) -> None:
+        """Divide the rows of every output by a level in each of its records (:meth:`ModalRegression.weighed`)."""
+        self.regression = self._plain.weighed(levels)
+        self._candidates = None
 
     def gains(self, model: ModalFit) -> FloatArray:
         """Return the gain in log-likelihood over the grid, shape (n_points,)."""

@@ -33,7 +33,7 @@ def weigh_records(
         return regression, fit
     weighed = regression
     for _ in range(_TURNS):
-        weighed = regression.weighed(_levels(weighed, fit))
+        weighed = regression.weighed(record_levels(weighed, fit))
         following = fit_modes(weighed, fit.omegas, fit.zetas, fit.clock, latency, clock_rate)
         n = 2 * len(fit.omegas)
         moved = np.concatenate([np.log(following.omegas / fit.omegas), following.zetas - fit.zetas])
@@ -54,9 +54,16 @@ def unweighed(regression: ModalRegression, fit: ModalFit) -> ModalFit:
     )
 
 
-def _levels(regression: ModalRegression, fit: ModalFit) -> list[FloatArray]:
+def record_levels(regression: ModalRegression, fit: ModalFit) -> list[FloatArray]:
     """Return the level of every output's noise in each of its records, their weighted geometric mean one.
 
+    Parameters
+    ----------
+    regression : ModalRegression -- weighed or not
+    fit : ModalFit -- of it
+
+    Notes
+    -----
     The parameters are paid by the records that have them; those that all share, in proportion to samples.
     """
     n_own = regression.n_nuisance(len(fit.omegas))

@@ -295,6 +295,18 @@ def test_films_keep_what_is_their_own(films):
         assert output.whiteness.is_white
 
 
+def test_a_loud_film_does_not_hide_a_mode_that_a_quiet_one_shows():
+    class WeakFilms(TwoFilms):
+        model = dataclasses.replace(TwoFilms.model, residues=np.array([[0.01, -0.002], [1.5, -0.02]]))
+
+    records = WeakFilms().records(0)
+    assert identify(records[0]).model.n_modes == 2
+    assert identify(records[1]).model.n_modes == 1
+    found = identify(records)
+    assert found.model.n_modes == 2
+    assert found.orders[-1].refused_because
+
+
 def test_modes_weigh_records_of_coloured_noise_too(films):
     found = identify(films.records(0, 0.8), n_modes=2)
     model = found.model
