@@ -88,6 +88,8 @@ class _Likelihood:
             self.fold = np.concatenate([self.fold, record.folding.weights], axis=1)
             # 1 / s^k in scaled frequency.
             self.tails = record.folding.tails[:, 2:] * self.scale ** np.arange(3)
+        # s^max(n, m) .. s^0: every state needs them all.
+        self.powers = self.s[:, :, None] ** np.arange(max(n_poles, n_zeros), -1, -1)
         self.response = record.response[:, 0, 0]
         self.weights = line_weights(record, 0, 0)
         self.values = stacked_values(self.response)
@@ -101,6 +103,10 @@ class _Likelihood:
         """Return the delay in scaled time."""
         return float(theta[-1]) if self.delay.is_free else self.delay.mean * self.scale
 
+    def _polynomial(self, coefficients: FloatArray) -> ComplexArray:
+        """Return a polynomial at all frequencies, from its coefficients in descending powers."""
+        return np.asarray(self.powers[:, :, self.powers.shape[2] - len(coefficients) :] @ coefficients)
+
     def state(self, theta: FloatArray) -> _State:
         n, m = self.n, self.m
         a = np.concatenate([[1.0], theta[:n]])
@@ -108,25 +114,23 @@ class _Likelihood:
         lines = np.zeros(0, dtype=np.complex128)
         if not np.all(np.isfinite(theta)) or (n and np.max(np.roots(a).real) >= 0.0):
             return _State(theta, math.inf, lines, np.zeros(0), np.zeros((0, 0)))
-        s = self.s
-        inverse = 1.0 / np.polyval(a, s)
-        lag = self.fold * np.exp(-s * self.lag(theta))
-        terms = lag * inverse
-        values = np.polyval(b, s) * terms
-        columns = []
-        over = -values * inverse
-        for power in range(n - 1, -1, -1):
-            columns.append(np.sum(over * s**power, axis=1))
-        for power in range(m, -1, -1):
-            columns.append(np.sum(terms * s**power, axis=1))
+        inverse = 1.0 / self._polynomial(a)
+        lag = self.lag(theta)
+        terms = self.fold * inverse
+        if lag:
+            terms = terms * np.exp(-self.s * lag)
+        values = self._polynomial(b) * terms
+        width = self.powers.shape[2]
+        by_a = np.einsum("lc,lck->lk", -values * inverse, self.powers[:, :, width - n :])
+        by_b = np.einsum("lc,lck->lk", terms, self.powers[:, :, width - m - 1 :])
         lines = np.sum(values, axis=1)
-        gradient = np.stack(columns, axis=1)
+        gradient = np.concatenate([by_a, by_b], axis=1)
         if self.tails is not None:
             expansion, by_theta = self._expansion(a, b)
             lines = lines + self.tails @ expansion
             gradient = gradient + self.tails @ by_theta
         if self.delay.is_free:
-            gradient = np.concatenate([gradient, np.sum(-s * values, axis=1)[:, None]], axis=1)
+            gradient = np.concatenate([gradient, np.sum(-self.s * values, axis=1)[:, None]], axis=1)
         residuals = self.weights * (self.values - np.concatenate([lines.real, lines.imag]))
         stacked = self.weights[:, None] * np.concatenate([gradient.real, gradient.imag])
         rss = float(residuals @ residuals) + self.floor

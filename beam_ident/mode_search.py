@@ -24,7 +24,7 @@ Family = tuple[FloatArray, FloatArray]
 Proposals = Callable[[PoleFit], Sequence[Family]]
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
-_RIVAL = 0.3  # of the best candidate's gain: a scan with all else held does not decide between families
+_RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not decide between families
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
 _FINAL_ITERATIONS, _TRIAL_ITERATIONS, _RIVAL_ITERATIONS = 60, 40, 6
 
