@@ -323,7 +323,7 @@ def fit_frequency_transfer_function(
         input_name=record.input_names[0],
         output_name=record.output_names[0],
     )
-    warnings = [misfit.warning] if misfit.warning else []
+    warnings = [said for said in (misfit.warning, record.sharing_warning) if said]
     if not converged:
         warnings.append(f"the fit did not converge: {reason}")
     seen = likelihood.weights > 0.0

@@ -117,6 +117,8 @@ class FrequencyRecord:
     method : str -- how the response was made
     folding : Folding or None -- for one input
     name : str
+    shared_lines : float
+        Over how many neighbouring lines an error reaches, 1 where lines err independently.
 
     Raises
     ------
@@ -137,6 +139,7 @@ class FrequencyRecord:
     method: str = "given"
     folding: Folding | None = None
     name: str = field(default="frequency record")
+    shared_lines: float = 1.0
 
     def __post_init__(self) -> None:
         omegas = self._numbers("omegas", np.float64)
@@ -156,6 +159,8 @@ class FrequencyRecord:
             self._refuse(
                 f"degrees_of_freedom is {self.degrees_of_freedom}; expected a number > 0, or infinity"
             )
+        if not 1.0 <= self.shared_lines < np.inf:
+            self._refuse(f"shared_lines is {self.shared_lines}; expected a number of at least 1")
         shape = shape + (1,) * (3 - response.ndim)
         object.__setattr__(self, "omegas", _fixed(omegas, np.float64))
         object.__setattr__(self, "response", _fixed(response.reshape(shape), np.complex128))
@@ -235,6 +240,16 @@ class FrequencyRecord:
     def sd(self) -> FloatArray | None:
         """Standard deviation of every complex value, both parts together, or None."""
         return None if self.variance is None else np.asarray(np.sqrt(self.variance))
+
+    @property
+    def sharing_warning(self) -> str:
+        """What whoever fits a model to lines that share data must know, or nothing."""
+        if self.shared_lines <= 1.0:
+            return ""
+        return (
+            f"neighbouring lines share data ({self.method}): noise may look like modes, and standard deviations may "
+            f"be too small by up to {np.sqrt(self.shared_lines):.1f} times; fit samples, or a response from periods"
+        )
 
     def series(self) -> tuple[ResponseSeries, ...]:
         """Return the response of every pair, outputs in order, inputs varying quickest."""
@@ -338,4 +353,5 @@ def beside(records: Sequence[FrequencyRecord], name: str = "joined") -> Frequenc
         degrees_of_freedom=min(record.degrees_of_freedom for record in records),
         method=first.method,
         name=name,
+        shared_lines=max(record.shared_lines for record in records),
     )

@@ -61,6 +61,7 @@ class _Estimate:
     variance: FloatArray
     coherence: FloatArray | None
     freedom: float
+    shared_lines: float = 1.0
 
 
 def _pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> _Pair:
@@ -131,6 +132,7 @@ def _for_every_output(
         degrees_of_freedom=min(one.freedom for one in found),
         method=method,
         name=record.name,
+        shared_lines=max(one.shared_lines for one in found),
     )
 
 
@@ -295,4 +297,12 @@ def _local_polynomial(pair: _Pair, degree: int, width: int) -> _Estimate:
         variance * gain / scale**2,
         None,
         float(freedom),
+        _reach(degree, width),
     )
+
+
+def _reach(degree: int, width: int) -> float:
+    """Return the sum of the correlations of a line's error with all lines, 1 / h'h for a smoother of weights h."""
+    powers = (np.arange(-width, width + 1.0) / width)[:, None] ** np.arange(degree + 1)
+    weights = np.linalg.pinv(powers)[0]
+    return max(1.0 / float(weights @ weights), 1.0)

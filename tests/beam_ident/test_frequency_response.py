@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    OutputSignal,
+    TimeRecord,
+    fit_frequency_modes,
+    fit_frequency_transfer_function,
+)
 from beam_ident.frequency_response import local_polynomial_response, welch_response
 from beam_ident.transfer_function import TransferFunctionModel
 
@@ -116,3 +123,15 @@ def test_what_cannot_be_transformed_is_refused(noise_record):
         welch_response(noise_record, "reference")
     with pytest.raises(EstimationError, match="half_width is 1"):
         local_polynomial_response(noise_record, half_width=1)
+
+
+def test_lines_that_share_data_are_said_to_and_a_fit_of_them_warns():
+    rng = np.random.default_rng(1)
+    drive = InputSignal("u", "N", (0.0, 0.01), rng.standard_normal(1000), "zoh")
+    noise = OutputSignal("y", "m", 0.01 * np.arange(1, 1000), rng.standard_normal(999))
+    found = local_polynomial_response(TimeRecord((drive,), (noise,)))
+    # Neighbours' errors correlate as the smoother's weights overlap: five lines and more for a parabola over 13.
+    assert 5.0 < found.shared_lines < 6.5
+    assert "neighbouring lines share data" in fit_frequency_modes(found, "receptance", n_modes=1).warnings[0]
+    assert any("share data" in said for said in fit_frequency_transfer_function(found, 2, 0).warnings)
+    assert welch_response(TimeRecord((drive,), (noise,))).shared_lines == 1.0
