@@ -168,7 +168,7 @@ def welch_response(
     Notes
     -----
     With a reference, ``var H = S_ee S_rr / (n |S_ur|^2)`` with e = y - H u: the variance of an
-    instrumental variable (Soderstrom and Stoica 1989, eq. 8.30, line by line).
+    instrumental variable (Soderstrom and Stoica 1989, line by line).
     """
     if method not in ("h1", "h2", "hv", "reference"):
         raise EstimationError(f"method is {method!r}; expected h1, h2, hv or reference")

@@ -4,7 +4,7 @@ Over whole periods a Fourier transform leaks nothing: an excited line holds the 
 the scatter from period to period is the noise, and lines that were not excited show
 distortion (Pintelon and Schoukens 2012, ch. 2 and 4).  Where the input is measured and noisy
 itself, the response is the ratio of the averaged spectra, and its variance counts the
-noise of both and what they have in common (errors in variables, their eq. 2-24):
+noise of both and what they have in common (errors in variables):
 
     var H = |H|^2 [ var Y / |Y|^2 + var U / |U|^2 - 2 Re( cov(Y, U) / (Y conj U) ) ]
 
@@ -93,7 +93,7 @@ def hold_gain(hold: Hold, omegas: FloatArray, period_s: float) -> ComplexArray:
     Notes
     -----
     With ``x = omega T / 2``: zero-order hold ``sinc(x) e^(-jx)``, straight lines ``sinc(x)^2``, the cubic
-    spline ``3 sinc(x)^4 / (2 + cos 2x)`` (Unser 1999, eq. 9, for the cardinal spline), and likewise the
+    spline ``3 sinc(x)^4 / (2 + cos 2x)`` (Unser 1999, for the cardinal spline), and likewise the
     spline of degree 9 ``sinc(x)^10`` over the transform of its basis at the samples.
     """
     half = 0.5 * np.asarray(omegas, dtype=np.float64) * period_s

@@ -43,7 +43,7 @@ def phi_functions(z: ComplexArray, highest: int) -> list[ComplexArray]:
     -----
     ``phi_0 = e^z``, ``phi_(k+1)(z) = (phi_k(z) - 1/k!) / z``.  The recursion is run
     upwards where ``|z| > 1`` and downwards from a series where it would cancel
-    (Hochbruck and Ostermann, Acta Numerica 2010, eq. 2.10).
+    (Hochbruck and Ostermann, Acta Numerica 2010).
     """
     z = np.asarray(z, dtype=np.complex128)
     large = np.abs(z) > _SERIES_RADIUS

@@ -10,7 +10,7 @@ estimate nor are its plain intervals right.  Once residuals are there, they tell
   derivatives are those at the most likely true input.  With them the score has mean zero
   at the true parameters, which takes away the bias of errors in variables: it is
   the maximum of the likelihood over parameters *and* input, ``min r^T Sigma^-1 r``
-  (weighted total least squares; Soderstrom, Errors-in-Variables Methods, 2018, ch. 8).
+  (weighted total least squares; Soderstrom, Errors-in-Variables Methods, 2018).
 
 Gauss-Newton steps on all parameters, the linear ones included, end where both hold.
 """

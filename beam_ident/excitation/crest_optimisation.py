@@ -33,7 +33,7 @@ def schroeder_phases(amplitudes: FloatArray) -> FloatArray:
     Notes
     -----
     ``phi_n = -2 pi sum_{l<n} (n - l) p_l`` with the lines' shares of the power ``p_l``
-    (Schroeder, IEEE Trans. Inf. Theory 16, 1970, eq. 11).
+    (Schroeder, IEEE Trans. Inf. Theory 16, 1970).
     """
     share = np.square(amplitudes) / np.sum(np.square(amplitudes))
     phases = -2.0 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(share)[:-1]]))
