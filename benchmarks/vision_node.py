@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import select
 import signal
 import struct
 import subprocess
@@ -158,9 +159,14 @@ def publish_frames(size: str, transport: str, rate: float, seconds: float, *, is
         frame = frames[k % len(frames)]
         publisher.publish(frame[:4] + struct.pack("<iI", seconds_part, nanoseconds) + frame[12:])
 
-    # The markers are found, memory is at hand: what follows is steady.
-    for k in range(30):
-        send(k)
+    deadline = time.monotonic() + 20.0
+    # Until the first answer has come back: who counts has found the tracker then, and the markers are found too.
+    introduction = 0
+    while introduction < 30 or not select.select([sys.stdin], [], [], 0.0)[0]:
+        if time.monotonic() > deadline:
+            raise SystemExit("no answer of the tracker came back within 20 s")
+        send(introduction)
+        introduction += 1
         time.sleep(0.02)
     cpu_before, start = time.process_time(), time.monotonic()
     count = 0
@@ -244,6 +250,7 @@ def measure(
                 arguments,
                 cwd=Path(__file__).parents[1],
                 env=environment,
+                stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=log,
                 preexec_fn=_core(core),
@@ -268,7 +275,9 @@ def measure(
         limit = time.monotonic() + seconds + 60.0
         while not answers.seen and time.monotonic() < limit and camera.poll() is None:
             answers.spin(0.1)
-        # The camera's 30 frames of introduction take longer than this.
+        assert camera.stdin is not None
+        camera.stdin.write(b"counting\n")
+        camera.stdin.flush()
         answers.spin(0.6)
         before, begun = _processor_seconds(tracker.pid), time.monotonic()
         while camera.poll() is None and time.monotonic() - begun < seconds:
