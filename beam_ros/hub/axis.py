@@ -559,6 +559,9 @@ class VirtualAxis:
             if tick == self._tick and rest_ns == 0 and tick > oldest:
                 tick, rest_ns = tick - 1, self.parameters.period_ns
             entry = self._history[tick % HISTORY_TICKS] if oldest <= tick < self._tick else None
+            if time_ns == self.device_ns and self._tick == self._first_tick:
+                # Nothing has been done since power-on: hub and beam are where they stand.
+                entry = _TickStart(self._position, self._velocity, self._plant.state(), 0.0, False, 0.0)
             if entry is None:
                 raise SnapshotError(
                     f"snapshot at {time_ns} ns of device time: expected from "

@@ -96,6 +96,12 @@ def test_the_axis_does_not_invent_instants_it_has_not_reached_or_has_forgotten()
             axis.snapshots([time_ns])
 
 
+def test_at_power_on_the_axis_stands_where_it_stands():
+    axis = VirtualAxis(HubParameters(initial_position=0.004), RigidPlant(0.8, T))
+    first = axis.snapshots([axis.device_ns])
+    assert (first.positions[0], first.accelerations[0]) == (0.004, 0.0)
+
+
 def test_the_state_machine_asks_for_home_before_enable_and_says_so():
     axis = VirtualAxis(HubParameters(initial_position=0.004), RigidPlant(0.8, T))
     axis.request(1, "enable")
