@@ -183,8 +183,11 @@ def _estimate(sampled: Sequence[_Sampled], order: int, n_block_rows: int) -> Win
             _hankel(outputs, rows, at),
             _hankel(outputs, rows, at + rows),
         ]
-        blocks.append(np.concatenate(parts).T / own.level)
-    triangle = qr(np.concatenate(blocks), mode="r", check_finite=False)[0]
+        block = np.concatenate(parts)
+        block /= own.level
+        blocks.append(block)
+    stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+    triangle = qr(stacked.T, mode="r", overwrite_a=True, check_finite=False)[0]
     n_future_inputs = 2 * len(sampled) + rows * n_inputs
     n_past = rows * (n_inputs + n_outputs)
     projected = triangle[n_future_inputs : n_future_inputs + n_past, n_future_inputs + n_past :].T
@@ -227,16 +230,17 @@ def _combined(
         drift[:, 2 * record] = 1.0
         drift[:, 2 * record + 1] = np.linspace(-0.5, 0.5, len(times))
         responses = [_pole_columns(drive, times, pool) for drive in stretch.drives]
-        rows.append(np.concatenate([drift, *responses, own.outputs[at] / sizes], axis=1) / own.level)
-    everything = np.concatenate(rows)
-    drifts, columns, outputs = np.split(
-        everything, [n_drifts, everything.shape[1] - sampled[0].outputs.shape[1]], axis=1
-    )
-    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        row = np.concatenate([drift, *responses, own.outputs[at] / sizes], axis=1)
+        row /= own.level
+        rows.append(row)
+    everything = rows[0] if len(rows) == 1 else np.concatenate(rows)
+    n_outputs = sampled[0].outputs.shape[1]
+    columns = everything[:, n_drifts:-n_outputs]
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     # All that follows happens inside the span of these columns: on the triangle of their QR.
-    triangle = qr(np.concatenate([drifts, columns, outputs], axis=1), mode="r", check_finite=False)[0]
+    triangle = qr(everything, mode="r", check_finite=False)[0]
     n_columns = n_drifts + columns.shape[1]
-    triangle = triangle[: n_columns + outputs.shape[1]]
+    triangle = triangle[: n_columns + n_outputs]
     parts = triangle[:, n_drifts:n_columns].reshape(len(triangle), n_inputs, len(pool), 2)
     basis = np.eye(len(triangle), n_drifts)
     residuals = triangle[:, n_columns:]
