@@ -9,6 +9,7 @@ uncertainty at the outputs taken together.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -29,7 +30,7 @@ from beam_ident.modal_model import ModalModel
 from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
 from beam_ident.modal_structure import ModalStructure, StructureKind
-from beam_ident.mode_gates import mode_complaint
+from beam_ident.mode_gates import mode_complaint, mode_significance
 from beam_ident.piecewise import FloatArray
 from beam_ident.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.record_levels import record_levels, unweighed, weigh_records
@@ -44,6 +45,9 @@ _MOST_MODES = 40
 
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on a reader is told
+# Without a complaint, a mode is given up for a fit that settles only where it is near another and explains little.
+_BESIDE = 0.05  # of the frequency
+_HARDLY_MORE = 1.1  # residuals without it over those with it
 _ITERATIONS = 40
 _TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
 _CLOCK_STARTS = 3
@@ -137,6 +141,15 @@ def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
             )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A fit weighed by the noise as it is, the regression that it belongs to, and that with weights for records."""
+
+    fit: ModalFit
+    regression: ModalRegression
+    by_record: ModalRegression
+
+
 class _Search:
     """The search over orders, and the best fit found so far."""
 
@@ -170,6 +183,7 @@ class _Search:
         self.chosen = self.base
         self.entries: list[OrderEntry] = [self._entry(self.base, "")]
         self.chosen_entry = 0
+        self.is_order_given = False
 
     def _fit(
         self,
@@ -211,6 +225,7 @@ class _Search:
         return fit
 
     def run(self, n_modes: int | None, max_modes: int) -> None:
+        self.is_order_given = n_modes is not None
         limit = n_modes if n_modes is not None else max_modes
         self.max_iterations = _ITERATIONS if n_modes is not None else _TRIAL_ITERATIONS
         thorough = self.max_iterations
@@ -311,20 +326,11 @@ class _Search:
                 "number of modes to see the best candidate"
             )
         self.progress("weighing by the noise as it is", 0.97)
-        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
-        smoothing = None
-        shares = [_noise_share(model, drive) for drive in regression.drives]
-        if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
-            smoothing = Smoothing(self.band.high_hz)
-            regression = self.regression = ModalRegression(
-                self.records, regression.structure, self.input_name, smoothing
-            )
-            fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
-        by_record = regression
-        if smoothing is None:
-            by_record, fit = weigh_records(regression, fit, self.latency, self.clock_rate)
-        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing)
-        fit = self.chosen = unweighed(by_record, weighted.result())
+        weighed = self._weighed(fit)
+        if not self.is_order_given:
+            weighed = self._confirmed(weighed)
+        fit, regression, by_record = weighed.fit, weighed.regression, weighed.by_record
+        self.chosen, self.regression = fit, regression
         model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
@@ -347,6 +353,55 @@ class _Search:
             iterations=fit.iterations,
             warnings=tuple(self._warnings(model, outputs)),
         )
+
+    def _weighed(self, fit: ModalFit) -> _Weighed:
+        """Return a fit with equal weights, weighed by the noise as it is."""
+        regression = self.plain
+        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        smoothing = None
+        shares = [_noise_share(model, drive) for drive in regression.drives]
+        if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
+            smoothing = Smoothing(self.band.high_hz)
+            regression = ModalRegression(self.records, regression.structure, self.input_name, smoothing)
+            fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
+        by_record = regression
+        if smoothing is None:
+            by_record, fit = weigh_records(regression, fit, self.latency, self.clock_rate)
+        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing)
+        return _Weighed(unweighed(by_record, weighted.result()), regression, by_record)
+
+    def _confirmed(self, weighed: _Weighed) -> _Weighed:
+        """Return the fit without modes that only equal weights had mistaken for more than noise.
+
+        Noise on the input reaches the outputs through the modes, and a mode beside a true one can pass for it
+        until every sample weighs by what the noise has left of it.
+        """
+        while len(weighed.fit.omegas) > 1:
+            fit, regression = weighed.fit, weighed.regression
+            modes = range(len(fit.omegas))
+            complaints = [mode_complaint(fit, regression, mode, self.band) for mode in modes]
+            if fit.converged and not any(complaints):
+                break
+            doubtful = [mode for mode in modes if complaints[mode]] or list(modes)
+            weakest = min(doubtful, key=lambda mode: mode_significance(fit, regression, mode, self.band)[0])
+            omegas, zetas = np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest)
+            self.regression = self.plain
+            fewer = self._fit(omegas, zetas, fit.clock, len(omegas))
+            following = self._weighed(fewer)
+            if not fewer.converged or not following.fit.converged:
+                break
+            beside = np.min(np.abs(np.log(omegas / fit.omegas[weakest])))
+            is_little = np.all(following.fit.sigmas < _HARDLY_MORE * fit.sigmas)
+            if not any(complaints) and not (beside < _BESIDE and is_little):
+                break
+            reason = complaints[weakest] or fit.reason
+            self.entries[self.chosen_entry] = dataclasses.replace(
+                self.entries[self.chosen_entry], refused_because=f"weighed by the noise, {reason}"
+            )
+            self.entries.append(self._entry(fewer, ""))
+            self.chosen_entry = len(self.entries) - 1
+            weighed = following
+        return weighed
 
     def _output_fit(self, j: int, matrix: FloatArray, levels: FloatArray) -> OutputFit:
         fit, regression = self.chosen, self.regression

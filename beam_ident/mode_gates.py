@@ -35,6 +35,15 @@ def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: 
         return f"the frequency at {hertz:.4g} Hz is known to {100 * frequency_sd:.1f} % only"
     if not damping_sd < zeta:
         return f"the damping ratio at {hertz:.4g} Hz is {zeta:.2g} +- {damping_sd:.2g}"
+    statistic, freedom = mode_significance(fit, regression, mode, band)
+    if statistic < chi_squared_isf(freedom, _SIGNIFICANCE):
+        return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
+    return ""
+
+
+def mode_significance(fit: ModalFit, regression: ModalRegression, mode: int, band: Band) -> tuple[float, int]:
+    """Return how far a mode's residues stand out of their uncertainty: chi-squared, degrees of freedom."""
+    n = len(fit.omegas)
     index, values = [], []
     place = len(fit.covariance) - sum(len(c) for c in fit.coefficients)
     n_own = regression.n_nuisance(n)
@@ -49,7 +58,4 @@ def mode_complaint(fit: ModalFit, regression: ModalRegression, mode: int, band: 
         place += len(found)
     amplitudes = np.array(values)
     covariance = fit.covariance[np.ix_(index, index)]
-    statistic = float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0])
-    if statistic < chi_squared_isf(len(amplitudes), _SIGNIFICANCE):
-        return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
-    return ""
+    return float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0]), len(amplitudes)

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from beam_ident import InputSignal, ModalModel, ModalStructure, OutputSignal, Prior, TimeRecord, identify
+from benchmarks.ident.rig import Rig
 from tests.beam_ident.truth import OMEGAS, RESIDUAL_TERMS, RESIDUES, ZETAS, beam_record
 
 
@@ -90,6 +91,16 @@ def test_a_hub_that_shows_nothing_but_its_encoders_noise_stands_still():
     found = identify(TimeRecord((drive,), (OutputSignal("tip", "m", times, values),)))
     assert found.model.poles[0] == pytest.approx(pole, rel=1e-4)
     assert any("stands still" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(("seed", "reason"), [(61, "4.429 Hz does not stand out"), (75, "did not settle")])
+def test_noise_of_the_input_is_not_taken_for_a_mode_beside_a_true_one(seed, reason):
+    found = identify(Rig().record(seed, encoder_sd=1e-6))
+    assert found.model.frequencies_hz == pytest.approx([4.384, 28.26, 79.34], rel=2e-3)
+    assert found.converged
+    (refused,) = [e.refused_because for e in found.orders if e.refused_because.startswith("weighed")]
+    assert reason in refused
+    assert [e.n_modes for e in found.orders if e.is_chosen] == [3]
 
 
 @pytest.mark.verify
