@@ -35,7 +35,7 @@ h2{font-size:1.15rem;margin:2.4rem 0 .6rem;padding-top:.6rem;border-top:1px soli
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums;font-size:.9rem}
 th,td{text-align:right;padding:.35rem .6rem;border-bottom:1px solid var(--line)}
 th{color:var(--soft);font-weight:600}th:first-child,td:first-child{text-align:left}
-td.words{text-align:left}
+td.words{text-align:left}td:first-child{white-space:nowrap}
 tr.chosen{background:#fff7ed;font-weight:600}
 figure{margin:1rem 0 1.6rem}figure svg{width:100%;height:auto}
 figcaption{color:var(--soft);font-size:.88rem;margin-top:.3rem}
@@ -140,11 +140,10 @@ def _document(
         ),
         _figure(
             figures.residual_figure(result),
-            "Residuals and their autocorrelation. White residuals stay inside the band; structure means "
-            "unmodelled "
-            "dynamics or coloured noise, and then the stated intervals are not to be trusted. Whiteness "
-            "does not prove the "
-            "model right: noise on the input leaves white residuals too.",
+            "Residuals and their autocorrelation. Of white residuals one lag in a hundred leaves the band by "
+            "chance; more means coloured noise, which the stated intervals count, or dynamics that the model "
+            "has not, which they do not know of. Whiteness does not prove the model right: noise on the input "
+            "leaves white residuals too.",
         ),
         "<h2>Frequency response of the model</h2>",
         _figure(
@@ -199,7 +198,11 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], chosen: int | Non
     body = []
     for number, row in enumerate(rows):
         mark = ' class="chosen"' if number == chosen else ""
-        body.append(f"<tr{mark}>" + "".join(f"<td>{_escape(cell)}</td>" for cell in row) + "</tr>")
+        body.append(
+            f"<tr{mark}>"
+            + "".join(f"<td>{_escape(cell).replace(' ± ', '&nbsp;±&nbsp;')}</td>" for cell in row)
+            + "</tr>"
+        )
     content = f"<thead><tr>{header}</tr></thead><tbody>{''.join(body)}</tbody>"
     return f'<div class="wide"><table>{content}</table></div>'
 
@@ -208,8 +211,18 @@ def with_uncertainty(value: float, sd: float) -> str:
     """Return a value and its standard deviation, rounded to two digits of the latter."""
     if not np.isfinite(sd) or sd <= 0.0:
         return f"{value:.6g}"
-    digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 12))
+    if max(abs(value), sd) < 1e-4:
+        power = int(np.floor(np.log10(max(abs(value), sd))))
+        return f"({with_uncertainty(value / 10.0**power, sd / 10.0**power)})e{power:03d}"
+    digits = _decimals(sd)
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
+
+
+def _decimals(sd: float, least: int = 0) -> int:
+    """Return how many decimals show two digits of a standard deviation."""
+    if not np.isfinite(sd) or sd <= 0.0:
+        return max(least, 6)
+    return int(np.clip(1 - np.floor(np.log10(sd)), least, 12))
 
 
 def nearest_mode(frequencies: Any, omega: float) -> int | None:
@@ -241,7 +254,7 @@ def _modes_table(result: IdentificationResult, reference: Sequence[tuple[str, fl
             name, omega_0, zeta_0 = names[i]
             row[0] = f"{i + 1} ({name})"
             row += [
-                f"{omega_0 / (2 * np.pi):.5g}",
+                f"{omega_0 / (2 * np.pi):.{_decimals(sd_omega / (2 * np.pi), 3)}f}",
                 f"{100 * (omega / omega_0 - 1):+.3g}",
                 f"{(omega - omega_0) / max(sd_omega, 1e-300):+.2f}",
                 f"{100 * zeta_0:.4g}",
@@ -310,19 +323,15 @@ def _orders_table(result: IdentificationResult) -> str:
     chosen = next((i for i, e in enumerate(result.orders) if e.is_chosen), None)
     return (
         _table(head, rows, chosen)
-        + "<p class='lead'>BIC and AIC are given above the lowest BIC; lower is better.</p>"
+        + "<p class='lead'>BIC and AIC are given above the lowest BIC; lower is better. A number of modes that "
+        "stands there twice was tried with its last mode at two frequencies.</p>"
     )
 
 
 def _parameters_table(result: IdentificationResult) -> str:
     model = result.model
     rows = [
-        [
-            name,
-            with_uncertainty(float(value), float(sd))
-            if abs(value) > 1e-4 or sd > 1e-6
-            else f"{value:.5g} ± {sd:.2g}",
-        ]
+        [name, with_uncertainty(float(value), float(sd)) if sd != 0.0 else f"{value:.6g}, held"]
         for name, value, sd in zip(
             model.parameter_names, model.parameters, model.standard_deviations, strict=True
         )

@@ -85,8 +85,8 @@ class Whiteness:
             verdict = (
                 f"the residuals are not white (p = {p_value:.1g}; autocorrelation {rho[worst]:+.2f} at lag "
                 f"{worst + 1}): "
-                "something is left unmodelled, or the noise is coloured; stated intervals are then too "
-                "narrow or wide"
+                "something is left unmodelled, or the noise is coloured; intervals that take it as white are "
+                "then too narrow or wide"
             )
         return Whiteness(rho, 2.576 / math.sqrt(n), statistic, p_value, is_white, verdict)
 

@@ -127,6 +127,8 @@ def pole_figure(
     result: IdentificationResult, reference_modes: Sequence[tuple[str, float, float]] | None = None
 ) -> Figure:
     """Draw damping ratio over frequency with 95 % intervals, and reference modes where given."""
+    from matplotlib.ticker import LogFormatter
+
     model = result.model
     figure, (axis,) = stacked_axes(1, 3.2)
     axis.errorbar(
@@ -147,6 +149,8 @@ def pole_figure(
             name, (omega / (2.0 * np.pi), 100.0 * zeta), textcoords="offset points", xytext=(6, 6), fontsize=8
         )
     axis.set_xscale("log")
+    axis.xaxis.set_major_formatter(LogFormatter())
+    axis.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.4)))
     axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
     axis.set_xlabel("natural frequency [Hz]")
     axis.set_ylabel("damping ratio [%]")

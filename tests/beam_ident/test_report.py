@@ -59,3 +59,5 @@ def test_values_are_rounded_to_their_uncertainty():
     assert with_uncertainty(4.38412345, 0.000123) == "4.38412 ± 0.00012"
     assert with_uncertainty(123.456, 12.0) == "123 ± 12"
     assert with_uncertainty(2.0, 0.0) == "2"
+    assert with_uncertainty(-5.69141e-7, 6.2e-7) == "(-5.7 ± 6.2)e-07"
+    assert with_uncertainty(4.8e-6, 0.0023) == "0.0000 ± 0.0023"
