@@ -29,6 +29,7 @@ from beam_ident.validation import InputCorrelation, Scores, Whiteness
 _FAIR_FIT = 80.0
 _MIN_SAMPLES = 20
 _GOOD_FIT = 95.0
+_NO_MORE_THAN_NOISE = 1.2  # residuals over those of the estimation
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +234,12 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
     )
     ratio = float(np.std(residuals)) / max(first.noise_sd, 1e-300)
     fit = of_deflection.fit_percent
-    word = "good" if fit >= _GOOD_FIT else "fair" if fit >= _FAIR_FIT else "poor"
+    if fit >= _GOOD_FIT:
+        word = "good"
+    elif ratio <= _NO_MORE_THAN_NOISE and correlation.is_independent:
+        word = "noise-limited"  # a small output is no fault of the model
+    else:
+        word = "fair" if fit >= _FAIR_FIT else "poor"
     verdict = (
         f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection), residuals "
         f"{ratio:.2f} times "
