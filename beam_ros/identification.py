@@ -423,14 +423,16 @@ def _provenance(experiment: Experiment) -> dict[str, str]:
 def format_table(content: Mapping[str, Any]) -> str:
     """Format the identified modes beside the theoretical ones for a terminal."""
     lines = [
-        "mode   identified                theory      off       identified            theory    off",
-        "       natural frequency [Hz]                [sd]      damping ratio [%]               [sd]",
+        "mode    identified                    theory    off       identified            theory    off",
+        "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
     ]
     for k, mode in enumerate(content["modes"], start=1):
         f, f_sd = mode["frequency_hz"], mode["frequency_sd_hz"]
+        decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if f_sd > 0.0 else 6
         zeta, zeta_sd = 100 * mode["damping_ratio"], 100 * mode["damping_ratio_sd"]
         lines.append(
-            f"{k:>4}   {f:>11.6f} +- {f_sd:<9.2g} {mode['theory_frequency_hz']:>9.4f} {mode['frequency_z']:>+7.1f}"
+            f"{k:>4} {f:>13.{decimals}f} +- {f_sd:<8.2g} {mode['theory_frequency_hz']:>13.{decimals}f}"
+            f" {mode['frequency_z']:>+6.1f}"
             f"      {zeta:>8.5f} +- {zeta_sd:<8.2g} {100 * mode['theory_damping_ratio']:>7.4f}"
             f" {mode['damping_ratio_z']:>+6.1f}"
         )
