@@ -13,7 +13,7 @@ for k in range(model.n_modes):
     f, f_sd = model.frequencies_hz[k], model.natural_frequency_sd[k] / (2 * np.pi)
     zeta, zeta_sd = model.damping_ratios[k], model.damping_ratio_sd[k]
     off = (f - TRUTH.frequencies_hz[k]) / f_sd, (zeta - TRUTH.damping_ratios[k]) / zeta_sd
-    print(f"  {f:.5f} +- {f_sd:.5f} Hz, {100 * zeta:.4f} +- {100 * zeta_sd:.4f} %", end="")
+    print(f"  {f:.6f} +- {f_sd:.6f} Hz, {100 * zeta:.4f} +- {100 * zeta_sd:.4f} %", end="")
     print(f"   off by {off[0]:+.1f} and {off[1]:+.1f} standard deviations")
 print(f"camera {1e6 * model.latency:+.1f} +- {1e6 * model.latency_sd:.1f} us late")
 
@@ -25,4 +25,4 @@ print(f"with a known clock: +- {sharp.natural_frequency_sd[0] / (2 * np.pi):.6f}
 found = estimate_transfer_function(record.select(["tip"]), n_poles=4, n_zeros=4)
 omega, _, omega_sd, _ = found.model.modes()
 for w, sd in zip(omega, omega_sd, strict=True):
-    print(f"  transfer function: {w / (2 * np.pi):.5f} +- {sd / (2 * np.pi):.5f} Hz")
+    print(f"  transfer function: {w / (2 * np.pi):.6f} +- {sd / (2 * np.pi):.6f} Hz")
