@@ -40,10 +40,15 @@ def _text(info: BagInfo) -> str:
     lines += [f"  {t.name:<{width}}  {t.message_count:>8}  {t.type_name}" for t in info.topics]
     lines.append("")
     for signal in info.signals:
-        seen = ""
+        if not signal.samples:
+            lines.append(
+                f"  {signal.topic}: {signal.unreadable} messages, none as the rig's nodes publish it"
+            )
+            continue
+        seen = f", {signal.unreadable} messages unreadable" if signal.unreadable else ""
         if signal.names:
             unseen = zip(signal.names, signal.unseen, strict=True)
-            seen = "; not seen: " + ", ".join(f"{name} {count}" for name, count in unseen)
+            seen += "; not seen: " + ", ".join(f"{name} {count}" for name, count in unseen)
         lines.append(
             f"  {signal.topic}: {signal.samples} samples over {signal.duration_s:.3f} s at {signal.rate_hz:.3f} Hz, "
             f"{signal.gaps} gaps, {signal.lost} lost{seen}"
