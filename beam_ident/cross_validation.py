@@ -7,6 +7,7 @@ is fitted to it, because it would otherwise be charged to the model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,7 +46,8 @@ class OutputValidation:
         On the output less its direct part, offset and ramp: the sterner test where an
         output is mostly its input.
     noise_ratio : float
-        Residual standard deviation over that of the estimation: near 1 for a good model.
+        Residual standard deviation over that of the estimation: near 1 for a good model; NaN where the
+        model states no noise.
     whiteness : Whiteness
     input_correlation : InputCorrelation
     verdict : str
@@ -232,7 +234,8 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("times_s", "measured", "residuals")
     )
-    ratio = float(np.std(residuals)) / max(first.noise_sd, 1e-300)
+    ratio = float(np.std(residuals)) / first.noise_sd if first.noise_sd > 0.0 else math.nan
+    against = "" if math.isnan(ratio) else f", residuals {ratio:.2f} times those of the estimation"
     fit = of_deflection.fit_percent
     if fit >= _GOOD_FIT:
         word = "good"
@@ -241,9 +244,8 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
     else:
         word = "fair" if fit >= _FAIR_FIT else "poor"
     verdict = (
-        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection), residuals "
-        f"{ratio:.2f} times "
-        f"those of the estimation; {correlation.verdict}"
+        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection){against}; "
+        f"{correlation.verdict}"
     )
     return OutputValidation(
         first.name,

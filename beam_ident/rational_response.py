@@ -124,7 +124,7 @@ def poles_keep_apart(full: ComplexArray) -> bool:
     size = np.abs(full)
     relative = np.abs(full[:, None] - full[None, :]) / np.maximum(size[:, None] + size[None, :], 1e-300)
     relative[np.diag_indices_from(relative)] = 1.0
-    return bool(np.min(np.prod(relative, axis=1)) > _SEPARATION)
+    return bool(np.all(np.prod(relative, axis=1) > _SEPARATION))  # integrators alone leave no poles here
 
 
 class RationalResponse:
@@ -205,7 +205,7 @@ class RationalResponse:
         self.poles, self.scale, self.has_squares = upper, scale, squares
         full = full_roots(upper)
         self.order = len(full)
-        self._denominator = np.real(np.poly(full))
+        self._denominator = np.atleast_1d(np.real(np.poly(full)))
         apart = poles_keep_apart(full)
         self._form: _Fractions | _Chain = _Fractions(upper, full) if apart else _Chain(full, squares)
         self._direct: list[FloatArray] = []

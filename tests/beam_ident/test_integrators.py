@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    OutputSignal,
+    TimeRecord,
+    estimate_transfer_function,
+    validate,
+)
 from beam_ident.transfer_function import TransferFunctionModel
 from tests.beam_ident.rao_garnier import prbs
 
@@ -99,3 +106,37 @@ def test_numbers_of_integrators_that_make_no_sense_are_refused():
         estimate_transfer_function(record(1), 2, 1, n_integrators=3)
     with pytest.raises(EstimationError, match="no more zeros than poles"):
         estimate_transfer_function(record(1), 2, 4, n_integrators=1)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, 4e-3])
+def test_integrators_alone_are_simulated_and_compared(exposure_s):
+    rng = np.random.default_rng(5)
+    values = rng.choice([-1.0, 1.0], 300)
+    drive = InputSignal("volt", "V", (0.0, PERIOD_S), values, "zoh")
+    # Exposures that stay inside one sample, where the position is a straight line.
+    stamps = PERIOD_S * (np.arange(1, 299) + rng.uniform(0.25, 0.75, 298))
+    position = np.interp(stamps, PERIOD_S * np.arange(301), PERIOD_S * np.append(0.0, np.cumsum(values)))
+    axis = TransferFunctionModel(
+        np.array([3.0]), np.array([1.0, 0.0]), 0.0, np.zeros((3, 3)), 0.0, "volt", "x"
+    )
+    np.testing.assert_allclose(axis.simulate(drive, stamps, exposure_s), 3.0 * position, atol=1e-12)
+    np.testing.assert_array_equal(axis.simulation_sd(drive, stamps, exposure_s), 0.0)
+    output = OutputSignal("x", "m", stamps, 3.0 * position + 1.0, exposure_s)
+    (found,) = validate(axis, TimeRecord((drive,), (output,))).outputs
+    assert found.scores.fit_percent > 99.999
+    assert np.isnan(found.noise_ratio)
+    assert "times those of the estimation" not in found.verdict
+
+
+def test_a_small_output_that_is_predicted_down_to_its_noise_is_not_called_poor():
+    rng = np.random.default_rng(6)
+    drive = InputSignal("force", "N", (0.0, PERIOD_S), prbs(2000, width=4), "zoh")
+    stamps = PERIOD_S * np.arange(1, 1990)
+    small = TransferFunctionModel(
+        np.array([225.0]), RESONANCE, 0.0, np.zeros((4, 4)), 2.0, "force", "x"
+    )  # an output below its noise of 2 m
+    seen = small.simulate(drive, stamps) + 2.0 * rng.standard_normal(len(stamps))
+    record = TimeRecord((drive,), (OutputSignal("x", "m", stamps, seen),))
+    assert validate(small, record).outputs[0].verdict.startswith("noise-limited")
+    other = TransferFunctionModel(np.array([-225.0]), RESONANCE, 0.0, np.zeros((4, 4)), 2.0, "force", "x")
+    assert validate(other, record).outputs[0].verdict.startswith("poor")
