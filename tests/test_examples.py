@@ -36,6 +36,12 @@ SAYS = {
         r"  28\.(29|30)",
         r"transfer function: (4\.400|4\.399)",
     ],
+    "frequency_domain.py": [
+        r"4 periods, 149 lines, drift [01]\.\d",
+        "no nonlinear distortion",
+        r"  (4\.400|4\.399)\d",
+        r"transfer function: 28\.(29|30)",
+    ],
     "order_selection.py": ["not worth its parameters by BIC", "chosen"],
     "results.py": ["chi-squared", "fit percentage of tip on a step"],
     "validation.py": ["tip: good prediction", "as stated: the 4 records", "more than stated: the 4 records"],
