@@ -442,7 +442,7 @@ def _result(
         chi_squared = float(sum(e @ e for e in fit.residuals))
         misfit = LineMisfit.of(chi_squared, problem.n_rows, fit.n_parameters, len(fit.coefficients), freedom)
     warnings = [misfit.warning] if misfit.warning else []
-    warnings += list(dict.fromkeys(record.sharing_warning for record in data if record.sharing_warning))
+    warnings += list(dict.fromkeys(said for record in data for said in record.fit_warnings))
     warnings += mode_warnings(fit, band)
     return FrequencyDomainResult(
         model=model,

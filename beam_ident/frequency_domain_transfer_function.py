@@ -323,7 +323,8 @@ def fit_frequency_transfer_function(
         input_name=record.input_names[0],
         output_name=record.output_names[0],
     )
-    warnings = [said for said in (misfit.warning, record.sharing_warning) if said]
+    warnings = [misfit.warning] if misfit.warning else []
+    warnings += record.fit_warnings
     if not converged:
         warnings.append(f"the fit did not converge: {reason}")
     seen = likelihood.weights > 0.0

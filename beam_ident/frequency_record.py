@@ -30,7 +30,7 @@ from beam_ident.stored_form import read, written
 
 ComplexArray = NDArray[np.complex128]
 
-SCHEMA = 1
+SCHEMA = 2
 TAIL_POWERS = (-2, -1, 0, 1, 2)
 
 
@@ -119,6 +119,7 @@ class FrequencyRecord:
     name : str
     shared_lines : float
         Over how many neighbouring lines an error reaches, 1 where lines err independently.
+    warnings : sequence of str -- what was found when it was made, for every fit to it to pass on
 
     Raises
     ------
@@ -140,6 +141,7 @@ class FrequencyRecord:
     folding: Folding | None = None
     name: str = field(default="frequency record")
     shared_lines: float = 1.0
+    warnings: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         omegas = self._numbers("omegas", np.float64)
@@ -193,6 +195,7 @@ class FrequencyRecord:
                 object.__setattr__(self, what, _fixed(values.reshape(shape), np.float64))
         if self.folding is not None and (shape[2] != 1 or len(self.folding.omegas) != len(omegas)):
             self._refuse("folding needs one input and one row for every line")
+        object.__setattr__(self, "warnings", tuple(self.warnings))
         self._complete_names(shape)
 
     def _numbers(self, what: str, kind: type[np.generic]) -> NDArray[Any]:
@@ -242,13 +245,14 @@ class FrequencyRecord:
         return None if self.variance is None else np.asarray(np.sqrt(self.variance))
 
     @property
-    def sharing_warning(self) -> str:
-        """What whoever fits a model to lines that share data must know, or nothing."""
+    def fit_warnings(self) -> tuple[str, ...]:
+        """What whoever fits a model to these lines must know."""
         if self.shared_lines <= 1.0:
-            return ""
+            return tuple(self.warnings)
         return (
+            *self.warnings,
             f"neighbouring lines share data ({self.method}): noise may look like modes, and standard deviations may "
-            f"be too small by up to {np.sqrt(self.shared_lines):.1f} times; fit samples, or a response from periods"
+            f"be too small by up to {np.sqrt(self.shared_lines):.1f} times; fit samples, or a response from periods",
         )
 
     def series(self) -> tuple[ResponseSeries, ...]:
@@ -354,4 +358,5 @@ def beside(records: Sequence[FrequencyRecord], name: str = "joined") -> Frequenc
         method=first.method,
         name=name,
         shared_lines=max(record.shared_lines for record in records),
+        warnings=tuple(dict.fromkeys(said for record in records for said in record.warnings)),
     )

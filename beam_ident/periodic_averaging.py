@@ -29,6 +29,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.frequency_record import TAIL_POWERS, ComplexArray, Folding, FrequencyRecord
 from beam_ident.piecewise import HOLDS, FloatArray, Hold, Instants, PiecewisePolynomial, regular_period
 from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.steady_periods import drift_of_periods, input_changes, unsteady_warnings
 
 _MOST_MISSING = 0.02
 _LINE_TOLERANCE = 1e-6  # of a period: how whole a number of samples must be
@@ -58,7 +59,8 @@ class PeriodicResponse:
     is_excited : ndarray of bool, shape (n_bins,) -- whether an excited line, or its fold, stands there
     drift : ndarray, shape (n_outputs,)
         Power of the change from the first period to the last over what the noise between
-        other periods explains; about 1 when steady.
+        other periods explains; about 1 when steady.  Where noise does not explain it, the response says so
+        in its ``warnings``, and every fit to it too.
     """
 
     response: FrequencyRecord
@@ -316,6 +318,7 @@ def periodic_response(
     quiet = source.quiet(numbers)
     integrals = quiet.integrals(own_times, outputs[0].exposure_s)
     sampled = [np.fft.fft(part)[bins] / n_bins for part in integrals]
+    drift, is_unsteady = drift_of_periods(spectra)
     found = FrequencyRecord(
         omegas=lines.omegas,
         response=response.T,
@@ -328,6 +331,7 @@ def periodic_response(
         method=f"mean of {n_periods} periods",
         folding=lines.folding(quiet, sampled, n_bins, line_period_s, outputs[0].exposure_s),
         name=record.name,
+        warnings=unsteady_warnings(record.name, input_changes(source.ticks), drift[is_unsteady]),
     )
     is_excited = np.zeros(len(bins), dtype=bool)
     folded = numbers % n_bins
@@ -342,7 +346,7 @@ def periodic_response(
         spectrum_variance=4.0 * scatter.T,
         input_spectrum=2.0 * sampled[2],
         is_excited=is_excited,
-        drift=_drift(spectra),
+        drift=drift,
     )
 
 
@@ -476,14 +480,3 @@ def _moving_mean(values: NDArray[Any], width: int) -> NDArray[Any]:
     total = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
     return np.asarray((total[first + width] - total[first]) / width)
-
-
-def _drift(spectra: ComplexArray) -> FloatArray:
-    """Return how far the first period stands from the last, in units of the scatter of the others."""
-    n_periods = spectra.shape[1]
-    change = np.sum(np.abs(spectra[:, -1] - spectra[:, 0]) ** 2, axis=1) / 2.0
-    if n_periods < 4:
-        return np.full(len(spectra), np.nan)
-    middle = spectra[:, 1:-1]
-    scatter = np.sum(np.abs(middle - np.mean(middle, axis=1)[:, None]) ** 2, axis=(1, 2)) / (n_periods - 3)
-    return np.asarray(change / np.maximum(scatter, 1e-300))

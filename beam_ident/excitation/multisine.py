@@ -114,6 +114,14 @@ class Multisine(Recipe):
         return self.n_periods * self.line_period_s
 
     @property
+    def steady_window_s(self) -> tuple[float, float]:
+        """From when to when the signal repeats: between its ramps [s].
+
+        What it moves repeats only once it has settled: leave that time out too, at the start.
+        """
+        return self.fade_s, self.active_s - self.fade_s
+
+    @property
     def duration_s(self) -> float:
         """Length [s], the still stretch included."""
         return self.active_s + self.still_s

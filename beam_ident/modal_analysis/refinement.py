@@ -33,7 +33,7 @@ from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
 from beam_ident.stored_form import read, require_shapes, written
 
-SCHEMA = 1
+SCHEMA = 2
 
 _ITERATIONS = 60
 _ALIKE = 1e-6  # chance below which residuals are called alike
@@ -343,7 +343,7 @@ def _result(
         converged=fit.converged,
         reason=fit.reason,
         iterations=fit.iterations,
-        warnings=_warnings(fit, misfit, sd, _likeness(fit, lines)),
+        warnings=(*record.warnings, *_warnings(fit, misfit, sd, _likeness(fit, lines))),
     )
 
 
