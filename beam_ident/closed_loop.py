@@ -431,6 +431,7 @@ class _Loop:
         n_parameters = len(theta) + self.n_own * len(self.records)
         whiteness = Whiteness.of(white)
         is_worth_it = information_criterion(parts, n_parameters) < of_nothing
+        fits = self._record_fits(point, parts, white)
         return ClosedLoopResult(
             model=model,
             times_s=_in_a_row([own.times for own in self.records]),
@@ -438,14 +439,14 @@ class _Loop:
             modelled=values - residuals,
             residuals=residuals,
             noise_coefficients=self.records[0].noise,
-            records=self._record_fits(point, parts, white),
+            records=fits,
             scores=pooled_scores([(own.values, left) for own, left in zip(self.records, parts, strict=True)]),
             whiteness=whiteness,
             condition=condition,
             converged=converged,
             reason=reason,
             iterations=iterations,
-            warnings=transfer_function_warnings([model], whiteness, is_worth_it, converged, reason),
+            warnings=transfer_function_warnings([model], fits, whiteness, is_worth_it, converged, reason),
         )
 
     def _record_fits(

@@ -259,7 +259,7 @@ def _result(
         is_worth_it = information_criterion([e.residuals for e in of_records], n_own) < of_nothing
         warnings += [
             f"Output {found.output_name}: {said}"
-            for said in transfer_function_warnings([found], of_residuals, is_worth_it, True, "")
+            for said in transfer_function_warnings([found], of_records, of_residuals, is_worth_it, True, "")
         ]
     if not minimum.converged:
         warnings.insert(0, f"The fit did not converge: {minimum.reason}.")

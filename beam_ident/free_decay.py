@@ -26,7 +26,7 @@ from beam_ident.piecewise import FloatArray
 from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem
 from beam_ident.records import OutputSignal
 from beam_ident.stored_form import read, require_shapes, written
-from beam_ident.validation import Scores, Whiteness
+from beam_ident.validation import Scores, Whiteness, is_coloured
 
 SCHEMA = 1
 
@@ -264,7 +264,11 @@ def _result(
     residuals = tuple(size * e for size, e in zip(sizes, fit.residuals, strict=True))
     whiteness = tuple(Whiteness.of(e) for e in residuals)
     warnings = mode_warnings(fit, band)
-    coloured = [s.name for s, own in zip(signals, whiteness, strict=True) if not own.is_white]
+    coloured = [
+        signal.name
+        for signal, own, seen, left in zip(signals, whiteness, values, residuals, strict=True)
+        if is_coloured(own, seen, left)
+    ]
     if coloured:
         warnings.append(
             f"the residuals of {', '.join(coloured)} are not white, and the standard deviations take them to be: "

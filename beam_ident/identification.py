@@ -31,11 +31,12 @@ from beam_ident.modal_regression import ClockState, ModalRegression
 from beam_ident.modal_scan import ModalScan
 from beam_ident.modal_structure import ModalStructure, StructureKind
 from beam_ident.mode_gates import mode_complaint, mode_significance
+from beam_ident.outliers import outlier_warning
 from beam_ident.piecewise import FloatArray
 from beam_ident.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.record_levels import record_levels, unweighed, weigh_records
 from beam_ident.records import InputSignal, TimeRecord
-from beam_ident.validation import Scores, Whiteness
+from beam_ident.validation import Scores, Whiteness, is_coloured
 from beam_ident.weighted_fit import WeightedFit
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -474,6 +475,8 @@ class _Search:
             warnings.append(
                 "The input stands still: only the free decay was identified, residues mean nothing."
             )
+        if said := outlier_warning([(output.name, output.records) for output in outputs]):
+            warnings.append(said)
         shares = fit.input_noise_shares
         if np.max(shares) > _VISIBLE_SHARE:
             worst = int(np.argmax(shares))
@@ -484,7 +487,11 @@ class _Search:
                 "input's sigma is right."
             )
         else:
-            coloured = [output.name for output in outputs if not output.whiteness.is_white]
+            coloured = [
+                output.name
+                for output in outputs
+                if is_coloured(output.whiteness, output.measured, output.residuals)
+            ]
             if coloured:
                 warnings.append(
                     f"The residuals of {', '.join(coloured)} are not white. The fit is weighed by their "

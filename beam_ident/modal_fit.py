@@ -31,7 +31,7 @@ MAX_LATENCY_S = 0.2
 _MAX_CLOCK_RATE = 0.1
 
 
-_NOISE_FLOOR = 1e-11  # of the output's size: where rounding ends what residuals can tell
+_NOISE_FLOOR = 1e-10  # of the output's size: where rounding ends what residuals can tell
 
 
 @dataclass(frozen=True)

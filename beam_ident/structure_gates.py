@@ -13,9 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from beam_ident.linear_solution import LinearSolution
+from beam_ident.outliers import outlier_warning
 from beam_ident.piecewise import FloatArray
+from beam_ident.record_fit import RecordFit
 from beam_ident.transfer_function import TransferFunctionModel
-from beam_ident.validation import Whiteness
+from beam_ident.validation import Whiteness, is_coloured
 
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
@@ -58,6 +60,7 @@ def criterion_of_nothing(
 
 def transfer_function_warnings(
     models: Sequence[TransferFunctionModel],
+    records: Sequence[RecordFit],
     whiteness: Whiteness,
     is_worth_it: bool,
     converged: bool,
@@ -68,6 +71,7 @@ def transfer_function_warnings(
     Parameters
     ----------
     models : sequence of TransferFunctionModel -- one for each input
+    records : sequence of RecordFit -- of the output
     whiteness : Whiteness -- of the residuals, or of the innovations under the noise's model
     is_worth_it : bool -- whether the criterion prefers them to no model at all
     converged, reason
@@ -81,7 +85,9 @@ def transfer_function_warnings(
         if complaint:
             said = f"From {model.input_name} to {model.output_name}, {complaint}."
             warnings += [said] if said not in warnings else []
-    if not whiteness.is_white:
+    if said := outlier_warning([(models[0].output_name, records)]):
+        warnings.append(said)
+    if any(is_coloured(whiteness, own.measured, own.residuals) for own in records):
         warnings.append(
             "The residuals are not white, and the standard deviations take them to be: something is left "
             "unmodelled, or the noise is coloured. Try other degrees, or method='rivc' for coloured noise."

@@ -21,7 +21,7 @@ from beam_ident.records import TimeRecord
 from beam_ident.stored_form import read, require_shapes, written
 from beam_ident.structure_gates import criterion_of_nothing, information_criterion
 from beam_ident.subspace_projection import N_BLOCK_ROWS, Stretch, Window, subspace_windows
-from beam_ident.validation import Scores, Whiteness
+from beam_ident.validation import Scores, Whiteness, is_coloured
 
 ComplexArray = NDArray[np.complex128]
 
@@ -195,7 +195,7 @@ def _model(
             warnings.append(
                 f"Output {output.name}: the model explains no more than chance would: by BIC none at all is better."
             )
-        if not whiteness[-1].is_white:
+        if is_coloured(whiteness[-1], measured[-1], residuals[j]):
             warnings.append(
                 f"Output {output.name}: the residuals are not white: take the poles for a start, or ask for more."
             )

@@ -373,6 +373,7 @@ def _result(
     )
     figures["warnings"] = transfer_function_warnings(
         [model.path(k) for k in range(len(problem.paths))],
+        records,
         figures["whiteness"],
         information_criterion([own.residuals for own in records], n_all) < of_nothing,
         converged,

@@ -18,6 +18,7 @@ from scipy.special import ndtri
 from beam_ident.piecewise import FloatArray
 
 _WHITENESS_LEVEL = 1e-3
+_ROUNDING = 1e-9  # of the output: residuals below this are errors of arithmetic, whatever their colour
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,16 @@ class Whiteness:
                 "then too narrow or wide"
             )
         return Whiteness(rho, 2.576 / math.sqrt(n), statistic, p_value, is_white, verdict)
+
+
+def are_rounding(values: FloatArray, residuals: FloatArray) -> bool:
+    """Return whether residuals are no more than errors of arithmetic, as of an output without noise."""
+    return float(np.linalg.norm(residuals)) <= _ROUNDING * float(np.linalg.norm(values))
+
+
+def is_coloured(whiteness: Whiteness, values: FloatArray, residuals: FloatArray) -> bool:
+    """Return whether residuals are not white and more than errors of arithmetic."""
+    return not whiteness.is_white and not are_rounding(values, residuals)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ from beam_ident.modal_regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.noise_correlation import autocorrelation, autoregression, score_covariance
 from beam_ident.piecewise import FloatArray
 from beam_ident.records import InputSignal, TimeRecord
+from beam_ident.validation import are_rounding
 
 _MAX_STEPS = 15
 _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
@@ -96,7 +97,10 @@ class WeightedFit:
         self.freedom = 1.0 - len(fit.covariance) / max(regression.n_samples, 1)
         self.colours = [np.ones(1) for _ in fit.residuals]
         if smoothing is None:
-            self.colours = [autoregression(residuals) for residuals in fit.residuals]
+            self.colours = [
+                np.ones(1) if are_rounding(values, residuals) else autoregression(residuals)
+                for values, residuals in zip(regression.values, fit.residuals, strict=True)
+            ]
             filtered = [self._filtered(j, r[:, None]) for j, r in enumerate(fit.residuals)]
             self.variances = np.array([float(np.mean(np.square(f))) / self.freedom for f in filtered])
 
