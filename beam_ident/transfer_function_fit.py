@@ -259,6 +259,12 @@ def estimate_transfer_function(
     for n, m in zip(poles, zeros, strict=True):
         require_whole_number("n_poles", n, 0)
         require_whole_number("n_zeros", m, 0)
+        if n == 0 and n_integrators:
+            raise EstimationError(
+                f"0 poles beside {n_integrators} at zero; expected n_poles of at least 1, which are those to be "
+                "estimated. Without integrators, n_poles=1 finds such a pole near zero, with its deviation; the gain "
+                "of an integrator alone is the slope of the output over the input's integral (numpy.polyfit)"
+            )
         if not 1 <= n <= _MAX_POLES or not 0 <= m <= n + n_integrators:
             raise EstimationError(
                 f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "

@@ -140,3 +140,24 @@ def test_a_small_output_that_is_predicted_down_to_its_noise_is_not_called_poor()
     assert validate(small, record).outputs[0].verdict.startswith("noise-limited")
     other = TransferFunctionModel(np.array([-225.0]), RESONANCE, 0.0, np.zeros((4, 4)), 2.0, "force", "x")
     assert validate(other, record).outputs[0].verdict.startswith("poor")
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_integrators_alone_are_refused_with_what_finds_them(k):
+    with pytest.raises(
+        EstimationError, match=r"n_poles of at least 1.*slope of the output over the input's integral"
+    ):
+        estimate_transfer_function(record(1), 0, 0, n_integrators=k)
+
+
+def test_what_the_refusal_advises_finds_an_integrators_gain():
+    own = record(1)
+    drive, stamps = own.inputs[0], own.outputs[0].times_s
+    integral = drive.signal().antiderivative()(stamps)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(stamps))
+    axis = TimeRecord((drive,), (OutputSignal("x", "m", stamps, 3.0 + 2.0 * integral + noise),))
+    model = estimate_transfer_function(axis, 1, 0, has_offset=True).model
+    pole_sd, gain_sd = model.standard_deviations[:2]
+    assert abs(model.denominator[1]) < 4.0 * pole_sd
+    assert abs(model.numerator[0] - 2.0) < 4.0 * gain_sd
+    assert np.polyfit(integral, axis.outputs[0].values, 1)[0] == pytest.approx(2.0, rel=0.01)
