@@ -125,6 +125,11 @@ class IdentificationResult:
         return tuple(output.residuals for output in self.outputs)
 
     @property
+    def records(self) -> tuple[tuple[RecordFit, ...], ...]:
+        """What belongs to each record, of every output."""
+        return tuple(output.records for output in self.outputs)
+
+    @property
     def scores(self) -> tuple[Scores, ...]:
         """Agreement, of every output."""
         return tuple(output.scores for output in self.outputs)

@@ -50,6 +50,14 @@ def test_measured_is_modelled_and_residuals_of_every_output(name):
     assert count == (1 if name == "fit_free_decay" else 2)
 
 
+@pytest.mark.parametrize("name", ["identify", "estimate_common_poles"])
+def test_records_say_what_belongs_to_each_of_them_for_every_output(name):
+    found = result_cases.result(name)
+    assert len(found.records) == len(found.measured)
+    for parts, measured in zip(found.records, found.measured, strict=True):
+        np.testing.assert_array_equal(np.concatenate([own.measured for own in parts]), measured)
+
+
 @pytest.mark.parametrize("name", result_cases.OVER_LINES)
 def test_the_response_is_modelled_and_residuals(name):
     found = result_cases.result(name)
