@@ -15,6 +15,7 @@ from beam_ident.excitation.prediction import (
     PredictedAmplitude,
     half_power_bands,
     predict_amplitudes,
+    resolution_warning,
 )
 from beam_ident.excitation.recipe import RECIPES, Recipe, describe_recipe
 from beam_ident.excitation.sampled import AxisLimits, HeldInput, Quantity, SampledExcitation
@@ -53,4 +54,5 @@ __all__ = [
     "excitation_report",
     "half_power_bands",
     "predict_amplitudes",
+    "resolution_warning",
 ]

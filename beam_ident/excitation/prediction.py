@@ -6,7 +6,7 @@ A base that moves millimetres bends a resonant tip by centimetres: look before a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -163,17 +163,30 @@ class HalfPowerBand:
         """Whether a frequency response shows the damping of this mode."""
         return self.lines >= LINES_PER_BAND
 
-    def warning(self) -> str | None:
-        """Return what is wrong and what would mend it, or None."""
-        if self.is_resolved:
-            return None
-        need = self.width_hz / LINES_PER_BAND
-        return (
-            f"mode at {self.frequency_hz:.4g} Hz: its half-power band is {self.width_hz:.3g} Hz wide and the lines "
-            f"are {self.line_spacing_hz:.3g} Hz apart, {self.lines:.3g} in it where {LINES_PER_BAND:g} are needed; "
-            f"a frequency response does not show its damping: lines every {need:.3g} Hz, from "
-            f"{1.0 / need:.3g} s of record or period, would; a parametric fit of the time data needs less"
-        )
+
+def resolution_warning(bands: Sequence[HalfPowerBand]) -> str | None:
+    """Return which modes the excitation does not resolve and what would mend it, or None.
+
+    Parameters
+    ----------
+    bands : sequence of HalfPowerBand -- of the modes that it drives
+    """
+    poor = [band for band in bands if not band.is_resolved]
+    if not poor:
+        return None
+    plural, their = ("s", "their") if len(poor) > 1 else ("", "its")
+    need = min(band.width_hz for band in poor) / LINES_PER_BAND
+    return (
+        f"mode{plural} at {_listed([f'{band.frequency_hz:.4g}' for band in poor])} Hz: "
+        f"{_listed([f'{band.lines:.2g}' for band in poor])} lines in {their} half-power band{plural} of "
+        f"{_listed([f'{band.width_hz:.3g}' for band in poor])} Hz, where {LINES_PER_BAND:g} are needed; a frequency "
+        f"response does not show {their} damping: lines every {need:.3g} Hz, from {1.0 / need:.3g} s of record or "
+        "period, would; a parametric fit of the time data needs less"
+    )
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def half_power_bands(

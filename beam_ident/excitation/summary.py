@@ -17,6 +17,7 @@ from beam_ident.excitation.prediction import (
     PredictedAmplitude,
     half_power_bands,
     predict_amplitudes,
+    resolution_warning,
 )
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.sampled import UNITS, HeldInput, SampledExcitation
@@ -147,7 +148,7 @@ def excitation_report(
     if model is not None:
         modes = half_power_bands(excitation.recipe, model.natural_frequencies, model.damping_ratios)
         amplitudes = predict_amplitudes(excitation, model, amplitude_limits)
-        warnings += [text for text in (mode.warning() for mode in modes) if text]
+        warnings += [said] if (said := resolution_warning(modes)) else []
         warnings += [
             f"mode at {mode.frequency_hz:.4g} Hz: outside the excited band of {band[0]:.3g} to {band[1]:.3g} Hz"
             for mode in modes

@@ -8,7 +8,7 @@ import json
 import math
 from typing import Any
 
-from beam_ident.excitation import describe_recipe, excitation_report, half_power_bands
+from beam_ident.excitation import describe_recipe, excitation_report, half_power_bands, resolution_warning
 from beam_ros.cli.options import add_rig_file, read_rig
 from beam_ros.rig import Rig
 
@@ -43,6 +43,9 @@ def describe_design(rig: Rig) -> dict[str, Any]:
     bands = half_power_bands(plan.recipe, model.natural_frequencies, model.damping_ratios)
     low, high = report.band_hz
     reached = [low <= band.frequency_hz <= high for band in bands]
+    warning = resolution_warning(
+        [band for band, is_reached in zip(bands, reached, strict=True) if is_reached]
+    )
     peaks = sampled.peaks()
     return {
         "recipe": plan.recipe.to_dict(),
@@ -74,12 +77,13 @@ def describe_design(rig: Rig) -> dict[str, Any]:
                 bands, reached, plan.prediction.modal_tip_deflections, strict=True
             )
         ],
-        "warnings": [
-            warning
-            for band, is_reached in zip(bands, reached, strict=True)
-            if is_reached and (warning := band.warning())
-        ],
+        "warnings": [warning] if warning else [],
     }
+
+
+def _millimetres(length: float) -> str:
+    """Return a length [m] in mm; below a micrometre its digits mean nothing."""
+    return "< 0.001" if length < 1e-6 else f"{length * 1e3:.4g}"
 
 
 def _text(design: dict[str, Any]) -> str:
@@ -104,7 +108,7 @@ def _text(design: dict[str, Any]) -> str:
         seen = f"{mode['lines_in_band']:.2g}" if mode["is_in_band"] else "not driven"
         lines.append(
             f"{k:>4}   {mode['frequency_hz']:>14.4f}   {mode['half_power_band_hz']:>20.4f}   {seen:>11}   "
-            f"{mode['settling_s']:>12.1f}   {mode['tip_amplitude'] * 1e3:>18.4g}"
+            f"{mode['settling_s']:>12.1f}   {_millimetres(mode['tip_amplitude']):>18}"
         )
     if design["warnings"]:
         lines += ["", *design["warnings"]]

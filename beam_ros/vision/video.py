@@ -71,6 +71,10 @@ class VideoFile:
         self.rate_hz = rate
 
     def _open(self) -> Any:
+        if self.path.is_dir():
+            raise VideoError(
+                f"{self.path}: this is a folder; give the video file, not the folder that it is in"
+            )
         if not self.path.is_file():
             raise VideoError(f"{self.path}: no such video file; check the path")
         fault: cv2.error | None = None

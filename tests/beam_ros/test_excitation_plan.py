@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 
 import numpy as np
 import pytest
 
 from beam_ident import Recipe
+from beam_ros.cli import design as design_verb
 from beam_ros.cli.design import describe_design
 from beam_ros.errors import UsageError
 from beam_ros.excitation_plan import plan_excitation, tip_guard
@@ -147,6 +149,17 @@ def test_a_design_tells_crest_factors_band_and_unresolved_modes() -> None:
     assert len(design["warnings"]) == 1
     assert "mode at 4.38" in design["warnings"][0]
     json.dumps(design)
+
+
+def test_a_design_is_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    design_verb.add_arguments(parser)
+    assert design_verb.run(parser.parse_args(["-p", "excitation.kind:=multisine"])) == 0
+    text = capsys.readouterr().out
+    assert "e-0" not in text.partition("predicted tip [mm]")[2]  # no lengths of a few nanometres
+    assert "< 0.001" in text
+    (warning,) = [line for line in text.splitlines() if "half-power bands of" in line]
+    assert warning.startswith("modes at 4.384 and 28.26 Hz: 0.44 and 2.8 lines")
 
 
 def test_a_plan_describes_itself_completely() -> None:

@@ -19,7 +19,7 @@ from beam_ident import (
     excitation_report,
     predict_amplitudes,
 )
-from beam_ident.excitation import half_power_bands
+from beam_ident.excitation import half_power_bands, resolution_warning
 
 
 def model(structure="base_motion", frequency=4.0, zeta=0.01, gain=1.0):
@@ -112,7 +112,7 @@ def test_lines_are_counted_in_the_half_power_band(recipe, spacing):
     assert band.line_spacing_hz == pytest.approx(spacing)
     assert band.lines == pytest.approx(0.08 / spacing)
     assert not band.is_resolved
-    text = str(band.warning())
+    text = str(resolution_warning([band]))
     assert "mode at 4 Hz" in text
     assert "0.08 Hz" in text
     assert "50 s of record" in text
@@ -121,11 +121,28 @@ def test_lines_are_counted_in_the_half_power_band(recipe, spacing):
 def test_a_long_record_resolves_the_mode_and_nobody_is_warned():
     band = half_power_bands(LogChirp(sweep_s=45.0), [2 * np.pi * 4.0], [0.01])[0]
     assert band.is_resolved
-    assert band.warning() is None
+    assert resolution_warning([band]) is None
     with pytest.raises(ExcitationError, match="modes: 1 natural frequencies and 2 damping ratios"):
         half_power_bands(LogChirp(), [1.0], [0.1, 0.1])
     with pytest.raises(ExcitationError, match="all finite and > 0"):
         half_power_bands(LogChirp(), [1.0], [0.0])
+
+
+def test_several_modes_that_are_not_resolved_share_one_warning():
+    bands = half_power_bands(
+        Multisine(line_period_s=10.0), 2 * np.pi * np.array([4.0, 25.0, 30.0, 90.0]), [0.01] * 4
+    )
+    text = str(resolution_warning(bands))
+    # Half-power bands of 0.08, 0.5, 0.6 and 1.8 Hz: only the first holds fewer than four lines 0.1 Hz apart.
+    assert text.startswith("mode at 4 Hz: 0.8 lines in its half-power band of 0.08 Hz")
+    tighter = half_power_bands(
+        Multisine(line_period_s=2.0), 2 * np.pi * np.array([4.0, 25.0, 30.0]), [0.01] * 3
+    )
+    text = str(resolution_warning(tighter))
+    assert text.startswith(
+        "modes at 4, 25 and 30 Hz: 0.16, 1 and 1.2 lines in their half-power bands of 0.08, 0.5 and 0.6 Hz"
+    )
+    assert "lines every 0.02 Hz, from 50 s of record" in text  # what the narrowest one takes
 
 
 def test_the_report_has_the_energy_the_band_and_the_levels_of_the_signal():

@@ -65,6 +65,8 @@ def test_a_rate_or_times_of_the_users_come_before_the_files(tmp_path):
 
 
 def test_what_is_no_video_is_refused(tmp_path):
+    with pytest.raises(VideoError, match="this is a folder; give the video file"):
+        VideoFile(tmp_path)
     with pytest.raises(VideoError, match="no such video file"):
         VideoFile(tmp_path / "absent.avi")
     text = tmp_path / "text.avi"
