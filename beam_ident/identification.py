@@ -315,8 +315,7 @@ class _Search:
         )
 
     def result(self) -> IdentificationResult:
-        fit, regression = unweighed(self.regression, self.chosen), self.plain
-        self.regression = regression
+        fit, self.regression = unweighed(self.regression, self.chosen), self.plain
         n = len(fit.omegas)
         if n == 0:
             raise EstimationError(
@@ -340,7 +339,7 @@ class _Search:
             for j in range(regression.n_outputs)
         )
         entries = [
-            OrderEntry(**{**vars(entry), "is_chosen": index == self.chosen_entry})
+            dataclasses.replace(entry, is_chosen=index == self.chosen_entry)
             for index, entry in enumerate(self.entries)
         ]
         return IdentificationResult(
@@ -386,7 +385,6 @@ class _Search:
             doubtful = [mode for mode in modes if complaints[mode]] or list(modes)
             weakest = min(doubtful, key=lambda mode: mode_significance(fit, regression, mode, self.band)[0])
             omegas, zetas = np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest)
-            self.regression = self.plain
             fewer = self._fit(omegas, zetas, fit.clock, len(omegas))
             following = self._weighed(fewer)
             if not fewer.converged or not following.fit.converged:

@@ -64,7 +64,7 @@ def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
     for name, records in outputs:
         seen = [own.residuals for own in records if not are_rounding(own.measured, own.residuals)]
         count = sum(len(outliers(residuals)) for residuals in seen)
-        if count >= _FEWEST or any(len(outliers(residuals, _GROSS)) for residuals in seen):
+        if count >= _FEWEST or (count and any(len(outliers(residuals, _GROSS)) for residuals in seen)):
             found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
     if not found:
         return ""
