@@ -504,7 +504,7 @@ def without_foreign_ros(environment: dict, venv: str) -> dict:
     sys.path.insert(0, ROOT)
     from pathlib import Path
 
-    from beam_ros import environment as processes
+    from beam_ros.process import environment as processes
 
     clean = processes.without_foreign_ros(environment, prefix=Path(venv))
     clean.pop(processes.WHEELS_GUARD, None)

@@ -53,7 +53,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=["beam_*"]),
-    package_data={"": ["py.typed"], PACKAGE: ["config/*.yaml", "config/*.xml"]},
+    package_data={"": ["py.typed", "*.pyi"], PACKAGE: ["config/*.yaml", "config/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -70,5 +70,7 @@ setup(
         "tqdm>=4.60",
     ],
     extras_require={"report": REPORT, "rig": RIG, "ros": ROS, "test": TEST, "dask": DASK, "dev": DEV},
-    entry_points={"console_scripts": [f"{name} = {PACKAGE}.executables:{name}" for name in EXECUTABLES]},
+    entry_points={
+        "console_scripts": [f"{name} = {PACKAGE}.process.executables:{name}" for name in EXECUTABLES]
+    },
 )

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from beam_ros.rig import Rig
-from beam_ros.simulation import simulate
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.rig import Rig
 
 RECORDINGS: dict[str, dict[str, Any]] = {
     "chirp_6s": {

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from make_bags import RECORDINGS
 
-from beam_ros.filming import Exposure
-from beam_ros.rig import Rig
-from beam_ros.simulation import simulate
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.filming import Exposure
+from beam_ros.rig.rig import Rig
 from beam_ros.vision.timing import exposure_weights
 
 NAME = "video_96x240"

@@ -1,16 +1,13 @@
 """The physics of a flexible cantilever beam on a moving hub.
 
 Parameters, clamped modes, Galerkin matrices, frequency responses, state spaces and exact stepping; the closed-form
-response of the continuous beam as a yardstick; advice for experiments. NumPy and SciPy only, but for `figures`,
+response of the continuous beam as a yardstick; advice for experiments. NumPy and SciPy only, but for ``figures``,
 which imports Matplotlib when it draws.
 """
 
 from __future__ import annotations
 
-from .axis_dynamics import AxisStepper, EndStops, HubFriction, PositionServo
-from .errors import BeamModelError, BeamParameterError, PhysicalFitError
-from .exact import exact_frequency_response
-from .experiment_advice import (
+from beam_model.advice.experiment_advice import (
     ExperimentAdvice,
     PredictedLoads,
     advise,
@@ -19,16 +16,26 @@ from .experiment_advice import (
     predict_loads,
     suggest_marker_heights,
 )
-from .frequency_response import FrequencyResponse
-from .galerkin import GalerkinMatrices, ModalBasis, ModalParameters
-from .linear_forms import PoleResidueForm, StateSpace, ZerosPolesGain, state_space
-from .model import BeamModel
-from .nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
-from .parameters import BeamParameters, Damping, PointMass
-from .physical_fit import Identifiability, ModalMeasurement, PhysicalFit, Prior, fit_beam, identifiability
-from .stepping import ForceStepper, HubAndBeam, MotionStepper
-from .summary import ModelSummary, summarise
-from .theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
+from beam_model.advice.summary import ModelSummary, summarise
+from beam_model.continuum.exact import exact_frequency_response
+from beam_model.dynamics.axis_dynamics import AxisStepper, EndStops, HubFriction, PositionServo
+from beam_model.dynamics.nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
+from beam_model.errors import BeamModelError, BeamParameterError, PhysicalFitError
+from beam_model.fitting.physical_fit import (
+    Identifiability,
+    ModalMeasurement,
+    PhysicalFit,
+    Prior,
+    fit_beam,
+    identifiability,
+)
+from beam_model.fitting.theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
+from beam_model.galerkin.frequency_response import FrequencyResponse
+from beam_model.galerkin.linear_forms import PoleResidueForm, StateSpace, ZerosPolesGain, state_space
+from beam_model.galerkin.matrices import GalerkinMatrices, ModalBasis, ModalParameters
+from beam_model.galerkin.model import BeamModel
+from beam_model.galerkin.stepping import ForceStepper, HubAndBeam, MotionStepper
+from beam_model.parameters import BeamParameters, Damping, PointMass
 
 __all__ = [
     "AirDrag",

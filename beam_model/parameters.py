@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from .errors import BeamParameterError
+from beam_model.errors import BeamParameterError
 
 Gravity = Literal["off", "upright", "hanging"]
 
@@ -29,12 +29,12 @@ def check_number(
     allow_infinite: bool = False,
     remedy: str = "",
 ) -> float:
-    """Return `value` as a float, or say which range it has left.
+    """Return ``value`` as a float, or say which range it has left.
 
     Raises
     ------
     BeamParameterError
-        If `value` is not a number, is NaN, is infinite without leave, or lies outside of the range.
+        If ``value`` is not a number, is NaN, is infinite without leave, or lies outside of the range.
     """
     bounds = []
     if above is not None:
@@ -239,13 +239,13 @@ class BeamParameters:
         Parameters
         ----------
         length, width, thickness : float
-            Of the strip [m]; `thickness` is in the direction of motion.
+            Of the strip [m]; ``thickness`` is in the direction of motion.
         density : float
             Of the material [kg/m^3].
         youngs_modulus : float
             E [Pa]; not E/(1 - nu^2): a strip this slender is a beam, not a plate.
         hub_mass, tip_mass, tip_inertia, gravity, point_masses, clamp_stiffness, damping
-            As in `BeamParameters`.
+            As in ``BeamParameters``.
 
         Notes
         -----
@@ -310,7 +310,7 @@ class BeamParameters:
         return self.mass_per_length * STANDARD_GRAVITY * self.length**3 / self.flexural_rigidity
 
     def check_heights(self, heights: object, name: str = "heights") -> tuple[float, ...]:
-        """Return `heights` as floats between clamp and tip [m].
+        """Return ``heights`` as floats between clamp and tip [m].
 
         Raises
         ------

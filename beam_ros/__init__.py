@@ -1,1 +1,1 @@
-"""The rig: nodes, hub, camera, bags and the `beam` command."""
+"""The rig: nodes, hub, camera, bags and the ``beam`` command."""

@@ -35,12 +35,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from beam_ros.vision import CameraParameters, LinearCalibration, TrackerParameters
-from beam_ros.vision.images import grey_image
-from beam_ros.vision.measuring_chain import MeasuringChain
-from beam_ros.vision.rendering import SceneRenderer
-from beam_ros.vision.tracking import MarkerTracker
-from beam_ros.vision.video import VideoFile
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.camera.images import grey_image
+from beam_ros.vision.camera.video import VideoFile
+from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.tracker import MarkerTracker
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
 WARM_UP = 20

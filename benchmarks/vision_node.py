@@ -5,7 +5,7 @@
 
 Three real processes on a domain of their own that does not leave the machine: the tracker on one processor core, and
 on the other a camera, which publishes rendered frames as ready-made CDR, and this process, which counts what comes
-back. The transport `shared` is the shared memory that the suite's own cameras have (beam_ros.nodes.large_messages),
+back. The transport `shared` is the shared memory that the suite's own cameras have (beam_ros.shell.large_messages),
 `small` what Fast DDS gives a camera driver that has not been told, and `udp` the loopback with the usual buffers.
 
 A rate of 0 sends as fast as the camera's process can. The latency runs from the frame's stamp, which the camera takes
@@ -36,12 +36,12 @@ from typing import Any
 import numpy as np
 
 from beam_ros import messages
-from beam_ros.environment import child_environment
-from beam_ros.executables import command
-from beam_ros.interfaces import TOPICS, QualityOfService
+from beam_ros.interfaces.graph import TOPICS, QualityOfService
 from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
-from beam_ros.nodes.large_messages import PROFILE_VARIABLE
-from beam_ros.rig import Rig
+from beam_ros.process.environment import child_environment
+from beam_ros.process.executables import command
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.large_messages import PROFILE_VARIABLE
 
 SIZES = {
     "vga": {"camera.width": 640, "camera.height": 480},
@@ -116,7 +116,7 @@ def frames_of(rig: Rig) -> list[bytes]:
     """Rendered frames as CDR, a moving beam, stamps left at zero."""
     from rclpy.serialization import serialize_message
 
-    from beam_ros.vision.rendering import SceneRenderer
+    from beam_ros.vision.rendering.frames import SceneRenderer
 
     renderer = SceneRenderer(rig.camera_parameters(), rig.numbers("markers.heights"))
     rng = np.random.default_rng(1)
@@ -133,8 +133,8 @@ def publish_frames(size: str, transport: str, rate: float, seconds: float, *, is
     import rclpy
     from rclpy.node import Node
 
-    from beam_ros.nodes.large_messages import widen_shared_memory
-    from beam_ros.nodes.shell import qos_profile
+    from beam_ros.shell.large_messages import widen_shared_memory
+    from beam_ros.shell.node import qos_profile
 
     if transport == "shared":
         widen_shared_memory(os.environ)
@@ -203,7 +203,7 @@ class Answers:
         import rclpy
         from rclpy.node import Node
 
-        from beam_ros.nodes.shell import qos_profile
+        from beam_ros.shell.node import qos_profile
 
         rclpy.init(args=[])
         self._node = Node("listener")

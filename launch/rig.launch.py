@@ -10,8 +10,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from beam_ros.interfaces import NODES, RigKind, emulated_port, nodes_of_rig
-from beam_ros.rig import Rig
+from beam_ros.interfaces.graph import NODES, RigKind, emulated_port, nodes_of_rig
+from beam_ros.rig.rig import Rig
 from launch import LaunchContext, LaunchDescription
 
 PACKAGED_RIG = str(resources.files("beam_ros") / "config" / "rig.yaml")

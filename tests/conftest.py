@@ -23,7 +23,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 IN_REAL_TIME = (
-    *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes")),
+    *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes", "shell")),
     "tests/packaging/test_colcon.py",
     "tests/packaging/test_environment.py",
 )

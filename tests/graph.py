@@ -11,10 +11,10 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from beam_ros import interfaces
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import RosTypes
-from beam_ros.nodes.shell import qos_profile
+from beam_ros.shell.node import qos_profile
 
 
 class Graph:
@@ -27,7 +27,7 @@ class Graph:
 
     def publisher(self, topic: str, qos: QualityOfService | None = None, namespace: str = "") -> Any:
         """Make the publisher of a topic of the table."""
-        row = interfaces.TOPICS[topic]
+        row = graph.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
         name = topic if topic.startswith("/") else f"{namespace}/{topic}"
         return self.node.create_publisher(message_class, name, qos_profile(qos or row.qos))
@@ -36,7 +36,7 @@ class Graph:
         self, topic: str, callback: Callable[..., None], *, namespace: str = "", raw: bool = False
     ) -> None:
         """Subscribe to a topic of the table."""
-        row = interfaces.TOPICS[topic]
+        row = graph.TOPICS[topic]
         message_class = self.types.message_class(row.type_name)
         name = topic if topic.startswith("/") else f"{namespace}/{topic}"
         self.node.create_subscription(message_class, name, callback, qos_profile(row.qos), raw=raw)
@@ -56,7 +56,7 @@ class Graph:
 
     def request(self, service: str, namespace: str = "") -> Any:
         """Ask a Trigger of the table; returns the future of its answer."""
-        service_class = self.types.service_class(interfaces.SERVICES[service].type_name)
+        service_class = self.types.service_class(graph.SERVICES[service].type_name)
         client = self.node.create_client(service_class, f"{namespace}/{service}" if namespace else service)
         self.wait(client.service_is_ready, f"service {service}")
         future = client.call_async(service_class.Request())

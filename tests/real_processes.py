@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.environment import child_environment
-from beam_ros.executables import command
+from beam_ros.process.environment import child_environment
+from beam_ros.process.executables import command
 
 MARK = "BEAM_TEST_PROCESS"
 """Variable that marks a test's processes; its value is the test's own."""

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from beam_ros.bags.reading import Bag
-from beam_ros.identification import identify_bag
+from beam_ros.offline.identification import identify_bag
 
 FOLDER = Path(__file__).parent.parent / "bags"
 RECORDINGS = sorted(path.name.removesuffix(".truth.json") for path in FOLDER.glob("*.truth.json"))

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from beam_ident import ModalModel, compare_models
-from beam_ros.rig import Rig
+from beam_ros.rig.rig import Rig
 
 pytestmark = [pytest.mark.verify, pytest.mark.ros]
 pytest.importorskip("rclpy")

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from beam_ros.cli.main import VERBS
-from beam_ros.interfaces import NODES, SERVICES, TOPICS
+from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

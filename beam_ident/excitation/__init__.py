@@ -10,17 +10,9 @@ from beam_ident.excitation.levels import DRIVES, Doublet, LevelRecipe, Prbs, Pul
 from beam_ident.excitation.moves import PROFILES, PointToPoint, Step
 from beam_ident.excitation.multisine import PHASES, Multisine
 from beam_ident.excitation.noise import BandLimitedNoise
-from beam_ident.excitation.prediction import (
-    HalfPowerBand,
-    PredictedAmplitude,
-    half_power_bands,
-    predict_amplitudes,
-    resolution_warning,
-)
 from beam_ident.excitation.recipe import RECIPES, Recipe, describe_recipe
 from beam_ident.excitation.sampled import AxisLimits, HeldInput, Quantity, SampledExcitation
 from beam_ident.excitation.sines import Sine, SteppedSine
-from beam_ident.excitation.summary import ExcitationReport, SignalLevel, excitation_report
 from beam_ident.excitation.sweeps import LinearChirp, LogChirp
 
 __all__ = [
@@ -31,8 +23,6 @@ __all__ = [
     "AxisLimits",
     "BandLimitedNoise",
     "Doublet",
-    "ExcitationReport",
-    "HalfPowerBand",
     "HeldInput",
     "LevelRecipe",
     "LinearChirp",
@@ -40,19 +30,13 @@ __all__ = [
     "Multisine",
     "PointToPoint",
     "Prbs",
-    "PredictedAmplitude",
     "Pulse",
     "Quantity",
     "Recipe",
     "SampledExcitation",
-    "SignalLevel",
     "Sine",
     "Step",
     "SteppedSine",
     "crest_factor",
     "describe_recipe",
-    "excitation_report",
-    "half_power_bands",
-    "predict_amplitudes",
-    "resolution_warning",
 ]

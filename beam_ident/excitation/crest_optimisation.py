@@ -8,9 +8,8 @@ same travel.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray, IndexArray
 
 _NORMS = (4, 8, 16, 32, 64, 128)
 _ITERATIONS = 60  # for each norm; the crest factor changes in the third digit from there on
@@ -40,7 +39,7 @@ def schroeder_phases(amplitudes: FloatArray) -> FloatArray:
     return np.asarray(np.mod(phases, 2.0 * np.pi))
 
 
-def optimised_phases(numbers: NDArray[np.intp], amplitudes: FloatArray) -> FloatArray:
+def optimised_phases(numbers: IndexArray, amplitudes: FloatArray) -> FloatArray:
     """Return phases of a low crest factor [rad].
 
     Parameters

@@ -7,7 +7,7 @@ designed in any quantity, ``drive``:
 * ``velocity``, ``acceleration``: the levels are speeds [m/s] or accelerations [m/s^2], and the
   smallest change (in the least-squares sense, a constant or a straight line over the
   active stretch) brings the axis to rest at home;
-* ``force``: the levels are held as they are; :meth:`Recipe.sample_input` gives them.
+* ``force``: the levels are held as they are; ``Recipe.sample_input`` gives them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
 from beam_ident.errors import ExcitationError
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import smooth_rise, window
-from beam_ident.piecewise import FloatArray
 
 DRIVES = ("position", "velocity", "acceleration", "force")
 
@@ -71,7 +71,7 @@ class LevelRecipe(Recipe):
         Raises
         ------
         ExcitationError
-            The levels are another quantity: the displacement is that of :meth:`sample`.
+            The levels are another quantity: the displacement is that of ``sample``.
         """
         if self.drive != "position":
             raise ExcitationError(
@@ -160,7 +160,7 @@ class PulseRecipe(LevelRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see :class:`LevelRecipe`
+    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
     width_s : float -- of each pulse, no shorter than its edges [s]
     gap_s : float -- rest between pulses [s]
     """
@@ -181,7 +181,7 @@ class Pulse(PulseRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see :class:`LevelRecipe`
+    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
     width_s : float -- from edge to edge [s]
     gap_s : float -- between the pulses of one train [s]
 
@@ -221,7 +221,7 @@ class Doublet(PulseRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see :class:`LevelRecipe`
+    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
     width_s : float -- of each half [s]
     gap_s : float -- rest before the mirrored doublet of an acceleration [s]
 
@@ -298,7 +298,7 @@ class Prbs(LevelRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see :class:`LevelRecipe`
+    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
     order : int -- of the shift register, 3 to 18; a period has ``2^order - 1`` clocks
     clock_s : float -- time between two possible switches [s]
     n_periods : int -- how often it repeats

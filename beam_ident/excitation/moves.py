@@ -12,9 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import smooth_rise
-from beam_ident.piecewise import FloatArray
 
 PROFILES = ("bounded_jerk", "quintic", "cycloidal")
 

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.excitation import seeds
 from beam_ident.excitation.crest_optimisation import crest_factor, optimised_phases, schroeder_phases
 from beam_ident.excitation.periodic_sum import sum_of_lines
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import displacement_amplitude, window
-from beam_ident.piecewise import FloatArray
 
 PHASES = ("random", "schroeder", "crest")
 
@@ -162,7 +161,7 @@ class Multisine(Recipe):
         total = sum_of_lines(times_s, numbers, self._amplitudes(), self._phases(), self.line_period_s)
         return np.asarray(window(times_s, self.active_s, self.fade_s, self.fade_s) * total)
 
-    def _line_numbers(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _line_numbers(self) -> tuple[IndexArray, IndexArray]:
         """Return the numbers of the excited lines and of the odd ones left out."""
         first = max(math.ceil(self.low_hz * self.line_period_s - 1e-9), 1)
         last = math.floor(self.high_hz * self.line_period_s + 1e-9)

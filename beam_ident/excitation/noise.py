@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.excitation import seeds
 from beam_ident.excitation.periodic_sum import sum_of_lines
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import displacement_amplitude, window
-from beam_ident.piecewise import FloatArray
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class BandLimitedNoise(Recipe):
         """Length [s], the still stretch included."""
         return self.length_s + self.still_s
 
-    def _line_numbers(self) -> NDArray[np.intp]:
+    def _line_numbers(self) -> IndexArray:
         first = max(math.ceil(self.low_hz * self.length_s - 1e-9), 1)
         last = math.floor(self.high_hz * self.length_s + 1e-9)
         return np.arange(first, last + 1)

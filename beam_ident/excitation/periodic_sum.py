@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray, IndexArray
 
 _ON_GRID = 1e-6  # of a step: instants this close to its multiples are on the grid
 
 
 def sum_of_lines(
     times_s: FloatArray,
-    numbers: NDArray[np.intp],
+    numbers: IndexArray,
     amplitudes: FloatArray,
     phases: FloatArray,
     line_period_s: float,

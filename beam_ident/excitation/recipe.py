@@ -11,7 +11,7 @@ accelerations ends with zero velocity and zero displacement, and nothing drifts.
 differences attenuate a frequency f by sinc(f T)^2 (1.5 % at 67 Hz for T = 1 ms); the *sampled*
 excitation is the truth that the estimators use.
 
-Recipes that are made of levels (:mod:`beam_ident.excitation.levels`) may be designed in another
+Recipes that are made of levels (``excitation.levels``) may be designed in another
 quantity instead; what they hold is brought home in its own way.
 """
 
@@ -27,9 +27,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
 from beam_ident.errors import ExcitationError, ModelFormatError
 from beam_ident.excitation.sampled import AxisLimits, HeldInput, SampledExcitation
-from beam_ident.piecewise import FloatArray
 
 RECIPES: dict[str, type[Recipe]] = {}
 """Every kind of recipe by the name under which it is stored."""
@@ -124,7 +124,7 @@ class Recipe(ABC):
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Recipe:
-        """Rebuild a recipe written by :meth:`to_dict`.
+        """Rebuild a recipe written by ``to_dict``.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class Recipe(ABC):
         return np.asarray(np.diff(velocities) / period_s)
 
     def _held_values(self, period_s: float) -> FloatArray:
-        """Return what :meth:`sample_input` scales."""
+        """Return what ``sample_input`` scales."""
         return self._accelerations(period_s)
 
     # Checks of single fields, for the recipes' own _check.

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal
 from beam_ident.errors import ExcitationError, ExcitationLimitError
-from beam_ident.piecewise import FloatArray
-from beam_ident.records import InputSignal
 
 if TYPE_CHECKING:
     from beam_ident.excitation.recipe import Recipe

@@ -8,9 +8,8 @@ stream.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray, IndexArray
 
 
 def uniform(seed: int, n: int) -> FloatArray:
@@ -24,6 +23,6 @@ def phases(seed: int, n: int) -> FloatArray:
     return np.asarray(2.0 * np.pi * uniform(seed, n))
 
 
-def choices(seed: int, n: int, n_options: int) -> NDArray[np.intp]:
+def choices(seed: int, n: int, n_options: int) -> IndexArray:
     """Return ``n`` whole numbers from 0 up to, but without, ``n_options``."""
     return np.asarray(np.floor(uniform(seed, n) * n_options), dtype=np.intp)

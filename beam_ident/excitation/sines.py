@@ -12,9 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import displacement_amplitude, smooth_rise, smooth_rise_integral, window
-from beam_ident.piecewise import FloatArray
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class SteppedSine(Recipe):
 
     Notes
     -----
-    The frequency glides along the smooth rise of :mod:`beam_ident.excitation.windows`, and the amplitude
+    The frequency glides along the smooth rise of ``excitation.windows``, and the amplitude
     follows it; the phase is its exact integral, so that the displacement is smooth throughout.
     """
 

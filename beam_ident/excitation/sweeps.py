@@ -12,14 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import displacement_amplitude, window
-from beam_ident.piecewise import FloatArray
 
 
 @dataclass(frozen=True)
 class _Sweep(Recipe):
-    """What all sweeps share: their numbers, and amplitudes under the ceilings; see :class:`LogChirp`."""
+    """What all sweeps share: their numbers, and amplitudes under the ceilings; see ``LogChirp``."""
 
     start_hz: float = 1.0
     end_hz: float = 95.0
@@ -96,7 +96,7 @@ class LinearChirp(_Sweep):
     ----------
     start_hz, end_hz : float -- first and last frequency [Hz]; downwards too
     sweep_s, acceleration, displacement_ceiling, still_s, fade_in_s, fade_out_s, velocity_ceiling
-        As in :class:`LogChirp`.
+        As in ``LogChirp``.
 
     Notes
     -----

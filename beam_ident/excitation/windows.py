@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray
 
 
 def smooth_rise(fraction: ArrayLike) -> FloatArray:
@@ -24,7 +24,7 @@ def smooth_rise(fraction: ArrayLike) -> FloatArray:
 
 
 def smooth_rise_integral(fraction: ArrayLike) -> FloatArray:
-    """Return the integral of :func:`smooth_rise` from 0, which goes on with slope 1 after 1."""
+    """Return the integral of ``smooth_rise`` from 0, which goes on with slope 1 after 1."""
     s = np.clip(fraction, 0.0, 1.0)
     inside = s**5 * (7.0 - s * (14.0 - s * (10.0 - 2.5 * s)))
     return np.asarray(inside + np.maximum(np.asarray(fraction, dtype=np.float64) - 1.0, 0.0))

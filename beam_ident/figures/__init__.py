@@ -1,6 +1,6 @@
 """Figures of results, made from the result objects alone.
 
-Every function returns a :class:`matplotlib.figure.Figure` made without pyplot, so that
+Every function returns a ``matplotlib.figure.Figure`` made without pyplot, so that
 nothing global is touched; matplotlib is imported only when a figure is asked for.
 """
 

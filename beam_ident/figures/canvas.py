@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beam_ident.design.summary import excitation_report
 from beam_ident.excitation.sampled import HeldInput, SampledExcitation
-from beam_ident.excitation.summary import excitation_report
 from beam_ident.figures.canvas import COLOURS, MODEL, REFERENCE, readable, stacked_axes
-from beam_ident.modal_model import ModalModel
+from beam_ident.modal.model import ModalModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.figures.canvas import (
     COLOURS,
     MEASURED,
@@ -17,9 +19,7 @@ from beam_ident.figures.canvas import (
     stacked_axes,
     thinned,
 )
-from beam_ident.identification_result import IdentificationResult, OutputFit
-from beam_ident.piecewise import FloatArray
-from beam_ident.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.modal.identification_result import IdentificationResult, OutputFit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beam_ident.arrays import FloatArray
 from beam_ident.errors import EstimationError
 from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, stacked_axes
 from beam_ident.modal_analysis.circle_fit import CircleFit
 from beam_ident.modal_analysis.refinement import ModalAnalysis
 from beam_ident.modal_analysis.stabilisation import DAMPING, FREQUENCY, NEW, STABLE, StabilisationChart
-from beam_ident.piecewise import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri as chi_squared_isf
 
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.figures.canvas import MODEL, REFERENCE, axes_grid
-from beam_ident.modal_model import ModalModel
-from beam_ident.piecewise import FloatArray
-from beam_ident.root_uncertainty import root_covariances
-from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.modal.model import ModalModel
+from beam_ident.numerics.root_uncertainty import root_covariances
+from beam_ident.transfer_function.model import TransferFunctionModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +58,7 @@ def pole_zero_figure(model: ModalModel | TransferFunctionModel) -> Figure:
     return figure
 
 
-def _poles(model: ModalModel | TransferFunctionModel) -> tuple[NDArray[np.complex128], FloatArray]:
+def _poles(model: ModalModel | TransferFunctionModel) -> tuple[ComplexArray, FloatArray]:
     if isinstance(model, TransferFunctionModel):
         n = model.n_poles
         return root_covariances(model.denominator, model.covariance[:n, :n])
@@ -73,7 +72,7 @@ def _poles(model: ModalModel | TransferFunctionModel) -> tuple[NDArray[np.comple
     return model.poles, np.asarray(slopes @ covariances @ np.swapaxes(slopes, 1, 2))
 
 
-def _mark(axis: Any, points: NDArray[np.complex128], marker: str, colour: str, label: str) -> None:
+def _mark(axis: Any, points: ComplexArray, marker: str, colour: str, label: str) -> None:
     face = "none" if marker == "o" else colour
     axis.plot(points.real, points.imag, marker, color=colour, markerfacecolor=face, markersize=6, label=label)
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from beam_ident.arrays import FloatArray
+from beam_ident.data.frequency_record import FrequencyRecord, ResponseSeries
 from beam_ident.errors import EstimationError
 from beam_ident.figures.canvas import COLOURS, stacked_axes
-from beam_ident.frequency_record import FrequencyRecord, ResponseSeries
-from beam_ident.modal_model import ModalModel
-from beam_ident.piecewise import FloatArray
-from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.modal.model import ModalModel
+from beam_ident.transfer_function.model import TransferFunctionModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

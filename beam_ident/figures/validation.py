@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beam_ident.cross_validation import ValidationResult
+from beam_ident.evaluation.hold_out import ValidationResult
 from beam_ident.figures.canvas import MEASURED, MODEL, axes_grid, readable, thinned
 
 if TYPE_CHECKING:

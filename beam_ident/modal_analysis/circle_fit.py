@@ -7,7 +7,7 @@ Around a resonance the mobility of a viscously damped mode runs along a circle,
 displaced by a constant C, which is what the other modes add.  Seen from the centre the angle
 sweeps as ``theta_0 - 2 atan( (omega^2 - omega_0^2) / (2 zeta omega_0 omega) )``: the fit of the circle gives the
 residue's size and direction, the fit of the sweep frequency and damping.  A look at a single
-mode; where modes overlap, :func:`beam_ident.modal_analysis.analyse_modes` separates them.
+mode; where modes overlap, ``modal_analysis.analyse_modes`` separates them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.argument_checks import require_frequency_record
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.argument_checks import require_frequency_record
+from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import EstimationError
-from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.modal_analysis.stabilisation import ResponseForm, checked_form
-from beam_ident.piecewise import FloatArray
 
 _ITERATIONS = 50
 _FEWEST = 5

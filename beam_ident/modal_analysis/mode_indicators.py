@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from beam_ident.argument_checks import require_frequency_record
-from beam_ident.frequency_record import FrequencyRecord
-from beam_ident.piecewise import FloatArray
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import require_frequency_record
+from beam_ident.data.frequency_record import FrequencyRecord
 
 
 def complex_mode_indicator(record: FrequencyRecord) -> FloatArray:

@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc as chi_squared_sf
 
-from beam_ident.argument_checks import finite_row
-from beam_ident.blas_threads import on_one_thread
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.argument_checks import finite_row
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
-from beam_ident.frequency_domain_fit import line_weights, stacked_values
-from beam_ident.frequency_record import ComplexArray, FrequencyRecord
-from beam_ident.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_collinearity
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
-from beam_ident.piecewise import FloatArray
-from beam_ident.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
-from beam_ident.stored_form import read, require_shapes, written
+from beam_ident.modal_estimation.frequency_domain import line_weights, stacked_values
+from beam_ident.modal_estimation.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
+from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
+from beam_ident.numerics.blas_threads import on_one_thread
 
 SCHEMA = 2
 
@@ -126,7 +126,7 @@ class ModalAnalysis:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> ModalAnalysis:
-        """Rebuild what :meth:`to_dict` wrote.
+        """Rebuild what ``to_dict`` wrote.
 
         Raises
         ------

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import EstimationError
-from beam_ident.frequency_record import ComplexArray
-from beam_ident.piecewise import FloatArray
 
 
 def modal_assurance(first: ArrayLike, second: ArrayLike | None = None) -> FloatArray:

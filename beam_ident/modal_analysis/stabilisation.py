@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.argument_checks import require_frequency_record
-from beam_ident.blas_threads import on_one_thread
+from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.data.argument_checks import require_frequency_record
+from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import EstimationError
-from beam_ident.frequency_record import ComplexArray, FrequencyRecord
 from beam_ident.modal_analysis.mode_indicators import complex_mode_indicator
 from beam_ident.modal_analysis.polyreference import (
     OrderPoles,
@@ -26,7 +25,7 @@ from beam_ident.modal_analysis.polyreference import (
     residues_at,
 )
 from beam_ident.modal_analysis.shapes import modal_assurance
-from beam_ident.piecewise import FloatArray
+from beam_ident.numerics.blas_threads import on_one_thread
 
 ResponseForm = Literal["receptance", "mobility", "accelerance"]
 DIFFERENTIATIONS: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -94,7 +93,7 @@ class StabilisationChart:
     indicator: FloatArray
     natural_frequencies: FloatArray
     damping_ratios: FloatArray
-    lasting: NDArray[np.intp]
+    lasting: IndexArray
 
     @property
     def frequencies_hz(self) -> FloatArray:
@@ -174,7 +173,7 @@ def _classified(
 
 def _modes(
     poles: tuple[ChartPole, ...], max_order: int, rules: StabilityCriteria
-) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Gather stable poles from the highest order down; each joins the mode of like frequency and shape."""
     groups: list[list[ChartPole]] = []
     for pole in sorted((p for p in poles if p.stability == STABLE), key=lambda p: -p.order):

@@ -8,7 +8,7 @@ modulo 8), so the points are a strided array that NumPy reads and writes in one 
     point = [count, (padding to 8), value] or [count = 0]  for positions, velocities, accelerations, effort;
             seconds, nanoseconds
 
-Whatever has another layout (big-endian, several joints, uneven points) goes through `rosbags`. The bytes made
+Whatever has another layout (big-endian, several joints, uneven points) goes through ``rosbags``. The bytes made
 here equal those that rclpy and rosbags make.
 """
 
@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ros import interfaces
+from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import MessageDecodeError
-from beam_ros.hub.contract import FloatArray, SampleBatch, SequenceChunk
+from beam_ros.hub.contract import SampleBatch, SequenceChunk
+from beam_ros.interfaces import graph
 from beam_ros.messages import (
     BATCH_FIELDS,
     MODE_FIELDS,
@@ -44,7 +45,7 @@ from beam_ros.messages import (
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian, which is what every ROS 2 middleware on x86 and ARM writes."""
 
-_JOINT = interfaces.HUB_JOINT.encode()
+_JOINT = graph.HUB_JOINT.encode()
 _WIRE_NAMES = tuple(MODE_FIELDS.values())
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
@@ -54,7 +55,7 @@ _Columns = dict[str, FloatArray]
 
 
 def _point_dtype(present: tuple[bool, ...], phase: int) -> np.dtype[Any]:
-    """Layout of a point that begins at `phase` modulo 8 and carries the arrays that are `present`."""
+    """Layout of a point that begins at ``phase`` modulo 8 and carries the arrays that are ``present``."""
     names, formats, offsets = [], [], []
     offset = phase
     for name, is_present in zip(_WIRE_NAMES, present, strict=True):
@@ -123,7 +124,7 @@ def _layout(present: tuple[bool, ...], phase: int) -> _Layout:
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
-    """Return the CDR bytes of a batch's JointTrajectory, as `Publisher.publish` and a bag take them.
+    """Return the CDR bytes of a batch's JointTrajectory, as ``Publisher.publish`` and a bag take them.
 
     Parameters
     ----------
@@ -156,10 +157,10 @@ def encode_chunk(chunk: SequenceChunk, mode: str) -> bytes:
 
 
 def _encode(
-    stamp_ns: int, frame_id: str, times_ns: NDArray[np.int64], columns: Mapping[str, FloatArray | None]
+    stamp_ns: int, frame_id: str, times_ns: StampArray, columns: Mapping[str, FloatArray | None]
 ) -> bytes:
     stamp = _STAMP.pack(*divmod(stamp_ns, SECOND_NS))
-    joints = _COUNT.pack(1) + _text(interfaces.HUB_JOINT)
+    joints = _COUNT.pack(1) + _text(graph.HUB_JOINT)
     head = stamp + _text(frame_id) + joints + _COUNT.pack(len(times_ns))
 
     present = tuple(columns.get(name) is not None for name in _WIRE_NAMES)
@@ -235,7 +236,7 @@ def decode_chunk(data: bytes, device_period_ns: int) -> tuple[str, SequenceChunk
 
 def _general_trajectory(data: bytes) -> Any:
     try:
-        return BagTypes().deserialize(data, interfaces.JOINT_TRAJECTORY)
+        return BagTypes().deserialize(data, graph.JOINT_TRAJECTORY)
     except Exception as err:  # rosbags raises whatever the damaged bytes lead it to
         raise MessageDecodeError(
             f"{len(data)} bytes that are no JointTrajectory ({type(err).__name__}: {err}); the recording is "
@@ -243,7 +244,7 @@ def _general_trajectory(data: bytes) -> Any:
         ) from err
 
 
-def _decode(data: bytes) -> tuple[int, str, NDArray[np.int64], _Columns] | None:
+def _decode(data: bytes) -> tuple[int, str, StampArray, _Columns] | None:
     """Read stamp, frame_id, times and arrays; None for any layout but the suite's own."""
     if data[:2] != _ENCAPSULATION[:2]:
         return None

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
+from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import BagError, BagExistsError, MissingTopicsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
-from beam_ros.hub.contract import FloatArray
+from beam_ros.interfaces import graph
 from beam_ros.messages import BATCH_FIELDS, SECOND_NS, BagTypes
 
 QUANTITY_COLUMNS = {
@@ -45,7 +45,7 @@ class _Signal:
 
     topic: str
     columns: tuple[str, ...]
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: StampArray
     values: FloatArray
 
 
@@ -91,13 +91,13 @@ def export_csv(bag: Bag, folder: Path | str, progress: Progress = lambda share: 
 
     Returns
     -------
-    tuple of Path -- the files. Their columns: `stamp_ns` (UNIX), `time_s` since the earliest stamp of all
-        signals, and the signal's own, in SI units; `nan` where a marker was not seen
+    tuple of Path -- the files. Their columns: ``stamp_ns`` (UNIX), ``time_s`` since the earliest stamp of all
+        signals, and the signal's own, in SI units; ``nan`` where a marker was not seen
 
     Raises
     ------
     BagExistsError
-        Something is at `folder`.
+        Something is at ``folder``.
     MissingTopicsError
         The bag has no signal.
     BagError
@@ -153,7 +153,7 @@ def export_flat_bag(bag: Bag, target: Path | str, progress: Progress = lambda sh
 
     Returns
     -------
-    int -- number of messages written. `hub/applied` and `hub/measured` become a JointState for each sample,
+    int -- number of messages written. ``hub/applied`` and ``hub/measured`` become a JointState for each sample,
         whose names are the quantities with their units and whose positions are the values; displacements stay
         a JointState for each frame. Receive times are the stamps, so that tools which plot against either
         agree. Texts, clock comparisons and diagnostics are copied.
@@ -172,7 +172,7 @@ def export_flat_bag(bag: Bag, target: Path | str, progress: Progress = lambda sh
             for message in bag.raw_messages(topic):
                 writer.write(topic, message.receive_ns, message.data)
         for signal in signals:
-            writer.add_topic(signal.topic, interfaces.JOINT_STATE)
+            writer.add_topic(signal.topic, graph.JOINT_STATE)
         stamps = np.concatenate([signal.stamps_ns for signal in signals])
         sources = np.repeat(np.arange(len(signals)), [len(signal.stamps_ns) for signal in signals])
         rows = np.concatenate([np.arange(len(signal.stamps_ns)) for signal in signals])
@@ -196,7 +196,7 @@ class _JointStateRows:
             names = list(signal.columns)
         zeros = np.zeros(len(names))
         message = messages.displacement(types, 0, names, zeros)
-        self._template = types.serialize(message, interfaces.JOINT_STATE)
+        self._template = types.serialize(message, graph.JOINT_STATE)
         seconds, nanoseconds = np.divmod(signal.stamps_ns, SECOND_NS)
         self._stamps = np.column_stack((seconds, nanoseconds)).astype("<u4")
         self._values = np.ascontiguousarray(signal.values, dtype="<f8")

@@ -10,7 +10,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces.graph import QualityOfService
 
 METADATA_NAME = "metadata.yaml"
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
@@ -70,7 +70,7 @@ def bag_information(
     duration_ns: int,
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return the content of `rosbag2_bagfile_information`, in the order of rosbag2's own files."""
+    """Return the content of ``rosbag2_bagfile_information``, in the order of rosbag2's own files."""
     count = sum(topic.message_count for topic in topics)
     return {
         "version": 9,

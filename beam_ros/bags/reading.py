@@ -1,6 +1,6 @@
 """Bags read for identification: samples of the hub, displacements, clocks and the experiment's texts.
 
-`Bag` opens what ROS 2's recorder, rosbags or this suite wrote, MCAP or SQLite, and extracts each kind of
+``Bag`` opens what ROS 2's recorder, rosbags or this suite wrote, MCAP or SQLite, and extracts each kind of
 content as arrays. Only header stamps carry time; receive times order nothing. A message that cannot be read
 is left out and counted, never a reason to stop; a bag that cannot be opened is refused with the remedy.
 """
@@ -14,10 +14,9 @@ from types import TracebackType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader, ReaderError
 
-from beam_ros import interfaces
+from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.batches import decode_batch
 from beam_ros.bags.errors import (
     BagError,
@@ -29,7 +28,8 @@ from beam_ros.bags.errors import (
 )
 from beam_ros.bags.metadata import METADATA_NAME
 from beam_ros.bags.recording_mark import is_being_written, is_marked
-from beam_ros.hub.contract import ClockSync, FloatArray, SampleBatch
+from beam_ros.hub.contract import ClockSync, SampleBatch
+from beam_ros.interfaces import graph
 from beam_ros.messages import (
     BATCH_FIELDS,
     BagTypes,
@@ -113,9 +113,9 @@ class HubSamples:
     """
 
     topic: str
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: StampArray
     period_ns: int
-    epochs: NDArray[np.int64]
+    epochs: StampArray
     positions: FloatArray | None
     velocities: FloatArray | None
     accelerations: FloatArray | None
@@ -132,7 +132,7 @@ class HubSamples:
 
 @dataclass(frozen=True)
 class Displacements:
-    """All messages of `beam/displacement` as one table.
+    """All messages of ``beam/displacement`` as one table.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Displacements:
     """
 
     names: tuple[str, ...]
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: StampArray
     positions: FloatArray
     duplicates: int
     unreadable: Unreadable
@@ -156,7 +156,7 @@ class Bag:
     Parameters
     ----------
     path : Path or str
-        The bag's folder, or a single `.mcap` or `.db3` file.
+        The bag's folder, or a single ``.mcap`` or ``.db3`` file.
     namespace : str, optional
         Of the rig whose topics are read; needed only where a bag holds several.
 
@@ -277,7 +277,7 @@ class Bag:
     # --- the rig's content
 
     def hub_samples(self, topic: str = "hub/measured") -> HubSamples:
-        """Return `hub/measured` or `hub/applied` as one signal.
+        """Return ``hub/measured`` or ``hub/applied`` as one signal.
 
         Raises
         ------
@@ -285,7 +285,7 @@ class Bag:
             The topic is missing, or none of its messages can be read.
         """
         self.require(topic)
-        batches, unreadable = self._read(topic, interfaces.JOINT_TRAJECTORY, decode_batch)
+        batches, unreadable = self._read(topic, graph.JOINT_TRAJECTORY, decode_batch)
         batches, unreadable = _with_stamps(batches, unreadable, "batch")
         if not batches:
             raise self._nothing_readable(topic, unreadable)
@@ -300,8 +300,8 @@ class Bag:
             The topic is missing, or none of its messages can be read.
         """
         self.require(topic)
-        decode = self._message_decoder(interfaces.JOINT_STATE, read_displacement)
-        rows, unreadable = self._read(topic, interfaces.JOINT_STATE, decode)
+        decode = self._message_decoder(graph.JOINT_STATE, read_displacement)
+        rows, unreadable = self._read(topic, graph.JOINT_STATE, decode)
         rows, unreadable = _with_stamps(rows, unreadable, "displacement")
         if not rows:
             raise self._nothing_readable(topic, unreadable)
@@ -309,15 +309,13 @@ class Bag:
 
     def clock_syncs(self, topic: str = "hub/clock_sync") -> tuple[ClockSync, ...]:
         """Return the comparisons of device and host clock, sorted by host time, if there are any."""
-        type_name = interfaces.TOPICS["hub/clock_sync"].type_name
+        type_name = graph.TOPICS["hub/clock_sync"].type_name
         syncs, _ = self._read(topic, type_name, self._message_decoder(type_name, read_clock_sync))
         return tuple(sorted(syncs, key=lambda sync: sync.host_ns))
 
     def texts(self, topic: str) -> tuple[dict[str, Any], ...]:
         """Return the JSON objects of a String topic in their order; empty where there are none."""
-        contents, _ = self._read(
-            topic, interfaces.STRING, self._message_decoder(interfaces.STRING, read_json)
-        )
+        contents, _ = self._read(topic, graph.STRING, self._message_decoder(graph.STRING, read_json))
         return tuple(contents)
 
     def excitation_info(self) -> dict[str, Any] | None:
@@ -429,7 +427,7 @@ def _begins_as_mcap(path: Path) -> bool:
 
 
 def _find_namespace(bag: Bag) -> str:
-    relative = [name for name in interfaces.TOPICS if not name.startswith("/")]
+    relative = [name for name in graph.TOPICS if not name.startswith("/")]
     found = {
         row.name[: -len(name)].strip("/")
         for row in bag.topics
@@ -529,7 +527,7 @@ def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable)
 
 
 def join_displacements(rows: list[Displacement], unreadable: Unreadable) -> Displacements:
-    """Put messages of `beam/displacement` together: a row for each distinct time, a column for each marker.
+    """Put messages of ``beam/displacement`` together: a row for each distinct time, a column for each marker.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.writing import BagWriter
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces.graph import QualityOfService
 
 IDLE_FLUSH_S = 0.25
 """After this silence [s] the chunk in the making is closed too, beside what the writer does by itself."""

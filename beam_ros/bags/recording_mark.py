@@ -1,6 +1,6 @@
 """The mark that tells a bag in the making, or one that was cut off, from a finished one.
 
-While a bag is written, its folder holds a file `RECORDING` that says who writes since when. The writer keeps
+While a bag is written, its folder holds a file ``RECORDING`` that says who writes since when. The writer keeps
 it locked; the lock goes with the process, however it ends, so that a reader can tell a running recording from
 one that was killed.
 """

@@ -60,7 +60,7 @@ def recover(source: Path | str, target: Path | str | None = None) -> RecoveryRep
     Parameters
     ----------
     source : Path or str -- a bag's folder, or its file
-    target : Path or str, optional -- the new bag's folder; by default the source's name with `_recovered`
+    target : Path or str, optional -- the new bag's folder; by default the source's name with ``_recovered``
 
     Returns
     -------

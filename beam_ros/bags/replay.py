@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from beam_ros import interfaces
 from beam_ros.bags.reading import Bag
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import QualityOfService
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def replay_topics(bag: Bag, *, with_commands: bool) -> tuple[ReplayTopic, ...]:
     chosen = []
     for row in bag.topics:
         relative = row.name.removeprefix(f"/{bag.namespace}/" if bag.namespace else "/")
-        known = interfaces.TOPICS.get(row.name) or interfaces.TOPICS.get(relative)
+        known = graph.TOPICS.get(row.name) or graph.TOPICS.get(relative)
         if not row.message_count or (_is_command(row.name) and not with_commands):
             continue
         if known is None or known.type_name != row.type_name:
@@ -63,7 +63,7 @@ def replay_topics(bag: Bag, *, with_commands: bool) -> tuple[ReplayTopic, ...]:
 
 
 def _is_command(name: str) -> bool:
-    return any(topic.is_command and name.endswith(f"/{topic.name}") for topic in interfaces.TOPICS.values())
+    return any(topic.is_command and name.endswith(f"/{topic.name}") for topic in graph.TOPICS.values())
 
 
 def due_messages(bag: Bag, topics: tuple[ReplayTopic, ...], rate: float) -> Iterator[DueMessage]:

@@ -57,7 +57,7 @@ class ClockSummary:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What `beam info` says of a bag.
+    """What ``beam info`` says of a bag.
 
     Attributes
     ----------

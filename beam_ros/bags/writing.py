@@ -1,9 +1,9 @@
 """Bags written as ROS 2 Jazzy's recorder writes them, but so that a killed writer loses a second at most.
 
-A bag is a folder with one MCAP file `<folder>_0.mcap` and `metadata.yaml`. Messages are gathered in chunks;
-a chunk reaches the file when the messages' receive times have advanced by half a second or when `flush` is
-called, and from then on it survives whatever happens to the process. Until `close`, the folder carries the
-mark `RECORDING` and has no `metadata.yaml`, so that nobody takes it for a finished bag.
+A bag is a folder with one MCAP file ``<folder>_0.mcap`` and ``metadata.yaml``. Messages are gathered in chunks;
+a chunk reaches the file when the messages' receive times have advanced by half a second or when ``flush`` is
+called, and from then on it survives whatever happens to the process. Until ``close``, the folder carries the
+mark ``RECORDING`` and has no ``metadata.yaml``, so that nobody takes it for a finished bag.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from beam_ros import interfaces
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.errors import BagError, BagExistsError
 from beam_ros.bags.metadata import METADATA_NAME, TopicRecord, bag_information, qos_profiles, to_yaml
 from beam_ros.bags.recording_mark import RecordingMark
 from beam_ros.hub.contract import SampleBatch
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import BagTypes
 
 CHUNK_NS = 500_000_000
@@ -129,7 +129,7 @@ class BagWriter:
         name = self.full_name(topic)
         if name in self._topics:
             return
-        row = interfaces.TOPICS.get(topic)
+        row = graph.TOPICS.get(topic)
         type_name = type_name or (row.type_name if row else "")
         qos = qos or ((row.qos,) if row else (QualityOfService(10),))
         store = self._types.store
@@ -160,7 +160,7 @@ class BagWriter:
         topic : str -- a topic of the table or one that was announced
         receive_ns : int -- when it came [ns, UNIX]
         data : bytes -- its serialised form
-        publish_ns : int, optional -- when it was sent [ns, UNIX]; by default `receive_ns`
+        publish_ns : int, optional -- when it was sent [ns, UNIX]; by default ``receive_ns``
 
         Raises
         ------
@@ -192,14 +192,14 @@ class BagWriter:
         self.message_count += 1
 
     def write_message(self, topic: str, receive_ns: int, message: Any) -> None:
-        """Write a message that `beam_ros.messages` built with `BagTypes`."""
+        """Write a message that ``beam_ros.messages`` built with ``BagTypes``."""
         if topic not in self._channels:
             self.add_topic(topic)
         type_name = self._topics[self.full_name(topic)].type_name
         self.write(topic, receive_ns, self._types.serialize(message, type_name))
 
     def write_batch(self, topic: str, receive_ns: int, batch: SampleBatch) -> None:
-        """Write a batch of `hub/applied` or `hub/measured`."""
+        """Write a batch of ``hub/applied`` or ``hub/measured``."""
         self.write(topic, receive_ns, encode_batch(batch))
 
     def flush(self) -> None:
@@ -215,12 +215,12 @@ class BagWriter:
         return tuple(replace(t, message_count=self._counts[name]) for name, t in self._topics.items())
 
     def close(self) -> None:
-        """Finish the bag: index, `metadata.yaml`, no mark any more. A second time it does nothing.
+        """Finish the bag: index, ``metadata.yaml``, no mark any more. A second time it does nothing.
 
         Raises
         ------
         BagError
-            The disk refuses; the bag then keeps its mark, and `beam recover` can repair it.
+            The disk refuses; the bag then keeps its mark, and ``beam recover`` can repair it.
         """
         if not self._is_open:
             return

@@ -1,6 +1,6 @@
-"""Entry of the `beam` command: finds the verb, runs it, and turns a fault of the user's into one line.
+"""Entry of the ``beam`` command: finds the verb, runs it, and turns a fault of the user's into one line.
 
-Verbs are imported only when they are asked for, so that `beam --help` starts at once and nothing pulls in
+Verbs are imported only when they are asked for, so that ``beam --help`` starts at once and nothing pulls in
 ROS, OpenCV or matplotlib before it is needed.
 """
 
@@ -15,16 +15,20 @@ from typing import NoReturn
 
 from beam_ros.errors import faults_of_the_user
 
-VERBS: dict[str, str] = {
+LIVE: dict[str, str] = {
     "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
     "up": "the rig's nodes together, until Ctrl-C",
     "run": "one node, as `ros2 run beam_ros NODE`",
     "call": "a service of the running rig: home, enable, start the excitation, stop",
+    "record": "every topic of a running rig into a bag",
+    "replay": "a bag back onto its topics, without what moves an axis",
+}
+"""Verbs that run nodes on the ROS graph."""
+
+OFFLINE: dict[str, str] = {
     "model": "the rig's theory: natural frequencies, damping, participation; or the list of all parameters",
     "design": "the excitation against the hub's limits and the beam's modes",
     "simulate": "the simulator's core straight into a bag, without DDS",
-    "record": "every topic of a running rig into a bag",
-    "replay": "a bag back onto its topics, without what moves an axis",
     "recover": "a valid bag from what can be read of a damaged one",
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
@@ -32,6 +36,9 @@ VERBS: dict[str, str] = {
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
     "identify": "a continuous-time model with common poles from a bag",
 }
+"""Verbs that need no ROS graph."""
+
+VERBS = {**LIVE, **OFFLINE}
 
 OK, FAULT_OF_THE_USER, INTERRUPTED = 0, 2, 130
 
@@ -44,7 +51,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _verb_parser(verb: str) -> argparse.ArgumentParser:
-    module = importlib.import_module(f"beam_ros.cli.{verb}")
+    module = importlib.import_module(f"beam_ros.cli.{'live' if verb in LIVE else 'offline'}.{verb}")
     parser = _Parser(
         prog=f"beam {verb}",
         description=module.__doc__,
@@ -58,14 +65,21 @@ def _verb_parser(verb: str) -> argparse.ArgumentParser:
 
 def _overview() -> str:
     width = max(map(len, VERBS))
-    lines = [f"    beam {verb:<{width}}   {meaning}" for verb, meaning in VERBS.items()]
+
+    def lines(verbs: dict[str, str]) -> list[str]:
+        return [f"    beam {verb:<{width}}   {meaning}" for verb, meaning in verbs.items()]
+
     return "\n".join(
         (
             "usage: beam VERB ...",
             "",
             "Identify a flexible cantilever beam on a moving hub, with or without hardware.",
             "",
-            *lines,
+            "With the rig's nodes:",
+            *lines(LIVE),
+            "",
+            "Without them:",
+            *lines(OFFLINE),
             "",
             "`beam VERB --help` explains a verb. Start with `beam demo`.",
         )
@@ -73,7 +87,7 @@ def _overview() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the `beam` command.
+    """Run the ``beam`` command.
 
     Parameters
     ----------

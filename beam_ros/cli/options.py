@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from beam_ros.errors import UsageError
-from beam_ros.rig import Rig
+from beam_ros.rig.rig import Rig
 
 
 def add_rig_file(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
 
 
 def read_rig(arguments: argparse.Namespace) -> Rig:
-    """Read the rig that `add_rig_file`'s options describe.
+    """Read the rig that ``add_rig_file``'s options describe.
 
     Raises
     ------

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ros.hub.contract import ClockSync, FloatArray
+from beam_ros.arrays import FloatArray
+from beam_ros.hub.contract import ClockSync
 
 WINDOW_NS = 30_000_000_000
 """Exchanges older than this no longer count [ns]."""
@@ -45,7 +46,7 @@ class ClockFit:
     rate : float
         Host nanoseconds per device nanosecond.
     offset_ns : float
-        Host time at `device_reference_ns`, from `host_reference_ns` on [ns].
+        Host time at ``device_reference_ns``, from ``host_reference_ns`` on [ns].
     covariance : ndarray, shape (2, 2)
         Of offset [ns] and rate.
     """
@@ -63,14 +64,14 @@ class ClockFit:
         return self.host_reference_ns + elapsed_ns + round(correction)
 
     def standard_deviation_ns(self, device_ns: int) -> float:
-        """Return the standard deviation [ns] of `host_ns` at a device time."""
+        """Return the standard deviation [ns] of ``host_ns`` at a device time."""
         elapsed_ns = float(device_ns - self.device_reference_ns)
         c = self.covariance
         return math.sqrt(max(0.0, c[0, 0] + 2 * elapsed_ns * c[0, 1] + elapsed_ns**2 * c[1, 1]))
 
 
 def fit_affine(syncs: Sequence[ClockSync], *, rate_sd: float | None = None) -> ClockFit:
-    """Return the map that clock comparisons of one epoch give; for use offline and by `ClockMapping`.
+    """Return the map that clock comparisons of one epoch give; for use offline and by ``ClockMapping``.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def fit_affine(syncs: Sequence[ClockSync], *, rate_sd: float | None = None) -> C
 class ClockMapping:
     """The map of one epoch, kept up to date by exchanges.
 
-    `host_ns` is continuous and strictly increasing, whatever the exchanges bring: from the newest device time
+    ``host_ns`` is continuous and strictly increasing, whatever the exchanges bring: from the newest device time
     that was mapped on, it turns towards the newest estimate.
 
     Parameters

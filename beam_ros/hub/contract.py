@@ -1,10 +1,10 @@
-"""What a hub is to the rest of the suite: the `Hub` protocol and the values that cross it.
+"""What a hub is to the rest of the suite: the ``Hub`` protocol and the values that cross it.
 
-`SimulatedHub` and `DriverHub` both implement `Hub`, so that one node shell serves the simulator and the
-real axis. Nothing here reads a clock: the caller passes a `HostTime` with every call.
+``SimulatedHub`` and ``DriverHub`` both implement ``Hub``, so that one node shell serves the simulator and the
+real axis. Nothing here reads a clock: the caller passes a ``HostTime`` with every call.
 
 Sign convention: positions, velocities, accelerations and forces of the hub are positive along +x of the
-frame `rig`; home is position 0.
+frame ``rig``; home is position 0.
 """
 
 from __future__ import annotations
@@ -13,10 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from beam_ros.arrays import FloatArray
 
 AxisState = Literal["disconnected", "identified", "homed", "enabled", "fault"]
 RequestKind = Literal["enable", "disable", "home", "stop", "clear_fault"]
@@ -85,7 +82,7 @@ class SequenceChunk:
     sequence_id : str
         The sequence's name, without white space.
     index, count : int
-        This is chunk `index` of `count`, counted from 1.
+        This is chunk ``index`` of ``count``, counted from 1.
     start_ns : int
         When the sequence's first sample is to be applied [ns, UNIX]; the same in all chunks.
     period_ns : int
@@ -149,7 +146,7 @@ class ClockSync:
     epoch : int
         Counts the device's starts.
     rtt_ns : int
-        Duration of the exchange [ns]; `host_ns` is wrong by half of it at the most.
+        Duration of the exchange [ns]; ``host_ns`` is wrong by half of it at the most.
     """
 
     host_ns: int
@@ -208,13 +205,13 @@ class Hub(Protocol):
     """A moving hub: the simulated one or the one behind a serial line."""
 
     def request(self, kind: RequestKind) -> int:
-        """Ask for a change of state; its number appears in `HubReport.completed` when it is over."""
+        """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
 
     def load(self, chunk: SequenceChunk, now: HostTime) -> None:
-        """Hand over one chunk of a sequence; what became of it appears in `HubReport.sequences`."""
+        """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
 
     def poll(self, now: HostTime) -> HubReport:
         """Say that the host is alive, and collect what happened; call it at least every 50 ms."""

@@ -1,7 +1,7 @@
 """The hub's parameters: what the axis can do, how it is commanded and how it is reached.
 
 All values are SI. The class is frozen and checks itself, so that whatever holds a
-`HubParameters` may trust it.
+``HubParameters`` may trust it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sequences of samples and set-points: what may reach the axis.
 
 A sequence arrives in chunks named ``<id> <k>/<n>``. It is assembled whole and checked whole, against the
-axis's limits and against where the hub stands, before anything of it may run. `CommandGate` is the host's
+axis's limits and against where the hub stands, before anything of it may run. ``CommandGate`` is the host's
 side of that for both hubs; the axis guards its own limits once more by itself.
 """
 
@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import (
     AxisEventKind,
     AxisState,
     EventLevel,
-    FloatArray,
     HubEvent,
     Outcome,
     SequenceChunk,
@@ -51,7 +51,7 @@ Guard = Callable[[FloatArray], str | None]
 
 
 def format_chunk_name(sequence_id: str, index: int, count: int) -> str:
-    """Return the name of chunk `index` (counted from 1) of `count`, as ``<id> <k>/<n>``."""
+    """Return the name of chunk ``index`` (counted from 1) of ``count``, as ``<id> <k>/<n>``."""
     return f"{sequence_id} {index}/{count}"
 
 
@@ -99,7 +99,7 @@ def expand_to_ticks(values: FloatArray, multiple: int, parameters: HubParameters
     Parameters
     ----------
     values : ndarray, shape (n_points,)
-        Samples, `multiple` ticks apart.
+        Samples, ``multiple`` ticks apart.
     multiple : int
         Ticks between two samples.
     parameters : HubParameters
@@ -120,7 +120,7 @@ def expand_to_ticks(values: FloatArray, multiple: int, parameters: HubParameters
 
 
 def check_sequence(values: FloatArray, parameters: HubParameters, position: float) -> str | None:
-    """Return why the axis must not run these samples from rest at `position`, or None.
+    """Return why the axis must not run these samples from rest at ``position``, or None.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ class CommandGate:
     """The host's side of set-points and sequences: what it lets through to the axis.
 
     The gate knows one sequence at a time. It is told of the axis's state with every call and of a sequence's
-    fate by `note` and `finish`; it gathers reports until `take_reports`.
+    fate by ``note`` and ``finish``; it gathers reports until ``take_reports``.
 
     Parameters
     ----------

@@ -14,11 +14,12 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
 from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.parameters import HubParameters
+from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
-from beam_ros.nodes.shell import qos_profile
+from beam_ros.shell.node import qos_profile
 
 _SPIN_S = 0.05
 _LOOK_ROUND_S = 3.5
@@ -37,13 +38,13 @@ class RigClient:
     check : callable -- called while waiting; raises when a node has fallen
     displacement : dict -- newest u by marker's name [m]; NaN where it was not seen
     hub_position : float -- newest hub position [m]
-    sequence : dict -- newest `hub/sequence_state`
+    sequence : dict -- newest ``hub/sequence_state``
     recorded : dict -- messages that the recorder has, by topic
-    hub_counters : dict or None -- the hub's newest values on `/diagnostics`
+    hub_counters : dict or None -- the hub's newest values on ``/diagnostics``
     """
 
     def __init__(self, check: Callable[[], None] = lambda: None, *, namespace: str = "") -> None:
-        """Join the graph; see the attributes for `check`."""
+        """Join the graph; see the attributes for ``check``."""
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("experimenter", namespace=namespace)
         self._types = RosTypes()
@@ -62,7 +63,7 @@ class RigClient:
         self._listen("recorder/state", self._on_recorder_state)
 
     def _listen(self, topic: str, callback: Callable[[Any], None]) -> None:
-        row = interfaces.TOPICS[topic]
+        row = graph.TOPICS[topic]
         self._node.create_subscription(
             self._types.message_class(row.type_name), topic, callback, qos_profile(row.qos)
         )
@@ -153,7 +154,7 @@ class RigClient:
 
         Parameters
         ----------
-        service : str -- key of `beam_ros.interfaces.SERVICES`
+        service : str -- key of ``beam_ros.interfaces.graph.SERVICES``
         value : bool, optional -- for a SetBool service
         timeout_s : float -- patience, discovery included
 
@@ -162,7 +163,7 @@ class RigClient:
         RigUnavailableError
             The service is not there, does not answer, or refuses.
         """
-        service_class = self._types.service_class(interfaces.SERVICES[service].type_name)
+        service_class = self._types.service_class(graph.SERVICES[service].type_name)
         client = self._node.create_client(service_class, service)
         log_hint = f"is the rig up (`beam up`) on {self.reach()}? If so, its nodes' logs say more"
         try:

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from beam_ros.errors import RigUnavailableError
-from beam_ros.excitation_plan import plan_excitation
-from beam_ros.excitation_recipes import recipe_of_rig
-from beam_ros.folders import make_folder
-from beam_ros.interfaces import RigKind, emulated_port, nodes_of_rig
+from beam_ros.excitation.plan import plan_excitation
+from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
@@ -24,8 +23,9 @@ from beam_ros.launching.processes import (
     refuse_made_up_time,
     stay_on_this_machine,
 )
-from beam_ros.progress import Progress
-from beam_ros.rig import Rig
+from beam_ros.process.folders import make_folder
+from beam_ros.process.progress import Progress
+from beam_ros.rig.rig import Rig
 
 _START_TIMEOUT_S = 30.0
 _IDENTIFY_TIMEOUT_S = 90.0
@@ -45,7 +45,7 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
 
     Returns
     -------
-    dict -- what the identifier published on `identification/result`
+    dict -- what the identifier published on ``identification/result``
 
     Raises
     ------

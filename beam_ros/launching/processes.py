@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
-from beam_ros.environment import child_environment
 from beam_ros.errors import RigUnavailableError, UsageError
-from beam_ros.executables import command
-from beam_ros.interfaces import NODES, RigKind
-from beam_ros.rig import Rig
+from beam_ros.interfaces.graph import NODES, RigKind
+from beam_ros.process.environment import child_environment
+from beam_ros.process.executables import command
+from beam_ros.rig.rig import Rig
 
 _C_LIBRARY = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
@@ -54,7 +54,7 @@ def stay_on_this_machine(environ: MutableMapping[str, str], domain: int, log_fol
 
     Parameters
     ----------
-    environ : mutable mapping -- usually `os.environ`, from which child processes inherit
+    environ : mutable mapping -- usually ``os.environ``, from which child processes inherit
     domain : int -- ROS_DOMAIN_ID, 1 to 101
     log_folder : Path -- where the nodes' logs go
     """
@@ -126,7 +126,7 @@ def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "
 
     Returns
     -------
-    tuple of str -- where simulated time does not run in real time, everybody but the simulator follows `/clock`
+    tuple of str -- where simulated time does not run in real time, everybody but the simulator follows ``/clock``
     """
     factor = rig.number("simulation.real_time_factor")
     words = ["--ros-args", "--params-file", str(rig_file)]
@@ -208,7 +208,7 @@ class NodeGroup:
         Parameters
         ----------
         executable : str -- key of NODES
-        arguments : sequence of str -- after the executable's name, `--ros-args` included
+        arguments : sequence of str -- after the executable's name, ``--ros-args`` included
         """
         if executable not in NODES:
             raise RigUnavailableError(

@@ -1,12 +1,12 @@
 """The suite's messages, built and read in one place for the wire and for bags.
 
-A node speaks rclpy's message classes, a bag is written and read with those of `rosbags`; both have the same
-fields. The builders here take a `MessageTypes`, which hides the three differences (where a class comes from,
+A node speaks rclpy's message classes, a bag is written and read with those of ``rosbags``; both have the same
+fields. The builders here take a ``MessageTypes``, which hides the three differences (where a class comes from,
 how an array of numbers and a byte are held), and the readers take whatever has the fields. Neither rclpy nor
 rosbags is imported before it is asked for.
 
 Stamps are integer nanoseconds (UNIX, host); everything else is SI. Positions, velocities, accelerations and
-forces are positive along +x of the frame `rig`.
+forces are positive along +x of the frame ``rig``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was applied and measured: `hub/applied` and `hub/measured`."""
+"""What was applied and measured: ``hub/applied`` and ``hub/measured``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ros.hub.contract import FloatArray, SampleBatch
+from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.hub.contract import SampleBatch
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import stamp_ns
@@ -21,7 +21,7 @@ BATCH_FIELDS = {
     "accelerations": "accelerations",
     "efforts": "effort",
 }
-"""The array of a JointTrajectoryPoint that carries each quantity of a `SampleBatch`."""
+"""The array of a JointTrajectoryPoint that carries each quantity of a ``SampleBatch``."""
 
 
 def format_batch_frame(epoch: int, period_ns: int) -> str:
@@ -36,9 +36,9 @@ def parse_batch_frame(frame_id: str) -> tuple[int, int]:
 
 
 def trajectory_batch(types: MessageTypes, batch: SampleBatch) -> Any:
-    """Build the JointTrajectory of `hub/applied` and `hub/measured` from a batch.
+    """Build the JointTrajectory of ``hub/applied`` and ``hub/measured`` from a batch.
 
-    `beam_ros.bags.batches.encode_batch` makes the same message's bytes much faster.
+    ``bags.batches.encode_batch`` makes the same message's bytes much faster.
     """
     columns = {
         name: getattr(batch, quantity)
@@ -51,7 +51,7 @@ def trajectory_batch(types: MessageTypes, batch: SampleBatch) -> Any:
 
 
 def read_trajectory_batch(message: Any) -> SampleBatch:
-    """Read a message of `hub/applied` or `hub/measured`.
+    """Read a message of ``hub/applied`` or ``hub/measured``.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def read_trajectory_batch(message: Any) -> SampleBatch:
 
 
 def batch_from_columns(
-    stamp: int, epoch: int, period_ns: int, times_ns: NDArray[np.int64], columns: Mapping[str, FloatArray]
+    stamp: int, epoch: int, period_ns: int, times_ns: StampArray, columns: Mapping[str, FloatArray]
 ) -> SampleBatch:
     """Check the times of a batch's points and make the batch.
 

@@ -1,4 +1,4 @@
-"""The camera's frames and what it is: `camera/image_raw` and `camera/camera_info`."""
+"""The camera's frames and what it is: ``camera/image_raw`` and ``camera/camera_info``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ros import interfaces
+from beam_ros.interfaces import graph
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import header
 
@@ -17,7 +17,7 @@ def image(types: MessageTypes, stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
     height, width = pixels.shape[:2]
     return types.make(
         "sensor_msgs/msg/Image",
-        header=header(types, stamp_ns, interfaces.CAMERA_FRAME),
+        header=header(types, stamp_ns, graph.CAMERA_FRAME),
         height=height,
         width=width,
         encoding="mono8" if pixels.ndim == 2 else "bgr8",
@@ -31,7 +31,7 @@ def camera_info(types: MessageTypes, stamp_ns: int, width: int, height: int) -> 
     """Build the CameraInfo of an uncalibrated camera: size and, by convention, a K of zeros."""
     return types.make(
         "sensor_msgs/msg/CameraInfo",
-        header=header(types, stamp_ns, interfaces.CAMERA_FRAME),
+        header=header(types, stamp_ns, graph.CAMERA_FRAME),
         height=height,
         width=width,
         distortion_model="plumb_bob",

@@ -1,4 +1,4 @@
-"""The device's clock against the host's: `hub/clock_sync`."""
+"""The device's clock against the host's: ``hub/clock_sync``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from beam_ros.messages.texts import key_values
 
 
 def clock_sync(types: MessageTypes, sync: ClockSync) -> Any:
-    """Build the TimeReference of `hub/clock_sync`."""
+    """Build the TimeReference of ``hub/clock_sync``."""
     return types.make(
         "sensor_msgs/msg/TimeReference",
         header=header(types, sync.host_ns, ""),
@@ -22,7 +22,7 @@ def clock_sync(types: MessageTypes, sync: ClockSync) -> Any:
 
 
 def read_clock_sync(message: Any) -> ClockSync:
-    """Read a message of `hub/clock_sync`.
+    """Read a message of ``hub/clock_sync``.
 
     Raises
     ------

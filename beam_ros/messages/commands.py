@@ -1,4 +1,4 @@
-"""What the hub is told: `hub/setpoint`, and `hub/sequence` in chunks."""
+"""What the hub is told: ``hub/setpoint``, and ``hub/sequence`` in chunks."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from beam_ros import interfaces
-from beam_ros.hub.contract import FloatArray, SequenceChunk
+from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.sequences import MAX_CHUNK_POINTS
+from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import stamp_ns
@@ -22,7 +23,7 @@ from beam_ros.messages.trajectories import MODE_FIELDS, point_columns, single_co
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One set-point of `hub/setpoint`: stamp [ns, UNIX], command mode and value in the mode's unit."""
+    """One set-point of ``hub/setpoint``: stamp [ns, UNIX], command mode and value in the mode's unit."""
 
     stamp_ns: int
     mode: str
@@ -30,13 +31,13 @@ class Setpoint:
 
 
 def setpoint(types: MessageTypes, point: Setpoint) -> Any:
-    """Build the JointTrajectory of `hub/setpoint`."""
+    """Build the JointTrajectory of ``hub/setpoint``."""
     column = {MODE_FIELDS[point.mode]: np.array([point.value])}
-    return trajectory(types, point.stamp_ns, interfaces.RIG_FRAME, [0], column)
+    return trajectory(types, point.stamp_ns, graph.RIG_FRAME, [0], column)
 
 
 def read_setpoint(message: Any) -> Setpoint:
-    """Read a message of `hub/setpoint`.
+    """Read a message of ``hub/setpoint``.
 
     Raises
     ------
@@ -78,9 +79,9 @@ def split_sequence(
 
 
 def sequence_chunk(types: MessageTypes, chunk: SequenceChunk, mode: str) -> Any:
-    """Build the JointTrajectory of `hub/sequence` from a chunk in a command mode.
+    """Build the JointTrajectory of ``hub/sequence`` from a chunk in a command mode.
 
-    `beam_ros.bags.batches.encode_chunk` makes the same message's bytes much faster.
+    ``bags.batches.encode_chunk`` makes the same message's bytes much faster.
     """
     offsets = [(chunk.first_tick + k) * chunk.period_ns for k in range(len(chunk.values))]
     return trajectory(types, chunk.start_ns, chunk_frame(chunk), offsets, {MODE_FIELDS[mode]: chunk.values})
@@ -92,7 +93,7 @@ def chunk_frame(chunk: SequenceChunk) -> str:
 
 
 def read_sequence_chunk(message: Any, device_period_ns: int) -> tuple[str, SequenceChunk]:
-    """Read a message of `hub/sequence`.
+    """Read a message of ``hub/sequence``.
 
     Parameters
     ----------
@@ -119,12 +120,12 @@ def read_sequence_chunk(message: Any, device_period_ns: int) -> tuple[str, Seque
 def chunk_from_columns(
     start_ns: int,
     frame_id: str,
-    times_ns: NDArray[np.int64],
+    times_ns: StampArray,
     columns: Mapping[str, FloatArray],
     *,
     device_period_ns: int,
 ) -> tuple[str, SequenceChunk]:
-    """Check name and times of a chunk's points and make the chunk; see `read_sequence_chunk`."""
+    """Check name and times of a chunk's points and make the chunk; see ``read_sequence_chunk``."""
     mode, values = single_column(columns, "sequence chunk")
     match = re.fullmatch(r"(\S+) (\d{1,6})/(\d{1,6})", frame_id)
     if match is None:

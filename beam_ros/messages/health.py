@@ -1,4 +1,4 @@
-"""How the nodes are: `/diagnostics`."""
+"""How the nodes are: ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEVELS = ("OK", "WARN", "ERROR", "STALE")
 
 @dataclass(frozen=True)
 class Health:
-    """One status of `/diagnostics`: who, level (OK, WARN, ERROR, STALE), a sentence, and values."""
+    """One status of ``/diagnostics``: who, level (OK, WARN, ERROR, STALE), a sentence, and values."""
 
     name: str
     level: str
@@ -24,7 +24,7 @@ class Health:
 
 
 def diagnostics(types: MessageTypes, stamp_ns: int, statuses: Iterable[Health]) -> Any:
-    """Build the DiagnosticArray of `/diagnostics`."""
+    """Build the DiagnosticArray of ``/diagnostics``."""
     return types.make(
         "diagnostic_msgs/msg/DiagnosticArray",
         header=header(types, stamp_ns, ""),
@@ -46,7 +46,7 @@ def diagnostics(types: MessageTypes, stamp_ns: int, statuses: Iterable[Health]) 
 
 
 def read_diagnostics(message: Any) -> tuple[Health, ...]:
-    """Read a message of `/diagnostics`; a level outside OK..STALE counts as STALE."""
+    """Read a message of ``/diagnostics``; a level outside OK..STALE counts as STALE."""
     return tuple(
         Health(
             status.name,

@@ -1,4 +1,4 @@
-"""Where markers and hub are: `beam/displacement` and `hub/state`."""
+"""Where markers and hub are: ``beam/displacement`` and ``hub/state``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beam_ros import interfaces
-from beam_ros.hub.contract import FloatArray
+from beam_ros.arrays import FloatArray
+from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import header, stamp_ns
@@ -19,12 +19,12 @@ from beam_ros.messages.stamps import header, stamp_ns
 
 @dataclass(frozen=True)
 class Displacement:
-    """What `beam/displacement` says at one instant.
+    """What ``beam/displacement`` says at one instant.
 
     Attributes
     ----------
     stamp_ns : int -- instant [ns, UNIX]
-    names : tuple of str -- markers, `z010` ..
+    names : tuple of str -- markers, ``z010`` ..
     positions : ndarray, shape (n_markers,) -- absolute displacement u [m], NaN where not seen
     """
 
@@ -34,7 +34,7 @@ class Displacement:
 
 
 def displacement(types: MessageTypes, stamp_ns: int, names: Sequence[str], positions: ArrayLike) -> Any:
-    """Build the JointState of `beam/displacement`: u [m] of each marker, NaN where it was not seen."""
+    """Build the JointState of ``beam/displacement``: u [m] of each marker, NaN where it was not seen."""
     values = np.asarray(positions, dtype=np.float64)
     if values.shape != (len(names),):
         raise MessageContentError(
@@ -44,7 +44,7 @@ def displacement(types: MessageTypes, stamp_ns: int, names: Sequence[str], posit
 
 
 def read_displacement(message: Any) -> Displacement:
-    """Read a message of `beam/displacement`.
+    """Read a message of ``beam/displacement``.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def read_displacement(message: Any) -> Displacement:
 
 @dataclass(frozen=True)
 class HubSample:
-    """What `hub/state` says: stamp [ns, UNIX], position [m], velocity [m/s], effort [N]; NaN: not known."""
+    """What ``hub/state`` says: stamp [ns, UNIX], position [m], velocity [m/s], effort [N]; NaN: not known."""
 
     stamp_ns: int
     position: float
@@ -72,13 +72,13 @@ class HubSample:
 
 
 def hub_state(types: MessageTypes, sample: HubSample) -> Any:
-    """Build the JointState of `hub/state`; a velocity or effort of NaN is left out."""
+    """Build the JointState of ``hub/state``; a velocity or effort of NaN is left out."""
     optional = [() if math.isnan(value) else (value,) for value in (sample.velocity, sample.effort)]
-    return _joint_state(types, sample.stamp_ns, (interfaces.HUB_JOINT,), (sample.position,), *optional)
+    return _joint_state(types, sample.stamp_ns, (graph.HUB_JOINT,), (sample.position,), *optional)
 
 
 def read_hub_state(message: Any) -> HubSample:
-    """Read a message of `hub/state`.
+    """Read a message of ``hub/state``.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def read_hub_state(message: Any) -> HubSample:
     if len(message.name) != 1 or len(message.position) != 1:
         raise MessageContentError(
             f"hub state with joints {list(message.name)} and {len(message.position)} positions: expected one "
-            f"joint `{interfaces.HUB_JOINT}` with a position"
+            f"joint `{graph.HUB_JOINT}` with a position"
         )
     velocity, effort = (float(v[0]) if len(v) else math.nan for v in (message.velocity, message.effort))
     return HubSample(stamp_ns(message), float(message.position[0]), velocity, effort)
@@ -103,8 +103,8 @@ def _joint_state(
     efforts: ArrayLike,
 ) -> Any:
     return types.make(
-        interfaces.JOINT_STATE,
-        header=header(types, stamp_ns, interfaces.RIG_FRAME),
+        graph.JOINT_STATE,
+        header=header(types, stamp_ns, graph.RIG_FRAME),
         name=list(names),
         position=types.floats(positions),
         velocity=types.floats(velocities),

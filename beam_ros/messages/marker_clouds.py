@@ -1,4 +1,4 @@
-"""The markers in one frame: `beam/markers`."""
+"""The markers in one frame: ``beam/markers``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beam_ros import interfaces
+from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import header, stamp_ns
@@ -21,7 +21,7 @@ MARKER_DTYPE = np.dtype(
         "itemsize": 56,
     }
 )
-"""A row of `beam/markers`: x, y, z [m] in `rig`, u, v [px], displacement and its deviation [m], id, valid."""
+"""A row of ``beam/markers``: x, y, z [m] in ``rig``, u, v [px], displacement and its deviation [m], id, valid."""
 
 _POINT_FIELD_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 _POINT_FIELD_TYPES = {code: kind for kind, code in _POINT_FIELD_CODES.items()}
@@ -29,14 +29,14 @@ _POINT_FIELD_TYPES = {code: kind for kind, code in _POINT_FIELD_CODES.items()}
 
 @dataclass(frozen=True)
 class MarkerCloud:
-    """What `beam/markers` says: the frame's stamp [ns, UNIX] and a row of `MARKER_DTYPE` per marker."""
+    """What ``beam/markers`` says: the frame's stamp [ns, UNIX] and a row of ``MARKER_DTYPE`` per marker."""
 
     stamp_ns: int
     rows: NDArray[np.void]
 
 
 def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:
-    """Build the PointCloud2 of `beam/markers` from rows of `MARKER_DTYPE`."""
+    """Build the PointCloud2 of ``beam/markers`` from rows of ``MARKER_DTYPE``."""
     fields = [
         types.make(
             "sensor_msgs/msg/PointField",
@@ -54,7 +54,7 @@ def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:
         rows[name] = cloud.rows[name]
     return types.make(
         "sensor_msgs/msg/PointCloud2",
-        header=header(types, cloud.stamp_ns, interfaces.RIG_FRAME),
+        header=header(types, cloud.stamp_ns, graph.RIG_FRAME),
         height=1,
         width=len(rows),
         fields=fields,
@@ -67,7 +67,7 @@ def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:
 
 
 def read_marker_cloud(message: Any) -> MarkerCloud:
-    """Read a message of `beam/markers` by the names of its fields, in whatever order and type they are.
+    """Read a message of ``beam/markers`` by the names of its fields, in whatever order and type they are.
 
     Raises
     ------

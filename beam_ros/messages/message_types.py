@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beam_ros.arrays import FloatArray
 from beam_ros.errors import RosMissingError
-from beam_ros.hub.contract import FloatArray
 
 
 class MessageTypes(Protocol):
@@ -24,13 +24,13 @@ class MessageTypes(Protocol):
         """Build a message of type "package/msg/Name" from all of its fields."""
 
     def floats(self, values: ArrayLike) -> Any:
-        """Hold numbers as a `float64[]` field wants them."""
+        """Hold numbers as a ``float64[]`` field wants them."""
 
     def octets(self, values: bytes) -> Any:
-        """Hold bytes as a `uint8[]` field wants them."""
+        """Hold bytes as a ``uint8[]`` field wants them."""
 
     def octet(self, value: int) -> Any:
-        """Hold one byte as a `byte` field wants it."""
+        """Hold one byte as a ``byte`` field wants it."""
 
 
 class RosTypes:

@@ -1,4 +1,4 @@
-"""Strings that carry JSON, such as `hub/sequence_state`, and texts that carry named numbers."""
+"""Strings that carry JSON, such as ``hub/sequence_state``, and texts that carry named numbers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from beam_ros import interfaces
 from beam_ros.hub.contract import SequenceReport
+from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 
@@ -18,11 +18,11 @@ _KEY_VALUES = re.compile(r"(\w+)=(-?\d+)")
 
 def json_text(types: MessageTypes, content: Mapping[str, Any]) -> Any:
     """Build a String that carries JSON; NaN and infinities, which JSON does not know, become null."""
-    return types.make(interfaces.STRING, data=json.dumps(_without_nan(content)))
+    return types.make(graph.STRING, data=json.dumps(_without_nan(content)))
 
 
 def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
-    """Build the String of `hub/sequence_state`."""
+    """Build the String of ``hub/sequence_state``."""
     content = {
         "id": report.sequence_id,
         "state": report.state,

@@ -1,4 +1,4 @@
-"""Points of a JointTrajectory for the joint `hub`, which commands and batches are made of."""
+"""Points of a JointTrajectory for the joint ``hub``, which commands and batches are made of."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ros import interfaces
-from beam_ros.hub.contract import FloatArray
+from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import DURATION, header, ros_time, time_ns
@@ -56,11 +55,11 @@ def trajectory(
         for k, offset in enumerate(offsets_ns)
     ]
     stamped = header(types, stamp_ns, frame_id)
-    joints = [interfaces.HUB_JOINT]
-    return types.make(interfaces.JOINT_TRAJECTORY, header=stamped, joint_names=joints, points=points)
+    joints = [graph.HUB_JOINT]
+    return types.make(graph.JOINT_TRAJECTORY, header=stamped, joint_names=joints, points=points)
 
 
-def point_columns(message: Any) -> tuple[dict[str, FloatArray], NDArray[np.int64]]:
+def point_columns(message: Any) -> tuple[dict[str, FloatArray], StampArray]:
     """Return the columns that a JointTrajectory of the hub carries, by name, and its times from the start [ns].
 
     Raises
@@ -68,10 +67,10 @@ def point_columns(message: Any) -> tuple[dict[str, FloatArray], NDArray[np.int64
     MessageContentError
         Another joint, no points, or points that carry different arrays.
     """
-    if list(message.joint_names) != [interfaces.HUB_JOINT] or not len(message.points):
+    if list(message.joint_names) != [graph.HUB_JOINT] or not len(message.points):
         raise MessageContentError(
             f"trajectory with {len(message.points)} points for the joints {list(message.joint_names)}: "
-            f"expected at least one point for the joint `{interfaces.HUB_JOINT}`"
+            f"expected at least one point for the joint `{graph.HUB_JOINT}`"
         )
     columns = {}
     for name in MODE_FIELDS.values():
@@ -88,7 +87,7 @@ def point_columns(message: Any) -> tuple[dict[str, FloatArray], NDArray[np.int64
 
 
 def single_column(columns: Mapping[str, FloatArray], what: str) -> tuple[str, FloatArray]:
-    """Return command mode and values of a trajectory, named `what`, that carries one array.
+    """Return command mode and values of a trajectory, named ``what``, that carries one array.
 
     Raises
     ------

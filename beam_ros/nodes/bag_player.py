@@ -1,4 +1,4 @@
-"""The node `player`: a bag back onto its topics, as the bytes that were recorded and in their old rhythm.
+"""The node ``player``: a bag back onto its topics, as the bytes that were recorded and in their old rhythm.
 
 Header stamps stay what they were. What moves an axis is left out unless it is asked for, and nothing is
 played while a live hub is on the graph, so that a replay never meets a real axis.
@@ -18,8 +18,8 @@ from rclpy.publisher import Publisher
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.replay import ReplayTopic, due_messages, replay_topics
 from beam_ros.errors import RigUnavailableError, RosMissingError, UsageError
-from beam_ros.nodes.large_messages import widen_shared_memory
-from beam_ros.nodes.shell import RigNode, qos_profile, run_node
+from beam_ros.shell.large_messages import widen_shared_memory
+from beam_ros.shell.node import RigNode, qos_profile, run_node
 
 _DISCOVERY_S = 3.5
 """Time for the graph and the player to find each other before the first message [s].

@@ -1,4 +1,4 @@
-"""The node `recorder`: every topic of the rig into one bag, as the bytes that were on the wire.
+"""The node ``recorder``: every topic of the rig into one bag, as the bytes that were on the wire.
 
 Subscriptions are raw, so that nothing is decoded, and take the quality of service that the publishers offer.
 They exist only while a recording runs.
@@ -12,11 +12,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.recording import LossCounter, Recording
-from beam_ros.nodes.matched_subscription import MatchedSubscription
-from beam_ros.nodes.shell import FAULT_OF_THE_USER, RigNode, run_node
+from beam_ros.interfaces import graph
+from beam_ros.shell.matched_subscription import MatchedSubscription
+from beam_ros.shell.node import FAULT_OF_THE_USER, RigNode, run_node
 
 _DEPTH = 1000
 
@@ -27,7 +28,7 @@ class TopicTap:
     Parameters
     ----------
     node : RigNode -- owns the subscription
-    topic : interfaces.Topic -- row of the table
+    topic : graph.Topic -- row of the table
     recording : Recording -- takes the messages
 
     Attributes
@@ -37,7 +38,7 @@ class TopicTap:
     losses : LossCounter
     """
 
-    def __init__(self, node: RigNode, topic: interfaces.Topic, recording: Recording) -> None:
+    def __init__(self, node: RigNode, topic: graph.Topic, recording: Recording) -> None:
         self.losses = LossCounter()
         self._topic = topic
         self._recording = recording
@@ -97,9 +98,7 @@ class BagRecorder(RigNode):
         path = Path(str(self.rig["recorder.path"]) or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
         self._recording = Recording(path)
         with_images = bool(self.rig["recorder.images"])
-        topics = [
-            t for t in interfaces.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing
-        ]
+        topics = [t for t in graph.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing]
         self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
         self.get_logger().info(f"recording to {path}")
 
@@ -177,7 +176,7 @@ class BagRecorder(RigNode):
         return ("WARN" if state["lost"] else "OK"), sentence, counters
 
     def close(self) -> None:
-        """Finish the bag that is being written; a failure stays in `failure`."""
+        """Finish the bag that is being written; a failure stays in ``failure``."""
         if self._recording is not None:
             with contextlib.suppress(BagError):
                 self._stop()

@@ -1,4 +1,4 @@
-"""The node `excitation`: samples the rig's excitation, checks it, and hands it to the hub whole."""
+"""The node ``excitation``: samples the rig's excitation, checks it, and hands it to the hub whole."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
 from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
-from beam_ros.excitation_plan import ExcitationPlan, plan_excitation
+from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
 from beam_ros.hub.sequences import MAX_CHUNK_POINTS
+from beam_ros.interfaces import graph
 from beam_ros.messages import MessageContentError
-from beam_ros.nodes.shell import RigNode, run_node
+from beam_ros.shell.node import RigNode, run_node
 
 _CHUNKS_PER_TICK = 4
 _TICK_S = 0.02
@@ -42,7 +43,7 @@ class ExcitationGenerator(RigNode):
         self.serve("excitation/start", self._on_start, callback_group=group)
         self.serve("excitation/stop", self._on_stop, callback_group=group)
         self._hub_stop = self.create_client(
-            self.types.service_class(interfaces.TRIGGER), "hub/stop", callback_group=group
+            self.types.service_class(graph.TRIGGER), "hub/stop", callback_group=group
         )
         self.create_timer(_TICK_S, self._send)
         self._plan = plan_excitation(self.rig)

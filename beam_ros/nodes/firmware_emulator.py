@@ -1,4 +1,4 @@
-"""The node `firmware_emulator`: a motion controller on a pseudo-terminal, with the beam that it moves.
+"""The node ``firmware_emulator``: a motion controller on a pseudo-terminal, with the beam that it moves.
 
 Hub data leaves it over the serial line alone; on the graph it is only the camera that films its beam.
 """
@@ -9,11 +9,11 @@ import os
 from pathlib import Path
 
 from beam_ros.errors import RigUnavailableError
-from beam_ros.hub.emulator import EmulatedController
-from beam_ros.hub.plant import beam_on_axis
-from beam_ros.nodes.camera import CameraOutput
-from beam_ros.nodes.large_messages import widen_shared_memory
-from beam_ros.nodes.shell import RigNode, run_node
+from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.simulated.plant import beam_on_axis
+from beam_ros.shell.camera_topics import CameraOutput
+from beam_ros.shell.large_messages import widen_shared_memory
+from beam_ros.shell.node import RigNode, run_node
 
 _FILM_S = 0.005
 

@@ -1,4 +1,4 @@
-"""The node `hub` with hardware: the motion controller behind a serial port."""
+"""The node ``hub`` with hardware: the motion controller behind a serial port."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import rclpy
 
-from beam_ros.excitation_plan import tip_guard
+from beam_ros.excitation.plan import tip_guard
 from beam_ros.hub.contract import Hub
-from beam_ros.hub.driver import DriverHub
-from beam_ros.nodes.hub import HubNode
-from beam_ros.nodes.shell import run_node
-from beam_ros.rig import Rig
+from beam_ros.hub.line.driver import DriverHub
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.hub_topics import HubNode
+from beam_ros.shell.node import run_node
 
 _LOOK_AGAIN_S = 0.05
 

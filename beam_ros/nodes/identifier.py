@@ -1,4 +1,4 @@
-"""The node `identifier`: a model from the bag of its parameter, published as JSON.
+"""The node ``identifier``: a model from the bag of its parameter, published as JSON.
 
 The fit takes seconds, so it runs in a thread of its own; the executor keeps answering meanwhile.
 """
@@ -11,8 +11,8 @@ from typing import Any
 
 from beam_ros import messages
 from beam_ros.errors import faults_of_the_user
-from beam_ros.identification import identify_bag
-from beam_ros.nodes.shell import RigNode, run_node
+from beam_ros.offline.identification import identify_bag
+from beam_ros.shell.node import RigNode, run_node
 
 _COLLECT_S = 0.1
 

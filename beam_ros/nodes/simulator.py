@@ -1,4 +1,4 @@
-"""The node `hub` without hardware: the Galerkin model of the beam, integrated in real time and filmed."""
+"""The node ``hub`` without hardware: the Galerkin model of the beam, integrated in real time and filmed."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
 from beam_ros import messages
-from beam_ros.excitation_plan import tip_guard
-from beam_ros.hub.axis import VirtualAxis
+from beam_ros.excitation.plan import tip_guard
 from beam_ros.hub.contract import Hub, HubReport
-from beam_ros.hub.plant import beam_on_axis
-from beam_ros.hub.simulated_hub import SimulatedHub
-from beam_ros.nodes.camera import CameraOutput
-from beam_ros.nodes.hub import HubNode
-from beam_ros.nodes.large_messages import widen_shared_memory
-from beam_ros.nodes.shell import run_node
-from beam_ros.rig import Rig
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.plant import beam_on_axis
+from beam_ros.hub.simulated.simulated_hub import SimulatedHub
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.camera_topics import CameraOutput
+from beam_ros.shell.hub_topics import HubNode
+from beam_ros.shell.large_messages import widen_shared_memory
+from beam_ros.shell.node import run_node
 
 
 class Simulator(HubNode):

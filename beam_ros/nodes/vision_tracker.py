@@ -1,4 +1,4 @@
-"""The node `tracker`: frames in, sub-pixel displacements of the markers out."""
+"""The node ``tracker``: frames in, sub-pixel displacements of the markers out."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from typing import Any
 import numpy as np
 
 from beam_ros import messages
-from beam_ros.beam_line import BeamLineFitter, line_marker
-from beam_ros.measured_frames import displacement_messages, markers_message
+from beam_ros.arrays import ImageArray
+from beam_ros.measurements.beam_line import BeamLineFitter, line_marker
+from beam_ros.measurements.frames import displacement_messages, markers_message
 from beam_ros.messages import MessageContentError
-from beam_ros.nodes.frame_averaging import FrameAveraging
-from beam_ros.nodes.frame_sources import frame_source
-from beam_ros.nodes.large_messages import keep_freed_memory, widen_shared_memory
-from beam_ros.nodes.shell import RigNode, run_node
-from beam_ros.vision.calibration import LinearCalibration
-from beam_ros.vision.calibration_procedure import CalibrationProcedure
-from beam_ros.vision.diagnosis import Diagnosis
+from beam_ros.shell.frame_averaging import FrameAveraging
+from beam_ros.shell.frame_sources import frame_source
+from beam_ros.shell.large_messages import keep_freed_memory, widen_shared_memory
+from beam_ros.shell.node import RigNode, run_node
+from beam_ros.vision.calibration.lens import Lens, lens_to_dict
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.calibration.procedure import CalibrationProcedure
+from beam_ros.vision.calibration.storage import load_calibration, save_calibration
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
-from beam_ros.vision.images import GreyImage
-from beam_ros.vision.lens import Lens, lens_to_dict
-from beam_ros.vision.measuring_chain import Measurement, MeasuringChain
-from beam_ros.vision.overlay import draw_overlay
-from beam_ros.vision.storage import load_calibration, save_calibration
+from beam_ros.vision.measurement.diagnosis import Diagnosis
+from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringChain
+from beam_ros.vision.measurement.overlay import draw_overlay
 
 _HUB_IS_SILENT_S = 1.0
 _LOG_AGAIN_S = 5.0
@@ -88,7 +88,7 @@ class VisionTracker(RigNode):
 
     # -- frames, from whichever source ---------------------------------------------------------------------
 
-    def take_frame(self, stamp_ns: int, image: GreyImage) -> None:
+    def take_frame(self, stamp_ns: int, image: ImageArray) -> None:
         """Measure a frame and publish what was found."""
         self._diagnosis.frame_arrived()
         if not self._chain.admit(stamp_ns):
@@ -143,7 +143,7 @@ class VisionTracker(RigNode):
             )
         )
 
-    def _draw(self, measurement: Measurement, image: GreyImage) -> None:
+    def _draw(self, measurement: Measurement, image: ImageArray) -> None:
         """Publish what people look at, not more often than they see, and only while they do."""
         now = time.monotonic()
         if now - self._drawn < 1.0 / self.rig.number("tracker.drawing_rate"):

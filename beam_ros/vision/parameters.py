@@ -5,7 +5,7 @@ rows, and *integer coordinates lie at pixel centres*: the centre of the image's 
 outer corner (-0.5, -0.5). A position of 320.25 is a quarter of a pixel to the right of the centre of
 column 320. The beam stands upright in the image:
 
-    u = u0 + s x pixels_per_metre        s = +1, or -1 where `flip` says that the camera looks from behind
+    u = u0 + s x pixels_per_metre        s = +1, or -1 where ``flip`` says that the camera looks from behind
     v = v0 - z pixels_per_metre          z along the beam from the clamp, so that the tip is at the top
 """
 
@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from beam_ros.arrays import FloatArray
 from beam_ros.vision.errors import VisionParameterError
 
 StampMeaning = Literal["start", "mid", "end", "arrival"]
@@ -76,7 +77,7 @@ class CameraParameters:
     blur_px : float -- standard deviation of the lens's Gaussian blur [px]
     noise_grey : float -- standard deviation of the white noise of a pixel [grey levels of 255]
     stamp : "start", "mid", "end", "arrival" -- which instant of the exposure the image's stamp means; see
-        `beam_ros.vision.timing`
+        ``vision.timing``
     latency_s : float -- how much later the stamp is than that instant [s]
     """
 
@@ -166,10 +167,10 @@ class CameraParameters:
 
     @property
     def direction(self) -> int:
-        """Sign of du/dx: +1, or -1 with `flip`."""
+        """Sign of du/dx: +1, or -1 with ``flip``."""
         return -1 if self.flip else 1
 
-    def columns(self, x: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def columns(self, x: npt.ArrayLike) -> FloatArray:
         """Image columns u of positions along x.
 
         Parameters
@@ -183,7 +184,7 @@ class CameraParameters:
         scale = self.direction * self.pixels_per_metre
         return np.asarray(self.origin_px[0] + scale * np.asarray(x, dtype=np.float64))
 
-    def rows(self, heights: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def rows(self, heights: npt.ArrayLike) -> FloatArray:
         """Image rows v of heights above the clamp.
 
         Parameters
@@ -215,7 +216,7 @@ class TrackerParameters:
         beam moves along u
     max_smear_px : float -- longest motion within an exposure that still counts as a marker's image [px]; a
         marker that moves by more than its diameter has no plateau left and is not recognised
-    diameter_tolerance : float -- relative tolerance of the diameter against `marker_diameter_px` when
+    diameter_tolerance : float -- relative tolerance of the diameter against ``marker_diameter_px`` when
         markers are acquired
     area_tolerance : float -- relative tolerance of the area against the marker's own at acquisition, beside
         five standard deviations of the image noise

@@ -8,7 +8,7 @@ and d(v) = readout v / (height - 1). What a stamp means is a parameter of the ca
     end       t0 + readout + T                   the last row closes
     arrival   t0 + readout + T                   the same, when the host stamps on receipt
 
-each of them `latency_s` earlier than the stamp. What is measured in a row is the mean over that row's
+each of them ``latency_s`` earlier than the stamp. What is measured in a row is the mean over that row's
 exposure; its time is the middle of that exposure.
 """
 
@@ -20,13 +20,14 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.vision.parameters import CameraParameters
 
 _NS = 1_000_000_000
 
 
 @lru_cache(maxsize=8)
-def _quadrature(count: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _quadrature(count: int) -> tuple[FloatArray, FloatArray]:
     """Gauss-Legendre nodes in [-1/2, 1/2] and their weights, which sum to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return nodes / 2.0, weights / 2.0
@@ -49,7 +50,7 @@ class FrameTiming:
         return round(((camera.readout_s + camera.exposure_s) * share + camera.latency_s) * _NS)
 
     def stamp(self, start_ns: int) -> int:
-        """Stamp of the frame whose first row's exposure begins at `start_ns` [ns]."""
+        """Stamp of the frame whose first row's exposure begins at ``start_ns`` [ns]."""
         return int(start_ns) + self._stamp_after_start_ns()
 
     def start(self, stamp_ns: int) -> int:
@@ -77,13 +78,11 @@ class FrameTiming:
         delay = camera.readout_s * row_px / (camera.height - 1) + camera.exposure_s / 2
         return self.start(stamp_ns) + round(delay * _NS)
 
-    def exposure_instants(
-        self, stamp_ns: int, marker_heights: npt.ArrayLike, count: int = 6
-    ) -> npt.NDArray[np.int64]:
+    def exposure_instants(self, stamp_ns: int, marker_heights: npt.ArrayLike, count: int = 6) -> StampArray:
         """Instants at which positions are needed to render a frame.
 
         The instants are the Gauss-Legendre nodes of each marker's exposure: the weighted mean over six of
-        them (`exposure_weights`) is the mean over the exposure to 1e-9 at 80 Hz and 10 ms.
+        them (``exposure_weights``) is the mean over the exposure to 1e-9 at 80 Hz and 10 ms.
 
         Parameters
         ----------
@@ -107,6 +106,6 @@ class FrameTiming:
         return np.asarray(middles[np.newaxis, :] + offsets[:, np.newaxis])
 
 
-def exposure_weights(count: int = 6) -> npt.NDArray[np.float64]:
-    """Weights of `FrameTiming.exposure_instants` for the mean over the exposure, shape (count,), sum 1."""
+def exposure_weights(count: int = 6) -> FloatArray:
+    """Weights of ``FrameTiming.exposure_instants`` for the mean over the exposure, shape (count,), sum 1."""
     return np.array(_quadrature(count)[1])

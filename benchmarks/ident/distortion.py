@@ -17,7 +17,7 @@ from beam_ident import (
     periodic_response,
 )
 from beam_model import BeamModel, BeamParameters, Damping
-from beam_model.nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
+from beam_model.dynamics.nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
 from benchmarks.ident.study import Outcome, Study
 
 LINE_PERIOD_S, N_PERIODS, LEAD = 10.0, 6, 12

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from beam_ident import identify
-from beam_ros.identification import load_experiment
-from beam_ros.rig import Rig
-from beam_ros.simulation import simulate
+from beam_ros.offline.identification import load_experiment
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.rig import Rig
 from benchmarks.ident.study import Outcome, Study
 
 N_MODES = 3

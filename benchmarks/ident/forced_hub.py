@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
 from beam_model import AxisStepper, BeamModel, BeamParameters, Damping, PositionServo
-from beam_model.stepping import ForceStepper, discretise
+from beam_model.galerkin.stepping import ForceStepper, discretise
 from benchmarks.ident.rig import flat
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
 

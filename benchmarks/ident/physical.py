@@ -10,7 +10,7 @@ import numpy as np
 
 from beam_ident import LogChirp, identify
 from beam_model import Damping
-from beam_model.physical_fit import ModalMeasurement, fit_beam
+from beam_model.fitting.physical_fit import ModalMeasurement, fit_beam
 from benchmarks.ident.rig import Rig
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 

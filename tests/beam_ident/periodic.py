@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from beam_ident import InputSignal, ModalModel, OutputSignal, TimeRecord
-from beam_ident.transfer_function import TransferFunctionModel
+from beam_ident.transfer_function.model import TransferFunctionModel
 
 LINE_PERIOD_S = 10.0
 TICK_S = 0.01

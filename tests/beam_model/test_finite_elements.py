@@ -8,8 +8,7 @@ from scipy.linalg import eigh
 
 from beam_model import BeamModel, BeamParameters, PointMass
 from beam_model.parameters import STANDARD_GRAVITY
-
-from .rigs import strip
+from tests.beam_model.rigs import strip
 
 skfem = pytest.importorskip("skfem", reason="scikit-fem, a test dependency, is not installed")
 

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from beam_model import BeamModel, BeamModelError, BeamParameterError, BeamParameters, Damping, PointMass
-
-from .rigs import STRIP, strip
+from tests.beam_model.rigs import STRIP, strip
 
 
 def test_section_gives_rigidity_and_mass_of_the_strip() -> None:

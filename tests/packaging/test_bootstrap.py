@@ -55,7 +55,7 @@ def clone(tmp_path: Path) -> Path:
         "setup.py",
         "pyproject.toml",
         "beam_ros/__init__.py",
-        "beam_ros/environment.py",
+        "beam_ros/process/environment.py",
     ):
         shutil.copy(ROOT / name, root / name)
     return root

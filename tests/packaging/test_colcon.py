@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.environment import child_environment
-from beam_ros.executables import MODULES
+from beam_ros.process.environment import child_environment
+from beam_ros.process.executables import MODULES
 from tests.packaging.conftest import copy_tree
 from tests.real_processes import MARK, marked_processes
 

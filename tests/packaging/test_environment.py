@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros import environment
-from beam_ros.executables import command
+from beam_ros.process import environment
+from beam_ros.process.executables import command
 from tests.real_processes import Executables
 
 SITE = Path("lib") / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
@@ -98,7 +98,7 @@ def test_children_drop_the_wheels_guard_when_their_libraries_are_not_in_reach(
 @pytest.mark.ros
 def test_a_process_whose_variables_come_back_refuses_instead_of_looping() -> None:
     code = (
-        "import os; from beam_ros import environment\n"
+        "import os; from beam_ros.process import environment\n"
         "os.environ[environment.RESTART_GUARD] = str(os.getpid())\n"
         "os.environ['PYTHONPATH'] = '/opt/ros/jazzy/lib'\n"
         "environment.enter()\n"
@@ -154,7 +154,7 @@ def test_a_missing_ros_is_one_line_with_its_remedy() -> None:
     """An interpreter that cannot import rclpy stands for a machine without ROS 2."""
     code = (
         "import sys; sys.modules['rclpy'] = None\n"
-        "from beam_ros.executables import simulator; sys.exit(simulator())"
+        "from beam_ros.process.executables import simulator; sys.exit(simulator())"
     )
     ended = subprocess.run(
         [sys.executable, "-c", code],
@@ -179,7 +179,7 @@ def test_an_interruption_while_modules_load_ends_at_once_without_a_traceback(
 ) -> None:
     code = (
         "import os, sys\n"
-        "from beam_ros.executables import MODULES, run_executable\n"
+        "from beam_ros.process.executables import MODULES, run_executable\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == MODULES['{executable}']: os.kill(os.getpid(), {int(number)})\n"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from beam_ros.cli.main import VERBS
-from beam_ros.environment import child_environment
+from beam_ros.process.environment import child_environment
 
 CORE_ONLY = """
 import sys
@@ -28,7 +28,7 @@ sys.meta_path.insert(0, Blocker())
 """
 
 RUN = """
-from beam_ros.executables import run_executable
+from beam_ros.process.executables import run_executable
 sys.exit(run_executable(sys.argv[1], sys.argv[2:]))
 """
 

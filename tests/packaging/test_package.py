@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from beam_ros.executables import MODULES
-from beam_ros.interfaces import NODES, RigKind, nodes_of_rig
+from beam_ros.interfaces.graph import NODES, RigKind, nodes_of_rig
+from beam_ros.process.executables import MODULES
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("beam_ros", "beam_model", "beam_ident")
@@ -97,7 +97,7 @@ def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_argume
 def test_every_node_of_the_table_has_an_executable(setup_arguments: dict[str, Any]) -> None:
     scripts = dict(line.split(" = ") for line in setup_arguments["entry_points"]["console_scripts"])
     assert set(scripts) == set(MODULES) == {"beam", *NODES}
-    assert scripts == {name: f"beam_ros.executables:{name}" for name in scripts}
+    assert scripts == {name: f"beam_ros.process.executables:{name}" for name in scripts}
 
 
 def test_every_module_is_found_by_setuptools_and_typed(setup_arguments: dict[str, Any]) -> None:

@@ -38,7 +38,7 @@ def test_every_recipe_stands_in_the_table() -> None:
 
 
 def test_every_parameter_of_the_rig_stands_on_the_page() -> None:
-    schema = pytest.importorskip("beam_ros.schema")
+    schema = pytest.importorskip("beam_ros.interfaces.schema")
     text = PAGE.read_text(encoding="utf-8")
     names = [name.split(".")[1] for name in schema.RIG_PARAMETERS if name.startswith("excitation.")]
     assert [name for name in names if f"`{name}`" not in text and f".{name}" not in text] == ["start_delay"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beam_ident.frequency_record import FrequencyRecord
+from beam_ident.data.frequency_record import FrequencyRecord
 
 FREQUENCIES_HZ = np.array([50.00134, 148.1459, 235.1298, 296.3074, 348.0209])
 DAMPING = np.array([0.016783, 0.050974, 0.072025, 0.079588, 0.069204])

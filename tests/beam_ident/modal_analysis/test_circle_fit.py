@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError
-from beam_ident.frequency_record import FrequencyRecord
+from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.modal_analysis import circle_fit
 from tests.beam_ident.modal_analysis.chain import DAMPING, FREQUENCIES_HZ, noisy_record, residues
 

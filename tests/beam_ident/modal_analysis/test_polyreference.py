@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError
-from beam_ident.frequency_record import FrequencyRecord
+from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.modal_analysis import polyreference_poles
 from beam_ident.modal_analysis.polyreference import residues_at
 from tests.beam_ident.modal_analysis.chain import DAMPING, LINES, OMEGAS, SHAPES, noisy_record, residues

@@ -10,12 +10,12 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.errors import BagTruncatedError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.recovery import recover
-from beam_ros.interfaces import QualityOfService
+from beam_ros.interfaces.graph import JOINT_STATE, QualityOfService
 from beam_ros.messages import BagTypes
 from tests.beam_ros.bags.small_bags import BATCH, PERIOD, START, batch
 
@@ -131,7 +131,7 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
         # What rclpy itself serialised, with empty arrays, reads back exactly.
         types = BagTypes()
         last = [m.data for m in bag.raw_messages("hub/state")][-1]
-        read = messages.read_hub_state(types.deserialize(last, interfaces.JOINT_STATE))
+        read = messages.read_hub_state(types.deserialize(last, JOINT_STATE))
     assert (read.stamp_ns, read.position) == (START + first + 19, 0.001 * (first + 19))
     assert recorder.states[-1]["lost"] == 0
 

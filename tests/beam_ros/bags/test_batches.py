@@ -15,7 +15,7 @@ from beam_ros.bags import batches
 from beam_ros.bags.batches import decode_batch, decode_chunk, encode_batch, encode_chunk
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.hub.contract import SampleBatch, SequenceChunk
-from beam_ros.interfaces import JOINT_TRAJECTORY
+from beam_ros.interfaces.graph import JOINT_TRAJECTORY
 from beam_ros.messages import BATCH_FIELDS, BagTypes, RosTypes
 
 STAMP = 1_700_000_000_999_999_999

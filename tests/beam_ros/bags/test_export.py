@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
 from beam_ros.bags.errors import BagExistsError, MissingTopicsError
 from beam_ros.bags.export import export_csv, export_flat_bag
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
+from beam_ros.interfaces import graph
 from tests.beam_ros.bags.small_bags import START, TYPES, write_experiment
 
 
@@ -47,7 +48,7 @@ def test_flat_bag_has_a_message_for_each_sample_with_its_stamp_as_receive_time(e
     assert count == 1000 + 1000 + 100 + 1 + 3 + 5
     measured = []
     with Reader(tmp_path / "flat") as reader:
-        assert {c.topic: c.msgtype for c in reader.connections}["/rig1/hub/applied"] == interfaces.JOINT_STATE
+        assert {c.topic: c.msgtype for c in reader.connections}["/rig1/hub/applied"] == graph.JOINT_STATE
         for connection, receive_ns, data in reader.messages():
             if connection.topic == "/rig1/hub/measured":
                 message = TYPES.deserialize(data, connection.msgtype)

@@ -13,15 +13,15 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.stream_reader import StreamReader
 
-from beam_ros import interfaces
 from beam_ros.bags import recording as recording_module
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.recording import LossCounter, Recording
 from beam_ros.bags.recovery import recover
+from beam_ros.interfaces import graph
 from tests.beam_ros.bags.small_bags import BATCH, START, batch
 
-TOPIC = interfaces.TOPICS["hub/measured"]
+TOPIC = graph.TOPICS["hub/measured"]
 
 
 def _announce(recording):

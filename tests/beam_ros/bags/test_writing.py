@@ -19,11 +19,11 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
-from beam_ros import interfaces
 from beam_ros.bags.batches import decode_batch
 from beam_ros.bags.errors import BagError, BagExistsError
 from beam_ros.bags.recording_mark import MARK_NAME, is_being_written, is_marked
 from beam_ros.bags.writing import BagWriter
+from beam_ros.interfaces import graph
 from beam_ros.messages import BagTypes
 from tests.beam_ros.bags.small_bags import START, TYPES, batch, write_experiment
 
@@ -111,7 +111,7 @@ def test_the_file_carries_the_same_metadata_and_definitions(tmp_path):
     assert YAML(typ="safe").load(record.metadata["serialized_metadata"]) == outer
     for channel in summary.channels.values():
         schema = summary.schemas[channel.schema_id]
-        topic = interfaces.TOPICS[channel.topic.lstrip("/")]
+        topic = graph.TOPICS[channel.topic.lstrip("/")]
         assert (schema.name, schema.encoding, channel.message_encoding) == (
             topic.type_name,
             "ros2msg",
@@ -129,7 +129,7 @@ def test_type_hashes_in_the_metadata_are_rosbags_own(tmp_path):
 
 
 def test_same_bytes_in_as_out(tmp_path):
-    data = BagTypes().serialize(TYPES.make(interfaces.STRING, data="x" * 1000), interfaces.STRING)
+    data = BagTypes().serialize(TYPES.make(graph.STRING, data="x" * 1000), graph.STRING)
     with BagWriter(tmp_path / "run") as bag:
         bag.write("recorder/state", START + 5, data, publish_ns=START + 3)
     with (tmp_path / "run" / "run_0.mcap").open("rb") as stream:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.environment import child_environment
-from beam_ros.executables import command
+from beam_ros.process.environment import child_environment
+from beam_ros.process.executables import command
 
 
 def beam(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

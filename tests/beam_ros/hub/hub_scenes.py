@@ -10,21 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from beam_ros.hub import (
-    HostTime,
-    Hub,
-    HubParameters,
-    HubReport,
-    Outcome,
-    RigidPlant,
-    SequenceChunk,
-    SimulatedHub,
-    VirtualAxis,
-)
-from beam_ros.hub.client import HubClient
-from beam_ros.hub.contract import RequestKind
-from beam_ros.hub.driver import DriverHub
-from beam_ros.hub.emulator import EmulatedController, FirmwareEmulator
+from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
+from beam_ros.hub.emulated.emulator import EmulatedController, FirmwareEmulator
+from beam_ros.hub.line.client import HubClient
+from beam_ros.hub.line.driver import DriverHub
+from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.plant import RigidPlant
+from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 
 UNIX_START = 1_700_000_000_000_000_000
 STEADY_START = 5_000_000_000

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub import ClockSync
 from beam_ros.hub.clock_mapping import ClockMapping, fit_affine
+from beam_ros.hub.contract import ClockSync
 
 HOST_START = 8_000_000_000_000
 DEVICE_START = 123_456_789_000

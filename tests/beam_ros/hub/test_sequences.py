@@ -4,12 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hub_scenes import UNIX_START as NOW
-from hub_scenes import chunks_of, rest_to_rest
 
-from beam_ros.hub import HubParameters, format_chunk_name, parse_chunk_name
 from beam_ros.hub.errors import HubProtocolError
-from beam_ros.hub.sequences import CommandGate, check_sequence, expand_to_ticks
+from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.sequences import (
+    CommandGate,
+    check_sequence,
+    expand_to_ticks,
+    format_chunk_name,
+    parse_chunk_name,
+)
+from tests.beam_ros.hub.hub_scenes import UNIX_START as NOW
+from tests.beam_ros.hub.hub_scenes import chunks_of, rest_to_rest
 
 ACCELERATION = HubParameters()
 VELOCITY = HubParameters(command_mode="velocity")

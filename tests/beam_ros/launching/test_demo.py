@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from beam_ros.errors import RigUnavailableError
-from beam_ros.interfaces import TOPICS
+from beam_ros.interfaces.graph import TOPICS
 from beam_ros.launching.processes import NodeGroup, PrivateDomain, stay_on_this_machine
 
 pytestmark = pytest.mark.ros

@@ -9,10 +9,11 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 
-from beam_ros import interfaces, messages
-from beam_ros.nodes.shell import qos_profile
-from beam_ros.rig import Rig
-from beam_ros.vision.rendering import SceneRenderer
+from beam_ros import messages
+from beam_ros.interfaces import graph
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.node import qos_profile
+from beam_ros.vision.rendering.frames import SceneRenderer
 
 
 def main(topic: str) -> None:
@@ -24,7 +25,7 @@ def main(topic: str) -> None:
     rclpy.init(args=[])
     node = Node("foreign_camera")
     types = messages.RosTypes()
-    qos = interfaces.QualityOfService(5, is_reliable=False, is_latched=True)
+    qos = graph.QualityOfService(5, is_reliable=False, is_latched=True)
     publisher = node.create_publisher(types.message_class("sensor_msgs/msg/Image"), topic, qos_profile(qos))
     while True:
         publisher.publish(messages.image(types, time.time_ns(), pixels))

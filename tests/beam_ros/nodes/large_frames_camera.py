@@ -10,9 +10,10 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 
-from beam_ros import interfaces, messages
-from beam_ros.nodes.large_messages import widen_shared_memory
-from beam_ros.nodes.shell import qos_profile
+from beam_ros import messages
+from beam_ros.interfaces import graph
+from beam_ros.shell.large_messages import widen_shared_memory
+from beam_ros.shell.node import qos_profile
 
 
 def main(topic: str, count: int) -> None:
@@ -21,7 +22,7 @@ def main(topic: str, count: int) -> None:
     rclpy.init(args=[])
     node = Node("large_frames_camera")
     types = messages.RosTypes()
-    qos = interfaces.QualityOfService(count, is_reliable=False)
+    qos = graph.QualityOfService(count, is_reliable=False)
     publisher = node.create_publisher(types.message_class("sensor_msgs/msg/Image"), topic, qos_profile(qos))
     while publisher.get_subscription_count() == 0:
         time.sleep(0.02)

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from beam_ros.interfaces import NODES
-from beam_ros.rig import Rig
-from beam_ros.simulation import simulate
+from beam_ros.interfaces.graph import NODES
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.rig import Rig
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")

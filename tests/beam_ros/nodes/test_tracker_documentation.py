@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from beam_ros.interfaces import NODES, TOPICS
-from beam_ros.schema import RIG_PARAMETERS
+from beam_ros.interfaces.graph import NODES, TOPICS
+from beam_ros.interfaces.schema import RIG_PARAMETERS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "tracker-node.md").read_text(encoding="utf-8")
 WORDS = set(re.findall(r"`([a-z_]+[./][a-z_]+)`", PAGE))

@@ -19,17 +19,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beam_ros import interfaces, messages
-from beam_ros.environment import child_environment
+from beam_ros import messages
+from beam_ros.process.environment import child_environment
 
 pytest.importorskip("rclpy")
 pytest.importorskip("cv2")
 
 import cv2
 
-from beam_ros.vision.calibration import LinearCalibration
-from beam_ros.vision.lens import Lens
-from beam_ros.vision.storage import load_calibration, save_calibration
+from beam_ros.vision.calibration.lens import Lens
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.calibration.storage import load_calibration, save_calibration
 from tests.beam_ros.nodes.tracker_scene import TrackerScene
 from tests.graph import Graph
 from tests.real_processes import Executables
@@ -248,14 +248,14 @@ def test_a_camera_that_comes_back_with_another_quality_of_service_is_heard(scene
 
 
 def test_the_lens_of_camera_info_is_undone(scene) -> None:
-    from beam_ros.vision.rendering import SceneRenderer
+    from beam_ros.vision.rendering.frames import SceneRenderer
 
     graph = scene.graph
     info = messages.camera_info(graph.types, scene.stamp(), 640, 480)
     info.k = np.array([900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1])
     info.d = graph.types.floats(LENS.distortion)
     # As calibrated cameras often do: said once, before anybody listens.
-    latched = interfaces.QualityOfService(1, is_latched=True)
+    latched = graph.QualityOfService(1, is_latched=True)
     publisher = graph.publisher("camera/camera_info", latched, "/changing")
     publisher.publish(info)
     graph.wait(lambda: publisher.get_subscription_count() > 0, "camera_info's listener")
@@ -329,7 +329,7 @@ def test_a_hub_state_that_cannot_be_read_is_left_out(scene) -> None:
 
 def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviations(scene) -> None:
     """Positions of the hub, a camera that is really at 1480 px/m: the fit finds it, tare sets the zero."""
-    from beam_ros.vision.rendering import SceneRenderer
+    from beam_ros.vision.rendering.frames import SceneRenderer
 
     graph = scene.graph
     rig = scene.rig.with_values({"camera.pixels_per_metre": 1480.0, "markers.diameter": 0.012 / 1.48})

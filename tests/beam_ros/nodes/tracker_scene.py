@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from beam_ros import interfaces, messages
+from beam_ros import messages
+from beam_ros.interfaces import graph
 from beam_ros.messages import Displacement, Health, MarkerCloud
-from beam_ros.rig import Rig
+from beam_ros.rig.rig import Rig
 from tests.graph import Graph
 from tests.real_processes import Executables
 
 PERIOD_NS = 10_000_000
-RELIABLE = interfaces.QualityOfService(30)
+RELIABLE = graph.QualityOfService(30)
 
 
 class Seen:
@@ -51,7 +52,7 @@ class TrackerScene:
     """Trackers in namespaces and the test's camera."""
 
     def __init__(self, graph: Graph, executables: Executables, folder: Path) -> None:
-        from beam_ros.vision.rendering import SceneRenderer
+        from beam_ros.vision.rendering.frames import SceneRenderer
 
         self.graph = graph
         self.folder = folder
@@ -78,7 +79,7 @@ class TrackerScene:
         )
         self.seen[namespace] = Seen(self.graph, f"/{namespace}")
 
-    def camera(self, namespace: str, qos: interfaces.QualityOfService = RELIABLE) -> Any:
+    def camera(self, namespace: str, qos: graph.QualityOfService = RELIABLE) -> Any:
         """Make the camera of a namespace, matched with its tracker."""
         if namespace not in self._cameras:
             publisher = self.graph.publisher("camera/image_raw", qos, f"/{namespace}")

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from beam_ros.vision import CameraParameters, TrackerParameters, VisionParameterError
+from beam_ros.vision.errors import VisionParameterError
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
 def test_image_axes_follow_the_written_convention():

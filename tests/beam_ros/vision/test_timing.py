@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision import CameraParameters, FrameTiming, exposure_weights
+from beam_ros.vision.parameters import CameraParameters
+from beam_ros.vision.timing import FrameTiming, exposure_weights
 
 START = 1_700_000_000_000_000_000
 

@@ -1,0 +1,187 @@
+"""What every estimator asks of its arguments before it begins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.errors import EstimationError
+
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # of the largest value: less is no movement
+_SMALLEST = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
+
+
+def require_record(record: object) -> None:
+    """Raise EstimationError for anything but one time record."""
+    if not isinstance(record, TimeRecord):
+        raise EstimationError(f"record is a {type(record).__name__}; expected one TimeRecord")
+
+
+def require_records(record: object, may_lack_outputs: bool = False) -> list[TimeRecord]:
+    """Return one time record or several of one system as a list.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+    may_lack_outputs : bool -- whether a record may be without some output that others have
+
+    Raises
+    ------
+    EstimationError
+        Anything else, no record at all, or records whose signals differ in name or unit.
+    """
+    given = list(record) if isinstance(record, Sequence) and not isinstance(record, str) else [record]
+    if not given:
+        raise EstimationError("no record to identify from; give at least one TimeRecord")
+    records = [one for one in given if isinstance(one, TimeRecord)]
+    for one in given:
+        if not isinstance(one, TimeRecord):
+            raise EstimationError(
+                f"record is a {type(one).__name__}; expected one TimeRecord, or a sequence of them"
+            )
+    _require_like("input", [(one.name, one.inputs) for one in records], may_lack=False)
+    _require_like("output", [(one.name, one.outputs) for one in records], may_lack_outputs)
+    return records
+
+
+def _require_like(
+    kind: str, records: Sequence[tuple[str, Sequence[InputSignal | OutputSignal]]], may_lack: bool
+) -> None:
+    """Raise EstimationError where signals of one kind differ between records."""
+    first, signals = records[0]
+    names = {signal.name for signal in signals}
+    units: dict[str, tuple[str, str]] = {}
+    for number, (record, signals) in enumerate(records, 1):
+        own = {signal.name: signal.unit for signal in signals}
+        if own.keys() != names and not may_lack:
+            raise EstimationError(
+                f"record 1 ({first!r}) has the {kind}s {', '.join(sorted(names))} and record {number} ({record!r}) "
+                f"{', '.join(sorted(own))}; expected the same {kind}s in all records of one fit. Rename signals, "
+                "or leave out what is not common"
+            )
+        for name, unit in own.items():
+            known, where = units.setdefault(name, (unit, record))
+            if unit != known:
+                raise EstimationError(
+                    f"{kind} {name!r} is in {known!r} in record {where!r} and in {unit!r} in record {number} "
+                    f"({record!r}); expected one unit in all records of one fit. Convert one of them"
+                )
+
+
+def require_frequency_record(record: object) -> None:
+    """Raise EstimationError for anything but one frequency record."""
+    if not isinstance(record, FrequencyRecord):
+        raise EstimationError(
+            f"record is a {type(record).__name__}; expected a FrequencyRecord (periodic_response(), "
+            "welch_response() and local_polynomial_response() make one of a TimeRecord)"
+        )
+
+
+def require_input_signal(drive: object) -> None:
+    """Raise EstimationError for anything but an input signal."""
+    if not isinstance(drive, InputSignal):
+        raise EstimationError(f"the input is a {type(drive).__name__}; expected an InputSignal")
+
+
+def finite_row(what: str, values: Any) -> FloatArray:
+    """Return numbers that a person gave as an array of one dimension, or raise EstimationError.
+
+    Parameters
+    ----------
+    what : str -- what they are, with their unit
+    values : array_like, shape (n,)
+    """
+    try:
+        row = np.asarray(values)
+        row = row if np.iscomplexobj(row) else np.asarray(row, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise EstimationError(
+            f"{what} are no numbers ({err}); expected a row of finite real numbers"
+        ) from err
+    if np.iscomplexobj(row) or row.ndim != 1:
+        kind = "complex" if np.iscomplexobj(row) else f"of shape {row.shape}"
+        raise EstimationError(f"{what} are {kind}; expected a row of finite real numbers")
+    if not np.all(np.isfinite(row)):
+        first = int(np.flatnonzero(~np.isfinite(row))[0])
+        raise EstimationError(f"{what}: number {first} is {row[first]}; expected finite real numbers")
+    return row
+
+
+def require_time(name: str, value: Any) -> None:
+    """Raise EstimationError for what is no finite time of 0 or more [s]."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not is_number or not (math.isfinite(value) and value >= 0.0):
+        raise EstimationError(f"{name} is {value!r}; expected a time of 0 or more [s]")
+
+
+def require_arrival(drive: InputSignal, delay_s: float, output: OutputSignal) -> None:
+    """Raise EstimationError for a delay so long that nothing of an input reaches an output within the record."""
+    if not delay_s < float(output.times_s[-1] - drive.times_s[0]):
+        raise EstimationError(
+            f"the delay is {delay_s:.6g} s, but output {output.name!r} ends "
+            f"{output.times_s[-1] - drive.times_s[0]:.6g} s after input {drive.name!r} begins: nothing "
+            "of it has arrived. Expected a shorter delay, or a longer record"
+        )
+
+
+def require_whole_number(name: str, value: Any, least: int, most: int | None = None) -> None:
+    """Raise EstimationError for what is no whole number between two bounds, both included."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool | np.bool_)
+    if not is_whole or value < least or (most is not None and value > most):
+        bounds = f"at least {least}" if most is None else f"{least} to {most}"
+        raise EstimationError(f"{name} is {value!r}; expected a whole number, {bounds}")
+
+
+def require_size(what: str, values: FloatArray) -> None:
+    """Raise EstimationError for values that are not zero and whose squares leave the range of numbers."""
+    size = float(np.max(np.abs(values), initial=0.0))
+    if size > 0.0 and not _SMALLEST < size < 1.0 / _SMALLEST:
+        raise EstimationError(
+            f"{what} reaches {size:.3g}, whose square is beyond what can be computed with; expected "
+            f"{_SMALLEST:g} to {1.0 / _SMALLEST:g}. Check its unit, or its sensor"
+        )
+
+
+def require_output(name: str, values: FloatArray) -> None:
+    """Raise EstimationError for an output that never changes, or of an absurd size.
+
+    Parameters
+    ----------
+    name : str
+    values : ndarray, shape (n,) -- the samples that can be used; whether they are enough is asked elsewhere
+    """
+    require_size(f"output {name!r}", values)
+    size = float(np.max(np.abs(values), initial=0.0))
+    if len(values) > 1 and np.ptp(values) <= _ROUNDING * size:
+        raise EstimationError(
+            f"output {name!r} is constant ({values[0] + 0.0:g}) over {len(values)} samples; nothing can be "
+            "identified from it. Check the sensor, or leave this output out"
+        )
+
+
+def require_input(drive: InputSignal, is_needed: bool = True) -> None:
+    """Raise EstimationError for an input of an absurd size, or one at zero throughout where it is needed."""
+    require_size(f"input {drive.name!r}", drive.values)
+    if is_needed and not np.any(drive.values):
+        raise EstimationError(f"input {drive.name!r} is zero throughout; it excites nothing")
+
+
+def require_excitation(records: Sequence[TimeRecord], name: str) -> None:
+    """Raise EstimationError for an input that is at zero throughout all records."""
+    if not any(np.any(record.input(name).values) for record in records):
+        raise EstimationError(f"input {name!r} is zero throughout; it excites nothing")
+
+
+def require_moving_input(drive: InputSignal) -> None:
+    """Raise EstimationError for an input whose constant value holds no frequency, or of an absurd size."""
+    require_size(f"input {drive.name!r}", drive.values)
+    if np.ptp(drive.values) == 0.0:
+        raise EstimationError(
+            f"input {drive.name!r} is constant ({drive.values[0] + 0.0:g}); it excites no frequency"
+        )

@@ -1,0 +1,77 @@
+"""Where an input excites: the band in which modes can be looked for.
+
+The search for modes runs at true frequencies over the band of the *input*, whatever
+the rate of the outputs, so that a mode above half the outputs' rate is found where
+it is and not at its alias.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.signal import spectrogram
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal
+
+_UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
+_LOWER_SHARE = 1e-4
+_ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
+_STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
+_SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
+
+
+@dataclass(frozen=True)
+class Band:
+    """A band of frequencies [Hz]; ``is_excited`` is False for an input that stands still."""
+
+    low_hz: float
+    high_hz: float
+    is_excited: bool
+
+
+def excited_band(drive: InputSignal, differentiations: int, length_s: float, output_rate_hz: float) -> Band:
+    """Return the band in which an input drives modes.
+
+    Parameters
+    ----------
+    drive : InputSignal
+    differentiations : int
+        2 when the input is a position, 1 a velocity, 0 an acceleration or a force.
+    length_s : float -- length of the record [s]
+    output_rate_hz : float -- mean rate of the outputs, for an input that stands still
+    """
+    least = 1.5 / length_s
+    values = drive.values - drive.values[0]
+    if not np.any(values) or np.std(values) < _STILL * drive.sigma:
+        return Band(least, max(0.5 * output_rate_hz, 2.0 * least), False)
+    times, step = drive.times_s, drive.period_s
+    if step is None:
+        step = float(np.median(np.diff(times)))
+        grid = np.arange(times[0], times[-1], step)
+        values = np.interp(grid, times, values)
+    segment = int(min(len(values), max(256, round(min(_SEGMENT_S, length_s / 4.0) / step))))
+    frequencies, _, densities = spectrogram(
+        values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
+    )
+    frequencies, densities = frequencies[1:], _smooth(densities[1:])
+    loudest = np.max(densities, axis=1)
+    force_like = loudest * (2.0 * np.pi * frequencies) ** (2 * differentiations)
+    if differentiations:
+        # Rounding or noise of a position is white; differentiated it would drown the excitation.
+        stands_out = loudest > _ABOVE_FLOOR * np.quantile(loudest, 0.2)
+        stands_out = median_filter(stands_out.astype(np.float64), 9, mode="nearest") > 0.5
+        force_like = np.where(stands_out, force_like, 0.0) if np.any(stands_out) else force_like
+    peak = float(np.max(force_like))
+    above = frequencies[force_like > _UPPER_SHARE * peak]
+    within = frequencies[force_like > _LOWER_SHARE * peak]
+    high = float(above[-1]) + 1.0 / (segment * step)
+    low = max(least, 0.7 * float(within[0]))
+    return Band(low, max(high, 2.0 * low), True)
+
+
+def _smooth(densities: FloatArray) -> FloatArray:
+    """Average every five neighbouring lines."""
+    return np.asarray(uniform_filter1d(densities, 5, axis=0, mode="nearest"))

@@ -1,0 +1,329 @@
+"""Time data: inputs and outputs that each keep their own clock.
+
+An input is a sequence of samples with a *hold*, which says what it did in between;
+an output is a sequence of samples at arbitrary stamps, each perhaps an average
+over an exposure.  A record groups them on one time axis, in seconds relative to an
+integer start in nanoseconds.  Nothing is resampled: the estimators take every
+signal where it was really measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.errors import RecordError
+from beam_ident.numerics.piecewise import HOLDS, Hold, PiecewisePolynomial, regular_period
+
+TimesLike = Any  # an array of stamps [s], or the pair (start [s], period [s])
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    result = np.array(values, dtype=np.float64, copy=True)
+    result.setflags(write=False)
+    return result
+
+
+def _numbers(name: str, what: str, values: Any) -> FloatArray:
+    """Return real numbers as an array, or raise RecordError."""
+    try:
+        found = np.asarray(values)
+        if not np.iscomplexobj(found):
+            return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise RecordError(f"signal {name!r}: {what} are no numbers ({err}); expected real numbers") from err
+    raise RecordError(f"signal {name!r}: {what} are complex; expected real numbers")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite real number."""
+    is_real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_real and bool(np.isfinite(value))
+
+
+def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
+    """Return stamps as an array, or raise RecordError naming the first bad one."""
+    if isinstance(times_s, tuple):
+        if len(times_s) != 2 or not all(_is_number(t) for t in times_s) or not float(times_s[1]) > 0.0:
+            raise RecordError(
+                f"signal {name!r}: times_s is the tuple {times_s!r}; expected (start, period > 0) in seconds "
+                "or an array of stamps"
+            )
+        return np.asarray(float(times_s[0]) + float(times_s[1]) * np.arange(n_values), dtype=np.float64)
+    times = _numbers(name, "stamps", times_s)
+    if times.ndim != 1 or len(times) != n_values:
+        raise RecordError(
+            f"signal {name!r}: {times.shape} stamps for {n_values} values; expected one stamp for each value"
+        )
+    if not np.all(np.isfinite(times)):
+        first = int(np.flatnonzero(~np.isfinite(times))[0])
+        raise RecordError(f"signal {name!r}: stamp {first} is {times[first]}; every stamp must be finite")
+    steps = np.diff(times)
+    if len(steps) and not np.all(steps > 0.0):
+        first = int(np.flatnonzero(~(steps > 0.0))[0])
+        raise RecordError(
+            f"signal {name!r}: stamp {first + 1} ({times[first + 1]:.9f} s) does not come after stamp "
+            f"{first} "
+            f"({times[first]:.9f} s); sort the samples and drop repeated stamps"
+        )
+    return times
+
+
+@dataclass(frozen=True, eq=False)
+class InputSignal:
+    """What drove the system, with the hold that says what it did between samples.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+    times_s : ndarray, shape (n,) or tuple (start, period) -- sample times [s]
+    values : ndarray, shape (n,)
+    hold : {"zoh", "linear", "cubic", "band_limited"}
+        Constant until the next sample, straight lines, a cubic spline, or the signal without
+        content above half the sampling rate that the samples determine (a spline of degree 9
+        stands for it, see ``PiecewisePolynomial.from_samples``).
+    sigma : float
+        Standard deviation of the noise on each value; 0 for a known input.
+
+    Raises
+    ------
+    RecordError
+        Stamps that repeat or run backwards, fewer than two samples, values that
+        are not finite, an unknown hold.
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    values: FloatArray
+    hold: Hold = "zoh"
+    sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = _numbers(self.name, "values", self.values)
+        if values.ndim != 1 or len(values) < 2:
+            raise RecordError(
+                f"input {self.name!r}: values have shape {values.shape}; expected at least two in a row"
+            )
+        if not np.all(np.isfinite(values)):
+            first = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise RecordError(
+                f"input {self.name!r}: value {first} is {values[first]}; an input has no missing samples. "
+                "Leave out the stretch before or after the gap"
+            )
+        if self.hold not in HOLDS:
+            raise RecordError(
+                f"input {self.name!r}: hold is {self.hold!r}; expected one of {', '.join(HOLDS)}"
+            )
+        if not (_is_number(self.sigma) and self.sigma >= 0.0):
+            raise RecordError(f"input {self.name!r}: sigma is {self.sigma!r}; expected a finite number >= 0")
+        object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
+        object.__setattr__(self, "values", _read_only(values))
+
+    @property
+    def period_s(self) -> float | None:
+        """Sampling period [s] of a regular input, None for an irregular one."""
+        return regular_period(self.times_s)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant [s] at which the input is known."""
+        last = float(self.times_s[-1])
+        if self.hold == "zoh":
+            last += float(self.times_s[-1] - self.times_s[-2])
+        return float(self.times_s[0]), last
+
+    def signal(
+        self, hold: Hold | None = None, margin_s: float = 0.0, from_rest: bool = False
+    ) -> PiecewisePolynomial:
+        """Return the input as a piecewise polynomial (see ``PiecewisePolynomial``)."""
+        lead = "zero" if from_rest else "constant"
+        return PiecewisePolynomial.from_samples(
+            self.times_s,
+            self.values,
+            self.hold if hold is None else hold,
+            margin_s,
+            lead,  # type: ignore[arg-type]
+        )
+
+    def between(self, start_s: float, end_s: float) -> InputSignal:
+        """Return the part of the input that covers an interval [s]."""
+        first = max(int(np.searchsorted(self.times_s, start_s, side="right")) - 1, 0)
+        last = int(np.searchsorted(self.times_s, end_s, side="left")) + 1
+        return InputSignal(
+            self.name, self.unit, self.times_s[first:last], self.values[first:last], self.hold, self.sigma
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OutputSignal:
+    """What was measured, at its own stamps.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+    times_s : ndarray, shape (n,) or tuple (start, period) -- stamps [s]
+    values : ndarray, shape (n,) -- NaN where nothing was seen
+    exposure_s : float
+        Every value is the mean over this long [s], centred on its stamp.
+    sigma : float or None
+        Standard deviation of the noise where it is known; only a starting value,
+        because the estimators measure it from the residuals.
+
+    Raises
+    ------
+    RecordError
+        Stamps that repeat or run backwards, infinite values, nothing but NaN.
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    values: FloatArray
+    exposure_s: float = 0.0
+    sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        values = _numbers(self.name, "values", self.values)
+        if values.ndim != 1 or len(values) < 1:
+            raise RecordError(
+                f"output {self.name!r}: values have shape {values.shape}; expected one row of samples"
+            )
+        if np.any(np.isinf(values)):
+            first = int(np.flatnonzero(np.isinf(values))[0])
+            raise RecordError(
+                f"output {self.name!r}: value {first} is {values[first]}; mark a missing sample with NaN, "
+                "never inf"
+            )
+        if np.all(np.isnan(values)):
+            raise RecordError(f"output {self.name!r}: all {len(values)} values are NaN; leave the output out")
+        if not (_is_number(self.exposure_s) and self.exposure_s >= 0.0):
+            raise RecordError(
+                f"output {self.name!r}: exposure_s is {self.exposure_s!r}; expected a number >= 0"
+            )
+        if self.sigma is not None and not (_is_number(self.sigma) and self.sigma > 0.0):
+            raise RecordError(
+                f"output {self.name!r}: sigma is {self.sigma!r}; expected a number > 0, or None"
+            )
+        object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
+        object.__setattr__(self, "values", _read_only(values))
+
+    @property
+    def is_valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Which samples were seen, shape (n,)."""
+        return np.asarray(np.isfinite(self.values))
+
+    def between(self, start_s: float, end_s: float) -> OutputSignal:
+        """Return the samples whose stamps lie in an interval [s]."""
+        keep = (self.times_s >= start_s) & (self.times_s <= end_s)
+        if not np.any(keep):
+            raise RecordError(f"output {self.name!r}: no sample between {start_s} s and {end_s} s")
+        return OutputSignal(
+            self.name, self.unit, self.times_s[keep], self.values[keep], self.exposure_s, self.sigma
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TimeRecord:
+    """One experiment: inputs and outputs on one time axis.
+
+    Parameters
+    ----------
+    inputs : sequence of InputSignal
+    outputs : sequence of OutputSignal
+    start_ns : int
+        Host time of the instant 0 s [ns].
+    name : str
+
+    Raises
+    ------
+    RecordError
+        No input or no output, names used twice, or an output that the input's
+        time span does not overlap.
+    """
+
+    inputs: tuple[InputSignal, ...]
+    outputs: tuple[OutputSignal, ...]
+    start_ns: int = 0
+    name: str = field(default="record")
+
+    def __post_init__(self) -> None:
+        for what, kind in (("inputs", InputSignal), ("outputs", OutputSignal)):
+            signals = _as_tuple(getattr(self, what))
+            strangers = [type(signal).__name__ for signal in signals if not isinstance(signal, kind)]
+            if strangers:
+                raise RecordError(
+                    f"record {self.name!r}: there is a {strangers[0]} among the {what}; expected {kind.__name__}s"
+                )
+            object.__setattr__(self, what, signals)
+        if not self.inputs or not self.outputs:
+            raise RecordError(
+                f"record {self.name!r}: {len(self.inputs)} inputs and {len(self.outputs)} outputs; "
+                "expected at least one of each"
+            )
+        names = [s.name for s in self.inputs] + [s.name for s in self.outputs]
+        for name in names:
+            if names.count(name) > 1:
+                raise RecordError(
+                    f"record {self.name!r}: the name {name!r} is used twice; give each signal its own"
+                )
+        for drive in self.inputs:
+            first, last = drive.span_s
+            for output in self.outputs:
+                if output.times_s[0] > last or output.times_s[-1] < first:
+                    raise RecordError(
+                        f"record {self.name!r}: output {output.name!r} spans {output.times_s[0]:.3f} to "
+                        f"{output.times_s[-1]:.3f} s and input {drive.name!r} {first:.3f} to {last:.3f} s: "
+                        "they do "
+                        "not overlap. Check that both use the same clock"
+                    )
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(output.name for output in self.outputs)
+
+    def input(self, name: str) -> InputSignal:
+        """Return an input by its name."""
+        return _find(self.inputs, name, self.name)
+
+    def output(self, name: str) -> OutputSignal:
+        """Return an output by its name."""
+        return _find(self.outputs, name, self.name)
+
+    def between(self, start_s: float, end_s: float) -> TimeRecord:
+        """Return a segment [s] of the record, for estimation or for validation."""
+        return TimeRecord(
+            tuple(drive.between(start_s, end_s) for drive in self.inputs),
+            tuple(output.between(start_s, end_s) for output in self.outputs),
+            self.start_ns,
+            self.name,
+        )
+
+    def select(self, output_names: Sequence[str]) -> TimeRecord:
+        """Return the record with some of its outputs only."""
+        return TimeRecord(self.inputs, tuple(self.output(n) for n in output_names), self.start_ns, self.name)
+
+
+_Signal = TypeVar("_Signal", InputSignal, OutputSignal)
+
+
+def _as_tuple(signals: Any) -> tuple[Any, ...]:
+    if isinstance(signals, InputSignal | OutputSignal):
+        return (signals,)
+    return tuple(signals) if isinstance(signals, Iterable) else (signals,)
+
+
+def _find(signals: Iterable[_Signal], name: str, record: str) -> _Signal:
+    available = []
+    for signal in signals:
+        if signal.name == name:
+            return signal
+        available.append(signal.name)
+    raise RecordError(f"record {record!r} has no signal {name!r}; available: {', '.join(available)}")

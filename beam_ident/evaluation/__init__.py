@@ -1,0 +1,1 @@
+"""Whether a model is to be trusted: hold-out validation, comparisons, repeatability."""

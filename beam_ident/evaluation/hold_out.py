@@ -1,0 +1,263 @@
+"""A model against records that it was not estimated from.
+
+Poles, residues, gains and clock stay as they are.  What belongs to the record and
+not to the model (offset, ramp, the motion that was already there at its beginning)
+is fitted to it, because it would otherwise be charged to the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import require_output, require_records
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.modal.model import ModalModel
+from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.structure import ModalStructure
+from beam_ident.noise.record_fit import in_units_of_level, pooled_scores
+from beam_ident.noise.scores import InputCorrelation, Scores, Whiteness
+from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function.multi_input_model import MultiInputModel
+
+_FAIR_FIT = 80.0
+_MIN_SAMPLES = 20
+_GOOD_FIT = 95.0
+_NO_MORE_THAN_NOISE = 1.2  # residuals over those of the estimation
+
+
+@dataclass(frozen=True, eq=False)
+class OutputValidation:
+    """How a model predicts one output of another record.
+
+    Attributes
+    ----------
+    name, unit : str
+    times_s, measured, simulated, residuals : ndarray, shape (n_used,)
+    scores : Scores -- on the output
+    deflection_scores : Scores
+        On the output less its direct part, offset and ramp: the sterner test where an
+        output is mostly its input.
+    noise_ratio : float
+        Residual standard deviation over that of the estimation: near 1 for a good model; NaN where the
+        model states no noise.
+    whiteness : Whiteness
+    input_correlation : InputCorrelation
+    verdict : str
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    residuals: FloatArray
+    scores: Scores
+    deflection_scores: Scores
+    noise_ratio: float
+    whiteness: Whiteness
+    input_correlation: InputCorrelation
+    verdict: str
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationResult:
+    """A model against other records, output by output.
+
+    Attributes
+    ----------
+    outputs : tuple of OutputValidation -- over all records, in their order; scores about each one's mean
+    records : tuple of ValidationResult -- of every record by itself, where there are several
+    """
+
+    outputs: tuple[OutputValidation, ...]
+    records: tuple[ValidationResult, ...] = ()
+
+    def output(self, name: str) -> OutputValidation:
+        """Return the validation of one output by its name."""
+        for output in self.outputs:
+            if output.name == name:
+                return output
+        raise EstimationError(
+            f"no output {name!r} here; available: {', '.join(o.name for o in self.outputs)}"
+        )
+
+
+@on_one_thread
+def validate(
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord | Sequence[TimeRecord]
+) -> ValidationResult:
+    """Predict a record, or several, with a model that was estimated from others.
+
+    Parameters
+    ----------
+    model : ModalModel, TransferFunctionModel or MultiInputModel
+    record : TimeRecord or sequence of TimeRecord
+        With the model's inputs and at least one of its outputs under their names.
+
+    Raises
+    ------
+    EstimationError
+        The record lacks an input or every output of the model, has too few samples, or an output
+        that is constant; records whose signals differ in name or unit.
+    """
+    records = require_records(record, may_lack_outputs=True)
+    if not isinstance(model, ModalModel | TransferFunctionModel | MultiInputModel):
+        raise EstimationError(
+            f"model is a {type(model).__name__}; expected a ModalModel, a TransferFunctionModel or a MultiInputModel "
+            "(.model of a result)"
+        )
+    predicted = [_predict(model, one) for one in records]
+    each = tuple(ValidationResult(tuple(_judged([part]) for part in parts)) for parts in predicted)
+    if len(each) == 1:
+        return each[0]
+    names = dict.fromkeys(part.name for parts in predicted for part in parts)
+    together = [[part for parts in predicted for part in parts if part.name == name] for name in names]
+    return ValidationResult(tuple(_judged(parts) for parts in together), each)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """One output of one record beside what the model makes of it."""
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    residuals: FloatArray
+    deflection: FloatArray
+    noise_sd: float
+    drive: FloatArray
+
+
+def _predict(
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord
+) -> list[_Prediction]:
+    """Predict one record, output by output."""
+    names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
+    present = [name for name in names if name in record.output_names]
+    inputs = model.input_names if isinstance(model, MultiInputModel) else (model.input_name,)
+    if not present or not set(inputs) <= {drive.name for drive in record.inputs}:
+        raise EstimationError(
+            f"record {record.name!r} has the input(s) {', '.join(d.name for d in record.inputs)} and the "
+            "outputs "
+            f"{', '.join(record.output_names)}; the model goes from {', '.join(inputs)} to "
+            f"{', '.join(names)}"
+        )
+    part = record.select(present)
+    if isinstance(model, ModalModel):
+        return _predict_modal(model, part)
+    return [_predict_rational(model, part)]
+
+
+def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
+    structure = ModalStructure(model.structure)
+    regression = ModalRegression([record], structure, model.input_name)
+    blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
+    n_shared = regression.n_shared_fixed + model.n_modes
+    drive = record.input(model.input_name)
+    signal = drive.signal()
+    results = []
+    for j, name in enumerate(regression.output_names):
+        matrix = blocks[regression.block_of[j]].matrix
+        row = model.output_names.index(name)
+        shared = np.concatenate([[model.residual_terms[row]], model.residues[row]])
+        if structure.has_direct:
+            shared = np.concatenate([[model.gains[row]], shared])
+        values = regression.values[j]
+        remainder = values - matrix[:, :n_shared] @ shared
+        own = matrix[:, n_shared:]
+        found = LinearSolution.of(own).coefficients(remainder)
+        residuals = remainder - own @ found
+        rigid = own[:, :2] @ found[:2]
+        if structure.has_direct:
+            rigid = rigid + model.gains[row] * matrix[:, 0]
+        output = record.output(name)
+        results.append(
+            _Prediction(
+                name,
+                output.unit,
+                regression.times[j],
+                values,
+                residuals,
+                values - rigid,
+                float(model.noise_sd[row]),
+                signal(regression.times[j]),
+            )
+        )
+    return results
+
+
+def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: TimeRecord) -> _Prediction:
+    output = record.output(model.output_name)
+    prediction = model.prediction(record)
+    seen = np.isfinite(prediction.measured)
+    times, values = prediction.times_s[seen], prediction.measured[seen]
+    first = model.input_names[0] if isinstance(model, MultiInputModel) else model.input_name
+    return _Prediction(
+        output.name,
+        output.unit,
+        times,
+        values,
+        values - prediction.predicted[seen],
+        values - prediction.offset,
+        model.noise_sd,
+        record.input(first).signal()(times),
+    )
+
+
+def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
+    """Return how well one output is predicted, over one record or several."""
+    first = parts[0]
+    for part in parts:
+        require_output(part.name, part.measured)
+        if len(part.measured) < _MIN_SAMPLES:
+            raise EstimationError(
+                f"output {part.name!r} has {len(part.measured)} samples that were seen while the input was known; "
+                f"expected at least {_MIN_SAMPLES} to validate with"
+            )
+    scores = pooled_scores([(part.measured, part.residuals) for part in parts])
+    of_deflection = pooled_scores([(part.deflection, part.residuals) for part in parts])
+    noise = in_units_of_level([part.residuals for part in parts])
+    drives = [part.drive for part in parts]
+    if len(parts) > 1:
+        drives = [drive - np.mean(drive) for drive in drives]
+    correlation = InputCorrelation.of(noise, np.concatenate(drives))
+    times, measured, residuals = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("times_s", "measured", "residuals")
+    )
+    ratio = float(np.std(residuals)) / first.noise_sd if first.noise_sd > 0.0 else math.nan
+    against = "" if math.isnan(ratio) else f", residuals {ratio:.2f} times those of the estimation"
+    fit = of_deflection.fit_percent
+    if fit >= _GOOD_FIT:
+        word = "good"
+    elif ratio <= _NO_MORE_THAN_NOISE and correlation.is_independent:
+        word = "noise-limited"  # a small output is no fault of the model
+    else:
+        word = "fair" if fit >= _FAIR_FIT else "poor"
+    verdict = (
+        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection){against}; "
+        f"{correlation.verdict}"
+    )
+    return OutputValidation(
+        first.name,
+        first.unit,
+        times,
+        measured,
+        measured - residuals,
+        residuals,
+        scores,
+        of_deflection,
+        ratio,
+        Whiteness.of(noise),
+        correlation,
+        verdict,
+    )

@@ -1,0 +1,1 @@
+"""Modal models: structure, parameters, realisations and responses. Nothing here estimates."""

@@ -1,0 +1,149 @@
+"""What an identification says: the model, the fit of every output, and the table of orders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.bandwidth import Band
+from beam_ident.errors import EstimationError
+from beam_ident.modal.model import ModalModel
+from beam_ident.modal.structure import ModalStructure
+from beam_ident.noise.record_fit import RecordFit
+from beam_ident.noise.scores import Scores, Whiteness
+
+
+@dataclass(frozen=True)
+class OrderEntry:
+    """One line of the order table.
+
+    Attributes
+    ----------
+    n_modes, n_parameters : int
+    bic, aic : float
+    r_squared : float -- lowest R_T^2 over the outputs
+    worst_fit_percent : float -- lowest FIT over the outputs
+    condition : float -- of the scaled information matrix
+    converged : bool
+    refused_because : str -- empty when the order passed all gates
+    is_chosen : bool
+    """
+
+    n_modes: int
+    n_parameters: int
+    bic: float
+    aic: float
+    r_squared: float
+    worst_fit_percent: float
+    condition: float
+    converged: bool
+    refused_because: str
+    is_chosen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class OutputFit:
+    """One output: what was measured and what the model says.
+
+    Attributes
+    ----------
+    name, unit : str
+    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit, in the order of the records.
+    deflection : ndarray, shape (n_used,)
+        Measured less direct part, offset and ramp.
+    noise_sd : float -- root of the mean square over all records
+    scores : Scores -- on the output; with several records, each about its own mean
+    deflection_scores : Scores -- on the deflection
+    whiteness : Whiteness -- in units of each record's level
+    offset, ramp : float
+        Of the first record: at its middle, and over its whole length.
+    records : tuple of RecordFit -- record by record, where the output is
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+    residuals: FloatArray
+    deflection: FloatArray
+    noise_sd: float
+    scores: Scores
+    deflection_scores: Scores
+    whiteness: Whiteness
+    offset: float
+    ramp: float
+    records: tuple[RecordFit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationResult:
+    """A modal model and what is to be known about its estimation.
+
+    Attributes
+    ----------
+    model : ModalModel
+    structure : ModalStructure
+    outputs : tuple of OutputFit
+    orders : tuple of OrderEntry -- the order table; one line when the order was given
+    band : Band -- where modes were looked for
+    converged : bool
+    reason : str -- why the iteration ended
+    iterations : int
+    warnings : tuple of str -- what a reader must know before trusting the numbers
+    """
+
+    model: ModalModel
+    structure: ModalStructure
+    outputs: tuple[OutputFit, ...]
+    orders: tuple[OrderEntry, ...]
+    band: Band
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    @property
+    def times_s(self) -> tuple[FloatArray, ...]:
+        """Stamps of the samples used, of every output [s]."""
+        return tuple(output.times_s for output in self.outputs)
+
+    @property
+    def measured(self) -> tuple[FloatArray, ...]:
+        """Samples used, of every output."""
+        return tuple(output.measured for output in self.outputs)
+
+    @property
+    def modelled(self) -> tuple[FloatArray, ...]:
+        """What the model says there, of every output."""
+        return tuple(output.modelled for output in self.outputs)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """Measured less modelled, of every output."""
+        return tuple(output.residuals for output in self.outputs)
+
+    @property
+    def records(self) -> tuple[tuple[RecordFit, ...], ...]:
+        """What belongs to each record, of every output."""
+        return tuple(output.records for output in self.outputs)
+
+    @property
+    def scores(self) -> tuple[Scores, ...]:
+        """Agreement, of every output."""
+        return tuple(output.scores for output in self.outputs)
+
+    @property
+    def whiteness(self) -> tuple[Whiteness, ...]:
+        """Whiteness of the residuals, of every output."""
+        return tuple(output.whiteness for output in self.outputs)
+
+    def output(self, name: str) -> OutputFit:
+        """Return the fit of one output by its name."""
+        for output in self.outputs:
+            if output.name == name:
+                return output
+        raise EstimationError(
+            f"no output {name!r} in this result; available: {', '.join(self.model.output_names)}"
+        )

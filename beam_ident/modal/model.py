@@ -1,0 +1,492 @@
+"""The identified modal model: modal parameters with their joint uncertainty.
+
+One object holds what every user of an identification needs: natural frequencies,
+damping ratios, residues, residual terms and gains, with one covariance matrix over
+all of them, so that every derived quantity (bands of a frequency response, a
+comparison of two models, a physical fit) can carry its uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.argument_checks import finite_row, require_input_signal, require_time
+from beam_ident.data.records import InputSignal
+from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
+from beam_ident.errors import EstimationError, ModelFormatError
+from beam_ident.modal.frequency_response import ModalFrequencyResponse
+from beam_ident.modal.realisation import (
+    modal_state_space,
+    modal_step_response,
+    n_integrations,
+    transfer_polynomials,
+)
+from beam_ident.modal.regression import ClockState, ModalRegression, forced_columns
+from beam_ident.modal.structure import ModalStructure, StructureKind
+from beam_ident.modal_estimation.variable_projection import ModalFit
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ModalModel:
+    """A sum of second-order modes with common poles over all outputs.
+
+    Attributes
+    ----------
+    structure : {"base_motion", "velocity", "acceleration", "force", "receptance"}
+        Where the modes stand (see ``modal.structure``).
+    input_name : str
+    output_names : tuple of str
+    natural_frequencies : ndarray, shape (n_modes,) -- [rad/s]
+    damping_ratios : ndarray, shape (n_modes,)
+    residues : ndarray, shape (n_outputs, n_modes)
+        For a moved base pure numbers: the mode's share in -s^2 alpha.
+    residual_terms : ndarray, shape (n_outputs,) -- static term R_j [s^2 for a moved base]
+    gains : ndarray, shape (n_outputs,) -- direct gain c_j (0 for a receptance)
+    latency : float -- how late the outputs' stamps are [s]
+    clock_rate : float -- how much faster the outputs' clock runs than the input's
+    covariance : ndarray, shape (n_parameters, n_parameters)
+    parameter_names : tuple of str
+        ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
+        ``c[j]``, ``R[j]``, ``r_i[j]``; a parameter that was not estimated has variance 0.
+    noise_sd : ndarray, shape (n_outputs,) -- of the residuals
+    """
+
+    structure: StructureKind
+    input_name: str
+    output_names: tuple[str, ...]
+    natural_frequencies: FloatArray
+    damping_ratios: FloatArray
+    residues: FloatArray
+    residual_terms: FloatArray
+    gains: FloatArray
+    latency: float
+    clock_rate: float
+    covariance: FloatArray
+    noise_sd: FloatArray
+    parameter_names: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in (
+            "natural_frequencies",
+            "damping_ratios",
+            "residues",
+            "residual_terms",
+            "gains",
+            "covariance",
+            "noise_sd",
+        ):
+            values = np.array(getattr(self, name), dtype=np.float64, copy=True)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        names = _parameter_names(self.n_modes, self.output_names)
+        object.__setattr__(self, "parameter_names", names)
+        n, m = self.n_modes, len(self.output_names)
+        shapes = {
+            "damping_ratios": (n,),
+            "residues": (m, n),
+            "residual_terms": (m,),
+            "gains": (m,),
+            "noise_sd": (m,),
+            "covariance": (len(names), len(names)),
+        }
+        require_shapes(f"modal model of {n} modes and {m} outputs", self, shapes)
+        self._require_parameters()
+
+    def _require_parameters(self) -> None:
+        """Raise ModelFormatError for an unknown structure, or for numbers that describe no modes."""
+        try:
+            ModalStructure(self.structure)
+        except EstimationError as err:
+            raise ModelFormatError(f"modal model: {err}") from err
+        is_oscillation = (self.natural_frequencies > 0.0) & (np.abs(self.damping_ratios) < 1.0)
+        if not (np.all(np.isfinite(self.parameters)) and np.all(is_oscillation)):
+            raise ModelFormatError(
+                f"modal model: natural frequencies {self.natural_frequencies} rad/s, damping ratios "
+                f"{self.damping_ratios}; expected frequencies > 0, damping ratios below 1, and all parameters finite"
+            )
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return len(self.natural_frequencies)
+
+    @property
+    def frequencies_hz(self) -> FloatArray:
+        """Natural frequencies [Hz]."""
+        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Upper poles [rad/s], shape (n_modes,)."""
+        omega, zeta = self.natural_frequencies, self.damping_ratios
+        return np.asarray(omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """All parameters in the order of ``parameter_names``."""
+        parts = [self.natural_frequencies, self.damping_ratios, [self.latency, self.clock_rate]]
+        for gain, residual, residues in zip(self.gains, self.residual_terms, self.residues, strict=True):
+            parts.append(np.concatenate([[gain, residual], residues]))
+        return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """Standard deviations in the order of ``parameter_names``."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    def _sd(self, first: int, count: int) -> FloatArray:
+        return self.standard_deviations[first : first + count]
+
+    @property
+    def natural_frequency_sd(self) -> FloatArray:
+        """Standard deviations of the natural frequencies [rad/s]."""
+        return self._sd(0, self.n_modes)
+
+    @property
+    def damping_ratio_sd(self) -> FloatArray:
+        """Standard deviations of the damping ratios."""
+        return self._sd(self.n_modes, self.n_modes)
+
+    @property
+    def latency_sd(self) -> float:
+        """Standard deviation of the latency [s]."""
+        return float(self.standard_deviations[2 * self.n_modes])
+
+    @property
+    def clock_rate_sd(self) -> float:
+        """Standard deviation of the clock rate."""
+        return float(self.standard_deviations[2 * self.n_modes + 1])
+
+    def _output_sd(self) -> FloatArray:
+        return self.standard_deviations[2 * self.n_modes + 2 :].reshape(
+            len(self.output_names), self.n_modes + 2
+        )
+
+    @property
+    def gain_sd(self) -> FloatArray:
+        """Standard deviations of the gains, shape (n_outputs,)."""
+        return self._output_sd()[:, 0]
+
+    @property
+    def residual_term_sd(self) -> FloatArray:
+        """Standard deviations of the residual terms, shape (n_outputs,)."""
+        return self._output_sd()[:, 1]
+
+    @property
+    def residue_sd(self) -> FloatArray:
+        """Standard deviations of the residues, shape (n_outputs, n_modes)."""
+        return self._output_sd()[:, 2:]
+
+    def simulate(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
+        """Return the outputs that an input causes from rest, shape (n_times, n_outputs).
+
+        Parameters
+        ----------
+        drive : InputSignal -- of the kind that the structure names
+        times_s : ndarray, shape (n_times,) -- instants on the input's clock [s]
+        exposure_s : float -- box average centred on each instant [s]
+        """
+        require_input_signal(drive)
+        require_time("exposure_s", exposure_s)
+        columns = forced_columns(
+            drive,
+            ModalStructure(self.structure),
+            finite_row("instants [s]", times_s),
+            exposure_s,
+            self.natural_frequencies,
+            self.damping_ratios,
+        )
+        return np.asarray(columns @ self._linear_parameters().T)
+
+    def _linear_parameters(self) -> FloatArray:
+        parts = [self.residual_terms[:, None], self.residues]
+        if ModalStructure(self.structure).has_direct:
+            parts.insert(0, self.gains[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def frequency_response(self, omegas: FloatArray) -> ModalFrequencyResponse:
+        """Return the response from input to outputs, with bands.
+
+        Parameters
+        ----------
+        omegas : ndarray, shape (n_frequencies,) -- positive frequencies [rad/s]
+        """
+        omegas = finite_row("frequencies [rad/s]", omegas)
+        structure = ModalStructure(self.structure)
+        if n_integrations(structure) and not np.all(omegas):
+            raise EstimationError(
+                f"the response to {structure.kind} at 0 rad/s is infinite: a free base drifts away. Leave 0 out"
+            )
+        s = 1j * omegas
+        front = structure.sign * s**structure.differentiations
+        direct = np.array([structure.direct_response(value) for value in s], dtype=np.complex128)
+        n, m = self.n_modes, len(self.output_names)
+        omega_n, zeta = self.natural_frequencies, self.damping_ratios
+        denominators = s[:, None] ** 2 + 2.0 * zeta * omega_n * s[:, None] + omega_n**2
+        basis = front[:, None] / denominators
+        by_omega = -basis / denominators * (2.0 * zeta * s[:, None] + 2.0 * omega_n)
+        by_zeta = -basis / denominators * (2.0 * omega_n * s[:, None])
+        response = np.empty((len(omegas), m), dtype=np.complex128)
+        covariance = np.empty((len(omegas), m, 2, 2))
+        for j in range(m):
+            response[:, j] = (
+                self.gains[j] * direct + front * self.residual_terms[j] + basis @ self.residues[j]
+            )
+            gradient = np.zeros((len(omegas), len(self.parameter_names)), dtype=np.complex128)
+            gradient[:, :n] = by_omega * self.residues[j]
+            gradient[:, n : 2 * n] = by_zeta * self.residues[j]
+            place = 2 * n + 2 + j * (n + 2)
+            gradient[:, place] = direct
+            gradient[:, place + 1] = front
+            gradient[:, place + 2 : place + 2 + n] = basis
+            parts = np.stack([gradient.real, gradient.imag], axis=1)
+            covariance[:, j] = np.einsum("fap,pq,fbq->fab", parts, self.covariance, parts, optimize=True)
+        return ModalFrequencyResponse(omegas, self.output_names, response, covariance)
+
+    def _own(self) -> tuple[ModalStructure, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        return (
+            ModalStructure(self.structure),
+            self.natural_frequencies,
+            self.damping_ratios,
+            self.gains,
+            self.residues,
+            self.residual_terms,
+        )
+
+    def driven_by(self, structure: StructureKind) -> ModalModel:
+        """Return the same model from another quantity of the base's motion.
+
+        Raises
+        ------
+        EstimationError
+            A force on either side: its poles are other poles.
+        """
+        if not (ModalStructure(self.structure).is_motion and ModalStructure(structure).is_motion):
+            raise EstimationError(
+                f"a {self.structure!r} model cannot be driven by {structure!r}; only 'base_motion', 'velocity' and "
+                "'acceleration' describe the same system"
+            )
+        return replace(self, structure=structure)
+
+    def polynomials(self) -> tuple[list[FloatArray], FloatArray]:
+        """Return the numerator of every output and the common denominator, descending powers of s."""
+        return transfer_polynomials(*self._own())
+
+    def zpk(self, output: str) -> tuple[ComplexArray, ComplexArray, float]:
+        """Return zeros [rad/s], poles [rad/s] and the gain of the highest power, for one output."""
+        if output not in self.output_names:
+            raise EstimationError(
+                f"no output {output!r} in this model; available: {', '.join(self.output_names)}"
+            )
+        numerators, denominator = self.polynomials()
+        numerator = numerators[self.output_names.index(output)]
+        n_integrators = len(denominator) - 1 - 2 * self.n_modes
+        poles = np.concatenate([self.poles, np.conj(self.poles), np.zeros(n_integrators)])
+        return np.asarray(np.roots(numerator), dtype=np.complex128), poles, float(numerator[0])
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C, D from the input to all outputs, with modal states.
+
+        Raises
+        ------
+        EstimationError
+            A residual term that differentiates the input; see ``driven_by``.
+        """
+        return modal_state_space(*self._own())
+
+    def step_response(self, times_s: FloatArray) -> FloatArray:
+        """Return the response to a unit step of the input at 0 s, shape (n_times, n_outputs).
+
+        Parameters
+        ----------
+        times_s : ndarray, shape (n_times,) -- after the step [s]
+        """
+        return modal_step_response(*self._own(), _after_the_step(times_s))
+
+    def step_response_sd(self, times_s: FloatArray) -> FloatArray:
+        """Return the standard deviation of ``step_response``, shape (n_times, n_outputs)."""
+        times = _after_the_step(times_s)
+        structure, n, m = ModalStructure(self.structure), self.n_modes, len(self.output_names)
+
+        def response(parameters: FloatArray) -> FloatArray:
+            own = parameters[2 * n + 2 :].reshape(m, n + 2)
+            return modal_step_response(
+                structure, parameters[:n], parameters[n : 2 * n], own[:, 0], own[:, 2:], own[:, 1], times
+            )
+
+        slopes = []
+        for i, sd in enumerate(self.standard_deviations):
+            step = np.zeros(len(self.parameters))
+            step[i] = max(1e-3 * sd, 1e-6 * abs(self.parameters[i]))
+            width = 2.0 * step[i] if sd > 0.0 else math.inf
+            slopes.append((response(self.parameters + step) - response(self.parameters - step)) / width)
+        gradient = np.stack(slopes)
+        variance = np.einsum("ato,ab,bto->to", gradient, self.covariance, gradient, optimize=True)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def mode_shapes(self) -> tuple[FloatArray, FloatArray]:
+        """Return mode shapes at the outputs and their standard deviations, each (n_outputs, n_modes).
+
+        Notes
+        -----
+        Residues divided by each mode's largest one, which therefore is 1 without uncertainty.
+        """
+        n, m = self.n_modes, len(self.output_names)
+        shapes, sds = np.empty((m, n)), np.zeros((m, n))
+        for i in range(n):
+            index = 2 * n + 2 + np.arange(m) * (n + 2) + 2 + i
+            covariance = self.covariance[np.ix_(index, index)]
+            largest = int(np.argmax(np.abs(self.residues[:, i])))
+            peak = self.residues[largest, i]
+            shapes[:, i] = self.residues[:, i] / peak
+            gradient = np.eye(m) / peak
+            gradient[:, largest] -= shapes[:, i] / peak
+            variance = np.einsum("ja,ab,jb->j", gradient, covariance, gradient)
+            sds[:, i] = np.sqrt(np.maximum(variance, 0.0))
+        return shapes, sds
+
+    def to_scipy(self) -> Any:
+        """Return a ``scipy.signal.StateSpace`` from the input to all outputs."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(*self.state_space())
+
+    def to_control(self) -> Any:
+        """Return a python-control ``StateSpace`` with named signals (needs the package ``control``)."""
+        try:
+            import control
+        except ImportError as err:
+            raise EstimationError("python-control is not installed; `pip install control` brings it") from err
+        return control.ss(*self.state_space(), inputs=[self.input_name], outputs=list(self.output_names))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
+        entries = {
+            "schema": SCHEMA,
+            "type": "modal_model",
+            "structure": self.structure,
+            "input_name": self.input_name,
+            "output_names": self.output_names,
+            "natural_frequencies_rad_s": self.natural_frequencies,
+            "damping_ratios": self.damping_ratios,
+            "residues": self.residues,
+            "residual_terms": self.residual_terms,
+            "gains": self.gains,
+            "latency_s": self.latency,
+            "clock_rate": self.clock_rate,
+            "noise_sd": self.noise_sd,
+            "parameter_names": self.parameter_names,
+            "covariance": self.covariance,
+        }
+        return {name: plain(value) for name, value in entries.items()}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ModalModel:
+        """Rebuild a model written by ``to_dict``.
+
+        Raises
+        ------
+        ModelFormatError
+            Another schema, a missing entry, or shapes that do not agree.
+        """
+        data = checked_entries(data, "modal_model", SCHEMA)
+        with complaints_about("modal model"):
+            n_outputs, n_modes = len(data["output_names"]), len(data["natural_frequencies_rad_s"])
+            return ModalModel(
+                structure=ModalStructure(data["structure"]).kind,
+                input_name=str(data["input_name"]),
+                output_names=names_of(data["output_names"], "output_names"),
+                natural_frequencies=np.asarray(data["natural_frequencies_rad_s"], dtype=np.float64),
+                damping_ratios=np.asarray(data["damping_ratios"], dtype=np.float64),
+                residues=np.asarray(data["residues"], dtype=np.float64).reshape(n_outputs, n_modes),
+                residual_terms=np.asarray(data["residual_terms"], dtype=np.float64),
+                gains=np.asarray(data["gains"], dtype=np.float64),
+                latency=float(data["latency_s"]),
+                clock_rate=float(data["clock_rate"]),
+                covariance=np.asarray(data["covariance"], dtype=np.float64),
+                noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
+            )
+
+    @staticmethod
+    def from_fit(
+        fit: ModalFit, regression: ModalRegression, latency_is_free: bool, rate_is_free: bool
+    ) -> ModalModel:
+        """Collect the parameters of a fit, leaving out offsets, ramps and free responses."""
+        structure = regression.structure
+        n, m = len(fit.omegas), regression.n_outputs
+        names = _parameter_names(n, regression.output_names)
+        source: list[int] = list(range(2 * n))
+        place = 2 * n
+        for is_free in (latency_is_free, rate_is_free):
+            source.append(place if is_free else -1)
+            place += int(is_free)
+        gains, residuals, residues = np.zeros(m), np.zeros(m), np.zeros((m, n))
+        for j, found in enumerate(fit.coefficients):
+            column = 0
+            if structure.has_direct:
+                gains[j] = found[0]
+                source.append(place)
+                column = 1
+            else:
+                source.append(-1)
+            if structure.has_residual:
+                residuals[j] = found[column]
+                source.append(place + column)
+                column += 1
+            else:
+                source.append(-1)
+            residues[j] = found[column : column + n]
+            source.extend(range(place + column, place + column + n))
+            place += len(found)
+        index = np.array(source)
+        covariance = fit.covariance[np.ix_(index, index)]
+        absent = index < 0
+        covariance[absent, :] = 0.0
+        covariance[:, absent] = 0.0
+        scale = np.ones(len(names))
+        scale[:n] = fit.omegas
+        return ModalModel(
+            structure=structure.kind,
+            input_name=regression.drives[0].name,
+            output_names=regression.output_names,
+            natural_frequencies=fit.omegas,
+            damping_ratios=fit.zetas,
+            residues=residues,
+            residual_terms=residuals,
+            gains=gains,
+            latency=fit.clock.latency,
+            clock_rate=fit.clock.rate,
+            covariance=covariance * np.outer(scale, scale),
+            noise_sd=fit.sigmas,
+        )
+
+    @property
+    def clock(self) -> ClockState:
+        """Latency and clock rate together."""
+        return ClockState(self.latency, self.clock_rate)
+
+
+def _after_the_step(times_s: FloatArray) -> FloatArray:
+    """Return instants, or raise EstimationError for one before the step."""
+    times = finite_row("instants [s]", times_s)
+    if np.any(times < 0.0):
+        raise EstimationError(
+            f"an instant is {float(np.min(times))} s; the step is at 0 s: expected times from there on"
+        )
+    return times
+
+
+def _parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:
+    numbers = range(1, n_modes + 1)
+    names = [f"omega_{i}" for i in numbers] + [f"zeta_{i}" for i in numbers] + ["latency", "clock_rate"]
+    for output in output_names:
+        names += [f"c[{output}]", f"R[{output}]", *(f"r_{i}[{output}]" for i in numbers)]
+    return tuple(names)

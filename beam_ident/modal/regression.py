@@ -1,0 +1,498 @@
+"""Columns of the modal model at the stamps where the outputs were measured.
+
+Given poles and clock, every structure of ``modal.structure`` is linear in
+the rest: gains, residues, offsets, ramps and free responses.  This module builds
+the columns of that linear problem and their exact derivatives with respect to
+``log omega``, ``zeta`` and the instant of measurement.  Outputs that share stamps
+share columns.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.modal.structure import ModalStructure
+from beam_ident.noise.input_noise import Smoothing
+from beam_ident.numerics.free_motion import free_motions
+from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
+from beam_ident.numerics.pole_response import PoleResponses
+
+CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
+
+_MIN_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class ClockState:
+    """Relation of the outputs' clock to the input's.
+
+    A stamp ``t`` was taken at the instant ``m + (t - latency - m) / (1 + rate)`` of the
+    input's clock, with ``m`` the middle of the record: a positive latency means that
+    stamps are late, a positive rate that the outputs' clock runs fast.
+    """
+
+    latency: float = 0.0
+    rate: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ModeColumns:
+    """Derivatives of the columns that one mode touches."""
+
+    columns: IndexArray
+    by_log_omega: FloatArray
+    by_zeta: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnBlock:
+    """The linear problem of all outputs that share stamps.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (n_rows, n_columns)
+    modes : tuple of ModeColumns
+        Derivatives by the poles; empty when none were asked for.
+    by_time : ndarray or None, shape (n_rows, n_columns)
+        Derivative by the instant of measurement.
+    latency_factor, rate_factor : ndarray, shape (n_rows,)
+        Derivative of the instant by latency and clock rate.
+    """
+
+    matrix: FloatArray
+    modes: tuple[ModeColumns, ...]
+    by_time: FloatArray | None
+    latency_factor: FloatArray
+    rate_factor: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Distinct stamps and exposure of one record."""
+
+    times: FloatArray
+    exposure_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampling:
+    """Everything at one grid that depends on the clock alone."""
+
+    clock: ClockState
+    instants: Instants
+    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time
+    direct: tuple[FloatArray, FloatArray]
+    elapsed: FloatArray  # since the first stamp, on the input's clock
+    latency_factor: FloatArray
+    rate_factor: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _GridColumns:
+    """All columns at one grid; derivatives by (log omega, zeta, time) where asked for."""
+
+    sampling: _Sampling
+    forced: tuple[FloatArray, ...]  # value[, by log omega, by zeta, by time], each (n_modes, n)
+    free: tuple[ComplexArray, ...]
+    ramp: FloatArray
+
+
+class _PreparedRecord:
+    """One record with its input turned into exact signals."""
+
+    def __init__(self, record: TimeRecord, drive: InputSignal, structure: ModalStructure) -> None:
+        kind = structure.kind
+        if kind == "base_motion" and drive.hold == "zoh":
+            raise EstimationError(
+                f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
+                "give hold='linear', 'cubic' or 'band_limited'"
+            )
+        self.structure = structure
+        self.span = drive.span_s
+        signal = drive.signal(margin_s=CLOCK_MARGIN_S, from_rest=kind != "base_motion")
+        self.rest = float(drive.values[0]) if kind == "base_motion" else 0.0
+        self.drive = signal.shifted(-self.rest) if self.rest else signal
+        self.drive_integral = self.drive.antiderivative()
+        if kind == "base_motion":
+            position = signal
+            smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
+        else:
+            position = self.drive
+            for _ in range(1 if kind == "velocity" else 2):
+                position = position.antiderivative()
+            smooth = position
+        self.position = position
+        self.position_integral = position.antiderivative()
+        self.residual: tuple[PiecewisePolynomial, PiecewisePolynomial]
+        if structure.is_motion:
+            rate = smooth.derivative()
+            self.residual = (rate.derivative(), rate)
+        else:
+            self.residual = (self.drive, self.drive_integral)
+        self.grids: list[_Grid] = []
+        self.grid_of: dict[str, int] = {}
+        self.rows_of: dict[str, IndexArray] = {}
+        keys: dict[tuple[bytes, float], int] = {}
+        for output in record.outputs:
+            key = (output.times_s.tobytes(), output.exposure_s)
+            if key not in keys:
+                keys[key] = len(self.grids)
+                self.grids.append(_Grid(output.times_s, output.exposure_s))
+            half = 0.5 * output.exposure_s
+            inside = (output.times_s - half >= self.span[0]) & (output.times_s + half <= self.span[1])
+            self.grid_of[output.name] = keys[key]
+            self.rows_of[output.name] = np.flatnonzero(inside & output.is_valid)
+        stamps = np.concatenate([g.times for g in self.grids])
+        self.start = float(np.min(stamps))
+        self.middle = 0.5 * float(np.min(stamps) + np.max(stamps))
+        self.length = max(float(np.max(stamps) - np.min(stamps)), 1e-12)
+        self.values = {output.name: output.values for output in record.outputs}
+
+        self._responses: PoleResponses | None = None
+        self._samplings: dict[int, _Sampling] = {}
+
+    def responses(self, poles: ComplexArray, gradients: bool) -> PoleResponses:
+        """Return the poles' responses at the knots of the input; the latest ones are kept."""
+        known = self._responses
+        if known is None or known.gradients < gradients or not np.array_equal(known.poles, poles):
+            known = self._responses = PoleResponses(poles, self.drive, gradients)
+        return known
+
+    def _sampling(self, number: int, clock: ClockState) -> _Sampling:
+        known = self._samplings.get(number)
+        if known is not None and known.clock == clock:
+            return known
+        grid, structure = self.grids[number], self.structure
+        stretch = 1.0 / (1.0 + clock.rate)
+        late = grid.times - clock.latency - self.middle
+        times = self.middle + late * stretch
+        instants = Instants.on(self.drive, times, grid.exposure_s)
+        fixed = []
+        direct = instants.mean(self.position, self.position_integral)
+        if structure.has_direct:
+            fixed.append(direct)
+        if structure.has_residual:
+            value, rate = instants.mean(*self.residual)
+            fixed.append((structure.sign * value, structure.sign * rate))
+        known = _Sampling(
+            clock,
+            instants,
+            fixed,
+            direct,
+            times - self.start,
+            np.full_like(times, -stretch),
+            -late * stretch**2,
+        )
+        self._samplings[number] = known
+        return known
+
+    def position_integral_at(self, number: int, clock: ClockState) -> FloatArray:
+        """Return the integral of the position that the input stands for, at one grid of stamps [m s]."""
+        instants = self._sampling(number, clock).instants
+        return instants.mean(self.position_integral, self.position_integral.antiderivative())[0]
+
+    def columns(
+        self, number: int, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> _GridColumns:
+        """Return every column at one grid of stamps."""
+        structure, grid = self.structure, self.grids[number]
+        poles = modal_poles(omegas, zetas)
+        sampling = self._sampling(number, clock)
+        sampled = self.responses(poles, gradients).sample(sampling.instants, self.drive_integral, gradients)
+        power, column = structure.differentiations, poles[:, None]
+        factor = column**power * structure.sign / column.imag
+        values = np.ascontiguousarray(np.imag(factor * sampled.values))
+        forced: tuple[FloatArray, ...] = (values,)
+        by_log_omega, by_zeta = (
+            column,
+            omegas[:, None] * (-1.0 - 1j * (zetas / np.sqrt(1.0 - zetas**2))[:, None]),
+        )
+        if sampled.pole_slopes is not None and sampled.time_slopes is not None:
+            slopes = sampled.pole_slopes
+            if power:
+                slopes = slopes + power / column * sampled.values
+            by_pole = [
+                np.imag(factor * d * slopes) - values * (d.imag / column.imag)
+                for d in (by_log_omega, by_zeta)
+            ]
+            by_time = np.imag(factor * sampled.time_slopes)
+            if power == 2:
+                by_time += structure.sign * sampling.direct[1]
+            forced = (values, *by_pole, by_time)
+        if power == 2:
+            values += structure.sign * (sampling.direct[0] - self.rest)
+        free: tuple[ComplexArray, ...] = ()
+        if structure.has_free_response:
+            free = free_motions(
+                column, sampling.elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
+            )
+        return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length)
+
+
+def modal_poles(omegas: FloatArray, zetas: FloatArray) -> ComplexArray:
+    """Return the upper pole of every mode [rad/s]."""
+    return np.asarray(omegas * (-zetas + 1j * np.sqrt(1.0 - zetas**2)), dtype=np.complex128)
+
+
+class ModalRegression:
+    """The modal model of a set of records as a linear problem with a few nonlinear parameters.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        Experiments that share poles, gains and residues.
+    structure : ModalStructure
+    input_name : str or None
+        Which input; may be left out where there is only one.
+
+    smoothing : Smoothing or None
+        Low-pass that a noisy input passes first.
+
+    Raises
+    ------
+    EstimationError
+        No input chosen among several, a held position, too few usable samples.
+    """
+
+    def __init__(
+        self,
+        records: Sequence[TimeRecord],
+        structure: ModalStructure,
+        input_name: str | None = None,
+        smoothing: Smoothing | None = None,
+    ) -> None:
+        if not records:
+            raise EstimationError("no record to identify from; give at least one TimeRecord")
+        self.structure = structure
+        self.drives: list[InputSignal] = []
+        for record in records:
+            if input_name is None and len(record.inputs) > 1:
+                available = ", ".join(s.name for s in record.inputs)
+                raise EstimationError(
+                    f"record {record.name!r} has the inputs {available}; say which with input_name"
+                )
+            self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
+        smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
+        self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, smooth, strict=True)]
+        names = list(dict.fromkeys(name for record in records for name in record.output_names))
+        self.units: list[str] = [
+            next(o.unit for record in records for o in record.outputs if o.name == name) for name in names
+        ]
+        self.output_names: tuple[str, ...] = tuple(names)
+        self.values: list[FloatArray] = []
+        self.times: list[FloatArray] = []
+        # Of every output: record, grid of stamps, rows of it, and the level by which they are divided.
+        self._parts: list[tuple[tuple[int, int, bytes, float], ...]] = []
+        self._rows: dict[tuple[int, int, bytes], IndexArray] = {}
+        self.segments: list[list[tuple[int, slice]]] = []  # of every output: record and its rows
+        for name in names:
+            parts, values, times = [], [], []
+            segments, n_rows = [], 0
+            for index, prepared in enumerate(self._prepared):
+                if name not in prepared.rows_of:
+                    continue
+                rows = prepared.rows_of[name]
+                key = (index, prepared.grid_of[name], rows.tobytes())
+                self._rows[key] = rows
+                parts.append((*key, 1.0))
+                segments.append((index, slice(n_rows, n_rows + len(rows))))
+                n_rows += len(rows)
+                values.append(prepared.values[name][rows])
+                times.append(prepared.grids[prepared.grid_of[name]].times[rows])
+            self._parts.append(tuple(parts))
+            self.segments.append(segments)
+            self.values.append(np.concatenate(values))
+            self.times.append(np.concatenate(times))
+            if len(self.values[-1]) < _MIN_SAMPLES:
+                raise EstimationError(
+                    f"output {name!r} has {len(self.values[-1])} samples that were seen while the input "
+                    "was known; "
+                    f"expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
+                )
+        self._find_blocks()
+
+    def _find_blocks(self) -> None:
+        self._block_keys = list(dict.fromkeys(self._parts))
+        self.block_of: tuple[int, ...] = tuple(self._block_keys.index(p) for p in self._parts)
+
+    def weighed(self, levels: Sequence[FloatArray]) -> ModalRegression:
+        """Return the regression whose rows and values are divided by the level of the noise in their record.
+
+        Parameters
+        ----------
+        levels : sequence of ndarray -- of every output, one number for each of its ``segments``
+        """
+        result = copy.copy(self)
+        result._parts = [
+            tuple((*part[:3], float(level)) for part, level in zip(parts, own, strict=True))
+            for parts, own in zip(self._parts, levels, strict=True)
+        ]
+        result._find_blocks()
+        result.values = [
+            values / rows
+            for values, rows in zip(
+                self.values, (result.row_levels(j) for j in range(self.n_outputs)), strict=True
+            )
+        ]
+        return result
+
+    def row_levels(self, output: int) -> FloatArray:
+        """Return by what every sample of an output is divided, shape (n_samples,)."""
+        sizes = [part.stop - part.start for _, part in self.segments[output]]
+        return np.repeat([part[3] for part in self._parts[output]], sizes)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.output_names)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of output samples used, over all outputs."""
+        return sum(len(v) for v in self.values)
+
+    @property
+    def n_shared_fixed(self) -> int:
+        """Number of columns (direct gain, residual term) in front of the residues."""
+        return int(self.structure.has_direct) + int(self.structure.has_residual)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the longest record [s]."""
+        return max(p.length for p in self._prepared)
+
+    def n_nuisance(self, n_modes: int) -> int:
+        """Number of columns that each record has for itself."""
+        s = self.structure
+        return int(s.has_offset) + int(s.has_ramp) + (2 * n_modes if s.has_free_response else 0)
+
+    @property
+    def n_parameters_of_a_mode(self) -> int:
+        """Number of parameters that one more mode adds."""
+        n_free = 2 if self.structure.has_free_response else 0
+        return 2 + sum(1 + n_free * len(parts) for parts in self._parts)
+
+    def position_integrals(self, clock: ClockState) -> list[FloatArray]:
+        """Return the integral of what stands behind the direct gain, at the samples of every output."""
+        return [
+            np.concatenate(
+                [
+                    self._prepared[part[0]].position_integral_at(part[1], clock)[self._rows[part[:3]]]
+                    for part in parts
+                ]
+            )
+            for parts in self._parts
+        ]
+
+    def blocks(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> list[ColumnBlock]:
+        """Return the columns of every group of outputs that share stamps.
+
+        Columns stand in the order direct gain, residual term, residues of all modes,
+        then for each record offset, ramp, and the real and imaginary free response of
+        each mode.
+        """
+        cache = {
+            (index, number): prepared.columns(number, omegas, zetas, clock, gradients)
+            for index, prepared in enumerate(self._prepared)
+            for number in range(len(prepared.grids))
+        }
+        return [self._assemble(parts, cache, len(omegas), gradients) for parts in self._block_keys]
+
+    def _assemble(
+        self,
+        parts: tuple[tuple[int, int, bytes, float], ...],
+        cache: dict[tuple[int, int], _GridColumns],
+        n_modes: int,
+        gradients: bool,
+    ) -> ColumnBlock:
+        structure = self.structure
+        n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
+        lengths = [len(self._rows[part[:3]]) for part in parts]
+        n_rows, n_columns = sum(lengths), n_fixed + n_modes + n_own * len(parts)
+        matrix = np.zeros((n_rows, n_columns), order="F")
+        by_time = np.zeros_like(matrix) if gradients else None
+        n_free = 2 * len(parts) if structure.has_free_response else 0
+        touched = [np.zeros((2, 1 + n_free, n_rows)) for _ in range(n_modes)] if gradients else []
+        indices = [np.zeros(1 + n_free, dtype=np.intp) for _ in range(n_modes)]
+        latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
+        first = 0
+        for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
+            rows, level = self._rows[part[:3]], part[3]
+            here = slice(first, first + length)
+            first += length
+            source = cache[part[0], part[1]]
+            latency_factor[here] = source.sampling.latency_factor[rows]
+            rate_factor[here] = source.sampling.rate_factor[rows]
+            for column, (value, rate) in enumerate(source.sampling.fixed):
+                matrix[here, column] = value[rows]
+                if by_time is not None:
+                    by_time[here, column] = rate[rows]
+            own = n_fixed + n_modes + n_own * number
+            if structure.has_offset:
+                matrix[here, own] = 1.0
+                own += 1
+            if structure.has_ramp:
+                matrix[here, own] = source.ramp[rows]
+                own += 1
+            for mode in range(n_modes):
+                column = n_fixed + mode
+                matrix[here, column] = source.forced[0][mode][rows]
+                indices[mode][0] = column
+                if by_time is not None:
+                    touched[mode][0, 0, here] = source.forced[1][mode][rows]
+                    touched[mode][1, 0, here] = source.forced[2][mode][rows]
+                    by_time[here, column] = source.forced[3][mode][rows]
+                if not structure.has_free_response:
+                    continue
+                pair = slice(own + 2 * mode, own + 2 * mode + 2)
+                matrix[here, pair] = _real_pair(source.free[0][mode][rows]).T
+                place = slice(1 + 2 * number, 3 + 2 * number)
+                indices[mode][place] = np.arange(pair.start, pair.stop)
+                if by_time is not None:
+                    touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
+                    touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
+                    by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
+            if level != 1.0:
+                for columns in (matrix, by_time):
+                    if columns is not None:
+                        columns[here] /= level
+                for slopes in touched:
+                    slopes[:, :, here] /= level
+        modes = tuple(ModeColumns(i, t[0].T, t[1].T) for i, t in zip(indices, touched, strict=False))
+        return ColumnBlock(matrix, modes, by_time, latency_factor, rate_factor)
+
+
+def _real_pair(values: ComplexArray) -> FloatArray:
+    return np.stack([values.real, values.imag])
+
+
+def forced_columns(
+    drive: InputSignal,
+    structure: ModalStructure,
+    times_s: FloatArray,
+    exposure_s: float,
+    omegas: FloatArray,
+    zetas: FloatArray,
+) -> FloatArray:
+    """Return direct, residual and modal columns from rest, shape (n_times, n_shared)."""
+    first, last = drive.span_s
+    half = 0.5 * exposure_s
+    if len(times_s) and (np.min(times_s) - half < first - 1e-9 or np.max(times_s) + half > last + 1e-9):
+        raise EstimationError(
+            f"instants from {np.min(times_s) - half:.6f} to {np.max(times_s) + half:.6f} s, exposure "
+            "included, are asked "
+            f"for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
+        )
+    output = OutputSignal("instants", "", times_s, np.zeros(len(times_s)), exposure_s)
+    prepared = _PreparedRecord(TimeRecord((drive,), (output,)), drive, structure)
+    columns = prepared.columns(0, omegas, zetas, ClockState(), gradients=False)
+    return np.column_stack([value for value, _ in columns.sampling.fixed] + list(columns.forced[0]))

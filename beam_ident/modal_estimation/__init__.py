@@ -1,0 +1,1 @@
+"""Modes from time records, frequency records and free decays."""

@@ -1,0 +1,176 @@
+"""Where the outputs' clock may stand: a search over latency and clock rate that no cycle traps.
+
+The likelihood of latency and clock rate has a crest for every half cycle of the fastest
+mode, and an iteration that starts on a wrong one stays there.  Here every mode is
+compressed, in every stretch of the record, to the two amplitudes with which its column and
+the derivative of that by time appear in the data: a phasor, whose phase is the
+shift of the clock at that time, ``tan(omega delta) = omega b / a``, up to half cycles.
+A line ``delta(t) = latency + rate (t - m)`` must explain them all with one real residue for
+each mode and output, and how well it does costs next to nothing to compute, so that
+the whole plane of latencies and rates is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.modal_estimation.variable_projection import MAX_LATENCY_S, ModalFit, Prior
+
+_MAX_RATE = 4e-3  # NTSC's 1000/1001 is 1e-3; quartz is far below
+_SEARCHED_SD = 5.0  # standard deviations of a finite prior
+_STRETCHES = 16
+_STEPS_PER_CYCLE = 10
+_RIDGE = 1e-4  # of a whole column's power: a stretch with less says nothing
+_CROWDED = 0.15  # cycles of the fastest mode: places closer than this lead to the same crest
+
+
+@dataclass(frozen=True)
+class ClockPlace:
+    """A clock, and the gain in log-likelihood over the present one that its phasors promise."""
+
+    clock: ClockState
+    gain: float
+
+
+def clock_places(
+    regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior, n_places: int
+) -> list[ClockPlace]:
+    """Return the most promising clocks for the modes of a fit, best first.
+
+    Parameters
+    ----------
+    regression : ModalRegression -- thinned data will do
+    fit : ModalFit -- with poles about right, its clock on any crest
+    latency, clock_rate : Prior -- what is known; the search stays within it
+    n_places : int -- how many crests to return
+    """
+    if not latency.is_free or not len(fit.omegas):
+        return []
+    phasors = _phasors(regression, fit)
+    fastest = float(fit.omegas[-1])
+    step = 2.0 * np.pi / fastest / _STEPS_PER_CYCLE
+    latencies = _axis(fit.clock.latency, latency, MAX_LATENCY_S, step)
+    rates = _axis(fit.clock.rate, clock_rate, _MAX_RATE, 2.0 * step / regression.duration_s)
+    shifts, drifts = (grid.ravel() for grid in np.meshgrid(latencies, rates, indexing="ij"))
+    gains = np.zeros(len(shifts))
+    present = 0.0
+    for phasor in phasors:
+        gains += phasor.explained(shifts - fit.clock.latency, drifts - fit.clock.rate)
+        present += float(phasor.explained(np.zeros(1), np.zeros(1))[0])
+    gains -= _penalty(shifts, latency) + _penalty(drifts, clock_rate)
+    present -= float(_penalty(fit.clock.latency, latency) + _penalty(fit.clock.rate, clock_rate))
+    places: list[ClockPlace] = []
+    open_ones = np.ones(len(gains), dtype=bool)
+    while len(places) < n_places and np.any(open_ones):
+        best = int(np.argmax(np.where(open_ones, gains, -np.inf)))
+        places.append(
+            ClockPlace(ClockState(float(shifts[best]), float(drifts[best])), float(gains[best]) - present)
+        )
+        apart = np.abs(shifts - shifts[best]) + 0.5 * regression.duration_s * np.abs(drifts - drifts[best])
+        open_ones &= apart > _CROWDED * 2.0 * np.pi / fastest
+    return places
+
+
+def _axis(present: float, prior: Prior, limit: float, step: float) -> FloatArray:
+    """Return the values of one clock parameter to look at."""
+    if not prior.is_free:
+        return np.array([present])
+    reach = min(limit, _SEARCHED_SD * prior.sd)
+    n = math.ceil(reach / step)
+    values = np.append(prior.mean + step * np.arange(-n, n + 1), present)
+    return np.asarray(values[np.abs(values) <= max(limit, abs(present))])
+
+
+def _penalty(values: FloatArray | float, prior: Prior) -> FloatArray:
+    if not prior.is_free or not math.isfinite(prior.sd):
+        return np.zeros_like(values)
+    return np.asarray(0.5 * ((values - prior.mean) / prior.sd) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Phasor:
+    """One mode at the outputs of one block, stretch by stretch.
+
+    Attributes
+    ----------
+    omega : float -- [rad/s]
+    times : ndarray, shape (n_stretches,) -- when it rang, since the middle of its record [s]
+    amplitudes : ndarray, shape (n_stretches, 2, n_outputs) -- of the column, and of its quadrature
+    weights : ndarray, shape (n_stretches, 2, 2) -- Gram matrices of the two
+    variances : ndarray, shape (n_outputs,) -- of the noise
+    """
+
+    omega: float
+    times: FloatArray
+    amplitudes: FloatArray
+    weights: FloatArray
+    variances: FloatArray
+
+    def explained(self, shifts: FloatArray, drifts: FloatArray) -> FloatArray:
+        """Return the gain in log-likelihood of real residues for changes of the clock."""
+        # A later stamp was taken earlier: the instant moves by minus the shift.
+        phases = -self.omega * (shifts[:, None] + drifts[:, None] * self.times)
+        shape = np.stack([np.cos(phases), np.sin(phases)], axis=2)
+        met = np.einsum("psa,saj->pj", shape, self.weights @ self.amplitudes, optimize=True)
+        power = np.einsum("psa,sab,psb->p", shape, self.weights, shape, optimize=True)
+        return np.asarray(0.5 * np.sum(met**2 / self.variances, axis=1) / np.maximum(power, 1e-300))
+
+
+def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
+    """Compress every mode to its phasors, with all other columns beside it."""
+    n, n_fixed = len(fit.omegas), regression.n_shared_fixed
+    blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
+    found = []
+    for number, block in enumerate(blocks):
+        assert block.by_time is not None
+        outputs = [j for j, own in enumerate(regression.block_of) if own == number]
+        # The clock's rate acts by the time since the middle of a record.
+        elapsed = -block.rate_factor / np.abs(block.latency_factor)
+        stretch = _stretches(elapsed)
+        columns, owners = [], []
+        others = np.delete(block.matrix, np.arange(n_fixed, n_fixed + n), axis=1)
+        for mode in range(n):
+            pair = np.stack(
+                [block.matrix[:, n_fixed + mode], block.by_time[:, n_fixed + mode] / fit.omegas[mode]]
+            )
+            pair = pair / max(float(np.linalg.norm(pair[0])), 1e-300)
+            for part in range(_STRETCHES):
+                here = stretch == part
+                if float(np.sum(pair[:, here] ** 2)) > 10.0 * _RIDGE:
+                    columns.append(np.where(here, pair, 0.0))
+                    owners.append(
+                        (mode, float(np.average(elapsed[here], weights=np.sum(pair[:, here] ** 2, axis=0))))
+                    )
+        size = np.linalg.norm(others, axis=0)
+        design = np.concatenate([others / np.where(size > 0.0, size, 1.0), np.concatenate(columns).T], axis=1)
+        gram = design.T @ design
+        gram[np.diag_indices_from(gram)] += _RIDGE
+        values = np.stack([regression.values[j] for j in outputs], axis=1)
+        solved = np.linalg.solve(gram, design.T @ values)
+        variances = np.mean(np.square(values - design @ solved), axis=0)
+        first = others.shape[1]
+        for mode in range(n):
+            mine = [k for k, (owner, _) in enumerate(owners) if owner == mode]
+            places = first + 2 * np.array(mine)[:, None] + np.arange(2)
+            found.append(
+                _Phasor(
+                    float(fit.omegas[mode]),
+                    np.array([owners[k][1] for k in mine]),
+                    solved[places],
+                    gram[places[:, :, None], places[:, None, :]],
+                    variances,
+                )
+            )
+    return found
+
+
+def _stretches(elapsed: FloatArray) -> IndexArray:
+    """Return for every instant in which part of the longest record it falls."""
+    first, last = float(np.min(elapsed)), float(np.max(elapsed))
+    share = (elapsed - first) / max(last - first, 1e-300)
+    return np.minimum((share * _STRETCHES).astype(np.intp), _STRETCHES - 1)

@@ -1,0 +1,78 @@
+"""Whether a free base under a force rolls on as it should, or as under friction.
+
+The structure "force" has a rigid body, ``c / s^2``; viscous friction makes it ``c / (s (s + p))``.  For a small p
+the difference is ``-p c / s^3``: the triple integral of the force, which nothing else in the model can
+pass for over a whole record.  What the residuals hold of it is an estimate of p by one step from
+none, with the standard deviation that the residuals' own colour gives it.  Parts of it have gone into
+the other parameters, so that it is rather too small.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal_estimation.variable_projection import ModalFit
+from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.numerics.linear_least_squares import LinearSolution
+
+_VISIBLE = 5.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class HubFriction:
+    """The rate at which a free base loses its speed, to first order.
+
+    Attributes
+    ----------
+    rate, rate_sd : float -- viscous friction over mass [rad/s]
+    """
+
+    rate: float
+    rate_sd: float
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether there is friction beyond doubt."""
+        return self.rate > _VISIBLE * self.rate_sd
+
+    @staticmethod
+    def of(fit: ModalFit, regression: ModalRegression) -> HubFriction:
+        """Look for friction in what a fit with a frictionless rigid body leaves.
+
+        Parameters
+        ----------
+        fit : ModalFit
+        regression : ModalRegression -- of the structure "force"
+        """
+        blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
+        triples = regression.position_integrals(fit.clock)
+        along, power, variance = 0.0, 0.0, 0.0
+        for j, (found, left, triple) in enumerate(zip(fit.coefficients, fit.residuals, triples, strict=True)):
+            block = blocks[regression.block_of[j]]
+            assert block.by_time is not None
+            speed = block.by_time @ found
+            clock = np.stack([speed * block.latency_factor, speed * block.rate_factor], axis=1)
+            basis = LinearSolution.of(np.concatenate([block.matrix, clock], axis=1)).basis
+            column = -found[0] / fit.sigmas[j] * triple
+            column = column - basis @ (basis.T @ column)
+            noise = left / fit.sigmas[j]
+            correlation = autocorrelation(autoregression(noise), len(noise))
+            along += float(column @ noise)
+            power += float(column @ column)
+            variance += float(score_covariance(column[:, None], correlation)[0, 0])
+        if not power > 0.0:
+            return HubFriction(0.0, math.inf)
+        return HubFriction(along / power, math.sqrt(max(variance, 0.0)) / power)
+
+    def warning(self) -> str:
+        """Return what a reader of the fit must know."""
+        return (
+            f"The base does not roll on as a free one: it loses its speed at {self.rate:.2g} rad/s or more "
+            f"({self.rate / self.rate_sd:.0f} standard deviations), as under friction. Frequencies, damping ratios "
+            "and gains are biased. Take the measured position of the base as the input ('base_motion'), or "
+            "estimate_common_poles with one integrator and one more pole."
+        )

@@ -1,0 +1,423 @@
+"""The last step of a fit: every sample weighed by the noise as it is.
+
+Least squares with equal weights is unbiased while the input is known and the outputs'
+noise is independent of it, whatever its colour, but it is neither the most precise
+estimate nor are its plain intervals right.  Once residuals are there, they tell the noise:
+
+- with a known input, an autoregression of every output's residuals whitens residuals
+  and derivatives alike (generalised least squares);
+- with noise on the input, a Kalman filter does (``modal_estimation.input_disturbance``), and the
+  derivatives are those at the most likely true input.  With them the score has mean zero
+  at the true parameters, which takes away the bias of errors in variables: it is
+  the maximum of the likelihood over parameters *and* input, ``min r^T Sigma^-1 r``
+  (weighted total least squares; Soderstrom, Errors-in-Variables Methods, 2018).
+
+Gauss-Newton steps on all parameters, the linear ones included, end where both hold.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
+from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING, ModalFit, Prior
+from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.input_noise import Smoothing
+from beam_ident.noise.scores import are_rounding
+from beam_ident.numerics.linear_least_squares import LinearSolution
+
+_MAX_STEPS = 15
+_STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
+_LARGEST_STEP = 0.1  # of a natural frequency
+_FARTHEST = 6.0  # standard deviations by which weights alone may move a pole
+_FARTHEST_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
+_DRAWS = 8  # each has thousands of independent samples
+_MOST_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
+_LEAST_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Parameters, in the order of ``ModalFit.covariance``."""
+
+    omegas: FloatArray
+    zetas: FloatArray
+    clock: ClockState
+    coefficients: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearisation:
+    """Whitened residuals and derivatives at one point."""
+
+    design: FloatArray
+    residuals: FloatArray
+    lengths: tuple[int, ...]
+    filters: tuple[DisturbanceFilter, ...] = ()
+    disturbances: tuple[tuple[InputDisturbance, Observations], ...] = ()
+
+
+class WeightedFit:
+    """A fit whose samples are weighed by the noise that its residuals show.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+    regression : ModalRegression -- of these records; with the smoothing where the input is noisy
+    fit : ModalFit -- with equal weights, where to begin
+    latency, clock_rate : Prior
+    smoothing : Smoothing or None
+        Given where the input's ``sigma`` matters.
+    """
+
+    def __init__(
+        self,
+        records: Sequence[TimeRecord],
+        regression: ModalRegression,
+        fit: ModalFit,
+        latency: Prior,
+        clock_rate: Prior,
+        smoothing: Smoothing | None = None,
+    ) -> None:
+        self.records, self.regression, self.fit = list(records), regression, fit
+        self.latency, self.clock_rate, self.smoothing = latency, clock_rate, smoothing
+        self.n_theta = 2 * len(fit.omegas) + int(latency.is_free) + int(clock_rate.is_free)
+        n_shared = regression.n_shared_fixed + len(fit.omegas)
+        self.n_shared = n_shared
+        self.variances = np.square(fit.sigmas)
+        self.freedom = 1.0 - len(fit.covariance) / max(regression.n_samples, 1)
+        self.colours = [np.ones(1) for _ in fit.residuals]
+        if smoothing is None:
+            self.colours = [
+                np.ones(1) if are_rounding(values, residuals) else autoregression(residuals)
+                for values, residuals in zip(regression.values, fit.residuals, strict=True)
+            ]
+            filtered = [self._filtered(j, r[:, None]) for j, r in enumerate(fit.residuals)]
+            self.variances = np.array([float(np.mean(np.square(f))) / self.freedom for f in filtered])
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether the noise is other than what the fit took it for."""
+        return self.smoothing is not None or any(len(colour) > 1 for colour in self.colours)
+
+    def result(self) -> ModalFit:
+        """Return the fit under the noise as it is; the given one where that is not to be had.
+
+        Notes
+        -----
+        Residuals that hold unmodelled dynamics have a colour too, but weighing by it moves
+        the estimate further than noise can (Hausman, Econometrica 1978): then equal weights
+        stay.
+        """
+        if not self.is_needed:
+            return self.fit
+        fit = self.fit
+        point = _Point(fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+        travelled = np.zeros(len(fit.covariance))
+        reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+        farthest = _FARTHEST if self.smoothing is None else _FARTHEST_WITH_INPUT
+        for step in range(1, _MAX_STEPS + 1):
+            linear = self._linearise(point)
+            design, right = self._with_priors(linear, point)
+            solution = LinearSolution.of(design)
+            change = solution.coefficients(right)
+            travelled += change
+            if not np.max(np.abs(travelled / reach)[: self.n_theta]) < farthest:
+                reason = "weighing by the noise moves the poles further than noise can; weights are equal"
+                if self.smoothing is not None:
+                    reason = f"{reason}. Check the sigma that is stated for the input"
+                return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
+            if not np.max(np.abs(change[: len(fit.omegas)])) < _LARGEST_STEP:
+                break
+            point = self._moved(point, change)
+            if float(np.linalg.norm(design @ change)) < _STEP_TOLERANCE * np.sqrt(len(change)):
+                return self._finished(point, linear, solution.inverse_gram(), step)
+        reason = "weighing by the noise did not settle; weights are equal"
+        return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
+
+    def _keeps_equal_weights(self, fit: ModalFit) -> bool:
+        """Return whether equal weights are an answer: not where the input's noise biases them."""
+        return fit.converged and self.smoothing is None
+
+    def _linearise(self, point: _Point) -> _Linearisation:
+        regression = self.regression
+        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=self.smoothing is None)
+        residuals = [
+            values - blocks[block].matrix @ found
+            for values, block, found in zip(
+                regression.values, regression.block_of, point.coefficients, strict=True
+            )
+        ]
+        filters: list[DisturbanceFilter] = []
+        disturbances: list[tuple[InputDisturbance, Observations]] = []
+        if self.smoothing is not None:
+            disturbances = self._disturbances(point)
+            filters = [d.filter(o, self.variances) for d, o in disturbances]
+            white = [r[:, None].copy() for r in residuals]
+            for own in filters:
+                own.whiten(white)
+            self._adjust_variances(white, residuals)
+            for own in filters:
+                own.weigh(white)
+            weighted = [w[:, 0] for w in white]
+            cleaned = self._cleaned(disturbances, weighted)
+            blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+        columns = self._columns(blocks, point.coefficients)
+        for rows, values in zip(columns, residuals, strict=True):
+            rows[:, -1] = values
+        for own_filter in filters:
+            own_filter.whiten(columns)
+        if not filters:
+            columns = [self._filtered(j, c) / np.sqrt(self.variances[j]) for j, c in enumerate(columns)]
+        stacked = np.concatenate(columns)
+        lengths = tuple(len(c) for c in columns)
+        return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters), tuple(disturbances))
+
+    def _columns(self, blocks: Sequence[ColumnBlock], coefficients: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return the derivatives of every output by all parameters, and room for one column more."""
+        columns = []
+        first, total = self.n_theta, len(self.fit.covariance)
+        for block, found in zip(self.regression.block_of, coefficients, strict=True):
+            matrix = blocks[block].matrix
+            full = np.zeros((len(matrix), total + 1), order="F")
+            full[:, : self.n_theta] = self._slopes(blocks[block], found)
+            full[:, first : first + len(found)] = matrix
+            first += len(found)
+            columns.append(full)
+        return columns
+
+    def _slopes(self, block: ColumnBlock, found: FloatArray) -> FloatArray:
+        """Return the derivative of one output's model by the nonlinear parameters."""
+        n = len(self.fit.omegas)
+        result = np.empty((len(block.matrix), self.n_theta), order="F")
+        for mode, touched in enumerate(block.modes):
+            share = found[touched.columns]
+            result[:, mode] = touched.by_log_omega @ share
+            result[:, n + mode] = touched.by_zeta @ share
+        if self.n_theta > 2 * n:
+            assert block.by_time is not None
+            speed = block.by_time @ found
+            if self.latency.is_free:
+                result[:, 2 * n] = speed * block.latency_factor
+            if self.clock_rate.is_free:
+                result[:, -1] = speed * block.rate_factor
+        return result
+
+    def _filtered(self, output: int, columns: FloatArray) -> FloatArray:
+        """Return columns passed through an output's whitening filter, each record for itself."""
+        colour = self.colours[output]
+        if len(colour) == 1:
+            return columns
+        return np.concatenate(
+            [lfilter(colour, [1.0], columns[part], axis=0) for _, part in self.regression.segments[output]]
+        )
+
+    def _with_priors(self, linear: _Linearisation, point: _Point) -> tuple[FloatArray, FloatArray]:
+        rows, values = [], []
+        place = 2 * len(point.omegas)
+        clock = ((self.latency, point.clock.latency), (self.clock_rate, point.clock.rate))
+        for prior, value in clock:
+            if not prior.is_free:
+                continue
+            if np.isfinite(prior.sd):
+                row = np.zeros(linear.design.shape[1])
+                row[place] = 1.0 / prior.sd
+                rows.append(row)
+                values.append((prior.mean - value) / prior.sd)
+            place += 1
+        if not rows:
+            return linear.design, linear.residuals
+        return np.vstack([linear.design, *rows]), np.append(linear.residuals, values)
+
+    def _moved(self, point: _Point, change: FloatArray) -> _Point:
+        n = len(point.omegas)
+        place = 2 * n
+        latency, rate = point.clock.latency, point.clock.rate
+        if self.latency.is_free:
+            latency += float(change[place])
+            place += 1
+        if self.clock_rate.is_free:
+            rate += float(change[place])
+            place += 1
+        coefficients = []
+        for found in point.coefficients:
+            coefficients.append(found + change[place : place + len(found)])
+            place += len(found)
+        return _Point(
+            point.omegas * np.exp(change[:n]),
+            np.clip(point.zetas + change[n : 2 * n], MIN_DAMPING, MAX_DAMPING),
+            ClockState(latency, rate),
+            tuple(coefficients),
+        )
+
+    def _disturbances(self, point: _Point) -> list[tuple[InputDisturbance, Observations]]:
+        """Return the noise of every record's input and where it is seen."""
+        regression = self.regression
+        assert self.smoothing is not None
+        shared = np.array([found[: self.n_shared] for found in point.coefficients])
+        result = []
+        for index, drive in enumerate(regression.drives):
+            times: list[FloatArray] = []
+            rows: list[IndexArray] = []
+            for segments in regression.segments:
+                own = [part for record, part in segments if record == index]
+                places = [np.arange(part.start, part.stop) for part in own]
+                rows.append(np.concatenate(places) if places else np.empty(0, dtype=np.intp))
+                times.append(regression.times[len(rows) - 1][rows[-1]] - point.clock.latency)
+            names = [o.name for o in self.records[index].outputs]
+            exposures = np.array(
+                [
+                    self.records[index].output(name).exposure_s if name in names else 0.0
+                    for name in regression.output_names
+                ]
+            )
+            disturbance = InputDisturbance(
+                drive, regression.structure, point.omegas, point.zetas, shared, exposures, self.smoothing
+            )
+            result.append((disturbance, Observations.of(times, rows)))
+        return result
+
+    def _adjust_variances(self, white: list[FloatArray], residuals: list[FloatArray]) -> None:
+        """Move the outputs' own variances to where the innovations have unit power."""
+        for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
+            power = float(np.mean(np.square(own)))
+            least = _LEAST_VARIANCE * float(np.mean(np.square(plain)))
+            self.variances[output] = max(self.variances[output] * power / self.freedom, least)
+
+    def _cleaned(
+        self, disturbances: list[tuple[InputDisturbance, Observations]], weighted: list[FloatArray]
+    ) -> ModalRegression:
+        """Return the regression on the most likely true inputs."""
+        assert self.smoothing is not None
+        values = []
+        for disturbance, observations in disturbances:
+            added = disturbance.most_likely(observations, weighted)
+            values.append(self.smoothing.of(disturbance.drive).values + added)
+        return self._on_inputs(values, is_smooth=True)
+
+    def _on_inputs(self, values: Sequence[FloatArray], is_smooth: bool = False) -> ModalRegression:
+        """Return the regression on other samples of every input."""
+        records = []
+        for record, drive, own in zip(self.records, self.regression.drives, values, strict=True):
+            changed = InputSignal(drive.name, drive.unit, drive.times_s, own, drive.hold, drive.sigma)
+            records.append(TimeRecord((changed,), record.outputs, record.start_ns, record.name))
+        smoothing = None if is_smooth else self.smoothing
+        return ModalRegression(records, self.regression.structure, None, smoothing)
+
+    def _without_feigned_information(
+        self, point: _Point, linear: _Linearisation, covariance: FloatArray
+    ) -> FloatArray:
+        """Return the covariance without the information that noise in the derivatives only feigns.
+
+        Notes
+        -----
+        Of the information H at the most likely input, G is that of what is left of the noise
+        there, which is independent of the weighed residuals.  So the score varies with H and
+        answers to a change of the parameters with ``H - G``: the covariance is ``(H - G)^-1 H
+        (H - G)^-1``, with G from a few seeded draws (Fuller, Measurement Error Models, 1987).
+        """
+        shared = []
+        for found in point.coefficients:
+            without_nuisance = found.copy()
+            without_nuisance[self.n_shared :] = 0.0
+            shared.append(without_nuisance)
+        draws: list[list[FloatArray]] = []
+        for left in self._left_noise(point, linear, shared):
+            regression = self._on_inputs(left, is_smooth=True)
+            blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+            columns = self._columns(blocks, shared)
+            first = self.n_theta
+            for own, found in zip(columns, shared, strict=True):
+                own[:, first + self.n_shared : first + len(found)] = 0.0
+                first += len(found)
+            draws.append(columns)
+        together = [np.concatenate(columns, axis=1) for columns in zip(*draws, strict=True)]
+        for own_filter in linear.filters:
+            own_filter.whiten(together)
+        stacked = np.concatenate(together).reshape(-1, _DRAWS, len(covariance) + 1)[:, :, :-1]
+        noise = np.einsum("rdi,rdj->ij", stacked, stacked, optimize=True) / _DRAWS
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
+        spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MOST_FEIGNED))
+        return np.asarray((spread @ spread.T) * np.outer(scale, scale))
+
+    def _left_noise(
+        self, point: _Point, linear: _Linearisation, shared: list[FloatArray]
+    ) -> list[list[FloatArray]]:
+        """Return draws of what noise is left on every record's most likely input."""
+        assert self.smoothing is not None
+        rng = np.random.default_rng(0)
+        regression = self.regression
+        inputs: list[list[FloatArray]] = []
+        residuals = [np.empty((len(values), _DRAWS)) for values in regression.values]
+        for draw in range(_DRAWS):
+            noise = []
+            for drive in regression.drives:
+                values = drive.sigma * rng.standard_normal(len(drive.values))
+                raw = InputSignal(drive.name, drive.unit, drive.times_s, values, drive.hold)
+                noise.append(self.smoothing.of(raw).values)
+            inputs.append(noise)
+            blocks = self._on_inputs(noise, is_smooth=True).blocks(
+                point.omegas, point.zetas, point.clock, gradients=False
+            )
+            for output, block in enumerate(regression.block_of):
+                own = np.sqrt(self.variances[output]) * rng.standard_normal(len(residuals[output]))
+                residuals[output][:, draw] = own - blocks[block].matrix @ shared[output]
+        for own_filter in linear.filters:
+            own_filter.whiten(residuals)
+            own_filter.weigh(residuals)
+        for draw, noise in enumerate(inputs):
+            weighted = [values[:, draw] for values in residuals]
+            for index, (disturbance, observations) in enumerate(linear.disturbances):
+                noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
+        return inputs
+
+    def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
+        """Return the fit, with what correlation is left in the innovations in its covariance."""
+        excess = np.zeros_like(inverse)
+        first = 0
+        for length in linear.lengths:
+            own = slice(first, first + length)
+            first += length
+            innovations = linear.residuals[own]
+            colour = autoregression(innovations)
+            if len(colour) > 1:
+                design = linear.design[own]
+                excess += score_covariance(design, autocorrelation(colour, length)) - design.T @ design
+        covariance = inverse + inverse @ excess @ inverse
+        if self.smoothing is not None:
+            covariance = self._without_feigned_information(point, linear, covariance)
+        regression = self.regression
+        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=False)
+        residuals = tuple(
+            values - blocks[block].matrix @ found
+            for values, block, found in zip(
+                regression.values, regression.block_of, point.coefficients, strict=True
+            )
+        )
+        powers = np.array([float(np.mean(np.square(r))) for r in residuals])
+        shares = np.zeros(len(residuals))
+        if self.smoothing is not None:
+            shares = np.clip(1.0 - self.variances / powers, 0.0, 1.0)
+        return dataclasses.replace(
+            self.fit,
+            omegas=point.omegas,
+            zetas=point.zetas,
+            clock=point.clock,
+            coefficients=point.coefficients,
+            residuals=residuals,
+            sigmas=np.sqrt(powers / self.freedom),
+            covariance=0.5 * (covariance + covariance.T),
+            input_noise_shares=shares,
+            iterations=self.fit.iterations + steps,
+        )

@@ -1,0 +1,84 @@
+"""Noise that is not white: what it does to the uncertainty of an estimate.
+
+An estimator that weighs samples as if their noise were white stays unbiased when it
+is not, but its stated covariance is wrong.  With the autocorrelation of the residuals
+the right one follows, the sandwich ``H^-1 S H^-1``: H the information under white noise,
+S the covariance of the score under the real one.  The autocorrelation is that of
+an autoregressive model whose order BIC chooses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import lfilter
+
+from beam_ident.arrays import FloatArray
+
+_MAX_ORDER = 40
+
+
+def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatArray:
+    """Return the coefficients ``1, c_1 .. c_p`` of the autoregression that BIC prefers.
+
+    Notes
+    -----
+    Levinson-Durbin on the biased autocorrelation, which is always stable.
+    """
+    n = len(residuals)
+    centred = residuals - np.mean(residuals)
+    max_order = max(0, min(max_order, n // 10))
+    length = next_fast_len(n + max_order, real=True)
+    power = np.square(np.abs(rfft(centred, length)))
+    covariance = irfft(power, length)[: max_order + 1] / n
+    if covariance[0] <= 0.0:
+        return np.ones(1)
+    coefficients, variance = np.ones(1), covariance[0]
+    best, best_bic = coefficients, n * np.log(variance)
+    for order in range(1, max_order + 1):
+        reflection = -float(coefficients @ covariance[order:0:-1][: len(coefficients)]) / variance
+        extended = np.append(coefficients, 0.0)
+        coefficients = extended + reflection * extended[::-1]
+        variance *= max(1.0 - reflection**2, 1e-12)
+        bic = n * np.log(variance) + order * np.log(n)
+        if bic < best_bic:
+            best, best_bic = coefficients, bic
+    return np.asarray(best)
+
+
+def autocorrelation(coefficients: FloatArray, n: int) -> FloatArray:
+    """Return the autocorrelation of an autoregression's noise at lags 0 .. n - 1."""
+    if len(coefficients) == 1:
+        result = np.zeros(n)
+        result[0] = 1.0
+        return result
+    impulse = np.zeros(n)
+    impulse[0] = 1.0
+    response = lfilter([1.0], coefficients, impulse)
+    length = next_fast_len(2 * n - 1, real=True)
+    result = irfft(np.square(np.abs(rfft(response, length))), length)[:n]
+    return np.asarray(result / result[0])
+
+
+def score_covariance(design: FloatArray, correlation: FloatArray) -> FloatArray:
+    """Return ``D^T R D`` for a noise correlation R that depends on the lag alone.
+
+    Parameters
+    ----------
+    design : ndarray, shape (n, n_parameters)
+    correlation : ndarray, shape (n,) -- at lags 0 .. n - 1
+
+    Notes
+    -----
+    R is a corner of a circulant matrix, whose eigenvalues are the Fourier transform of its first
+    row: the product is a sum over frequencies.
+    """
+    n = len(design)
+    length = next_fast_len(2 * n - 1, real=True)
+    row = np.zeros(length)
+    row[:n] = correlation
+    row[length - n + 1 :] = correlation[:0:-1]
+    weights = rfft(row).real
+    weights[1 : (length + 1) // 2] *= 2.0  # and their mirror images
+    spectra = rfft(np.ascontiguousarray(design.T), length)
+    return np.asarray(np.real((spectra * (weights / length)) @ spectra.conj().T))

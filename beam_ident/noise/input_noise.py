@@ -1,0 +1,88 @@
+"""What noise on a measured input does, and what can be done about it.
+
+White noise of standard deviation sigma on the samples of an input of period T passes
+through the model like the input itself: it adds ``2 sigma^2 T int |H|^2 df`` over the
+sampled band to the variance of an output.  Where that is no longer small against
+the output's own noise, residuals may still look white while the intervals are wrong;
+and noise far above the excited band, differentiated twice, drowns the columns of the
+static terms and biases what is estimated beside them.  A linear-phase low-pass at the
+end of the excited band takes away the second evil; the first is weighed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import trapezoid
+from scipy.signal import fftconvolve, firwin, kaiserord
+
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.records import InputSignal
+
+_PASS, _STOP = 1.08, 1.4  # edges of the low-pass, in multiples of the excited band's end
+# The ripple in the pass band is an error of the input, and must stay below the gains' 1e-5.
+_ATTENUATION_DB = 120.0
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """A low-pass without delay for a noisy input.
+
+    Parameters
+    ----------
+    high_hz : float -- end of the excited band; what lies above 1.4 times it is removed
+    """
+
+    high_hz: float
+
+    def cutoff_hz(self, period_s: float) -> float:
+        """Return where the noise of an input of this period ends."""
+        return min(0.5 * (_PASS + _STOP) * self.high_hz, 0.5 / period_s)
+
+    def of(self, drive: InputSignal) -> InputSignal:
+        """Return the input without its noise above the band; an irregular or slow one as it is."""
+        period = drive.period_s
+        if period is None or _STOP * self.high_hz * period >= 0.5:
+            return drive
+        nyquist = 0.5 / period
+        n_taps, beta = kaiserord(_ATTENUATION_DB, (_STOP - _PASS) * self.high_hz / nyquist)
+        n_taps |= 1
+        taps = firwin(n_taps, 0.5 * (_PASS + _STOP) * self.high_hz / nyquist, window=("kaiser", beta))
+        half = n_taps // 2
+        values = drive.values
+        edge = min(max(half // 4, 1), len(values))
+        before, after = float(np.mean(values[:edge])), float(np.mean(values[-edge:]))
+        padded = np.concatenate([np.full(half, before), values, np.full(half, after)])
+        smooth = fftconvolve(padded, taps, mode="valid")
+        return InputSignal(drive.name, drive.unit, drive.times_s, smooth, drive.hold, drive.sigma)
+
+
+def input_noise_share(
+    response: ComplexArray, omegas: FloatArray, drive: InputSignal, noise_sd: FloatArray
+) -> float:
+    """Return the largest share of an output's noise variance that the input's noise makes up.
+
+    Parameters
+    ----------
+    response : ndarray, shape (n_frequencies, n_outputs) -- from the input to the outputs
+    omegas : ndarray, shape (n_frequencies,) -- up to half the input's rate [rad/s]
+    drive : InputSignal -- with its ``sigma``
+    noise_sd : ndarray, shape (n_outputs,) -- of the residuals
+    """
+    period = float(np.median(np.diff(drive.times_s)))
+    density = np.abs(response) ** 2
+    passed = 2.0 * period * drive.sigma**2 * trapezoid(density, omegas / (2.0 * np.pi), axis=0)
+    return float(np.max(passed / np.maximum(passed + noise_sd**2, 1e-300)))
+
+
+def noise_grid(frequencies_hz: FloatArray, damping_ratios: FloatArray, drive: InputSignal) -> FloatArray:
+    """Return frequencies [rad/s] up to half the input's rate, dense at the resonances."""
+    nyquist = 0.5 / float(np.median(np.diff(drive.times_s)))
+    coarse = np.linspace(0.0, nyquist, 400)[1:]
+    near = [
+        frequency * (1.0 + max(zeta, 1e-4) * np.sinh(np.linspace(-6.0, 6.0, 161)))
+        for frequency, zeta in zip(frequencies_hz, damping_ratios, strict=True)
+    ]
+    grid = np.unique(np.concatenate([coarse, *near]))
+    return np.asarray(2.0 * np.pi * grid[(grid > coarse[0] * 0.01) & (grid <= nyquist)])

@@ -1,0 +1,74 @@
+"""Gross outliers among residuals: single samples that no noise of the others explains.
+
+Least squares weighs an error by its square, so that one sample in a hundred can bias a whole model.
+A sample counts where it stands far off both in the record and among its neighbours, in
+robust standard deviations (1.4826 times the median absolute deviation, which outliers hardly move;
+Huber and Ronchetti 2009, ch. 5).  Noise that swells, or a motion that the model misses, stands off from the
+record but not from its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.noise.record_fit import RecordFit
+from beam_ident.noise.scores import are_rounding
+
+_FAR = 5.0  # robust standard deviations
+_GROSS = 10.0  # those of one sample that is worth a word by itself
+_TO_SIGMA = 1.4826  # of Gaussian noise, from the median absolute deviation
+_NEIGHBOURS = 25  # samples on each side
+_FEWEST = 3  # samples that are worth a word
+
+
+def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
+    """Return which residuals of a record, in the order of their stamps, are gross outliers.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+    far : float -- robust standard deviations from which on a sample counts
+
+    Returns
+    -------
+    places : ndarray of int, shape (n_outliers,)
+    """
+    centre = np.median(residuals)
+    spread = _TO_SIGMA * np.median(np.abs(residuals - centre))
+    places = np.flatnonzero(np.abs(residuals - centre) > far * spread)
+    width = min(_NEIGHBOURS, len(residuals))
+    last = len(residuals) - width
+    stands_off = np.ones(len(places), dtype=bool)
+    # Where noise begins to swell, one side is quiet: it must stand off from both.
+    for first in (places - width, places + 1):
+        around = residuals[np.clip(first, 0, last)[:, None] + np.arange(width)]
+        middle = np.median(around, axis=1)
+        own_spread = _TO_SIGMA * np.median(np.abs(around - middle[:, None]), axis=1)
+        # Where more than half of them agree exactly, as rounded values do, nothing is known of their spread.
+        stands_off &= (own_spread > 0.0) & (np.abs(residuals[places] - middle) > far * own_spread)
+    return np.asarray(places[stands_off])
+
+
+def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
+    """Return what to say of the outliers of outputs over all their records, or an empty string.
+
+    Parameters
+    ----------
+    outputs : sequence of (name, records) -- of every output
+    """
+    found = []
+    for name, records in outputs:
+        seen = [own.residuals for own in records if not are_rounding(own.measured, own.residuals)]
+        count = sum(len(outliers(residuals)) for residuals in seen)
+        if count >= _FEWEST or (count and any(len(outliers(residuals, _GROSS)) for residuals in seen)):
+            found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
+    if not found:
+        return ""
+    return (
+        f"Outliers: {', '.join(found)} stand more than {_FAR:.0f} robust standard deviations off, alone among their "
+        "neighbours, and bias the fit. Set them to NaN (not seen) and fit again, unless they are jumps that "
+        "the model misses."
+    )

@@ -1,0 +1,68 @@
+"""What one record of several says of a fit: its samples, its noise, and what belongs to it alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.noise.scores import Scores, Whiteness
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFit:
+    """One output of one record: what was measured and what the model says.
+
+    Attributes
+    ----------
+    name : str -- of the record
+    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit; times on the record's own axis.
+    noise_sd : float -- of this record's noise, by which it was weighed
+    scores : Scores
+    whiteness : Whiteness -- of the residuals, or of the innovations of their autoregression
+    offset, ramp : float -- at the middle of the record, and over its whole length
+    noise_coefficients : ndarray
+        1, c_1 .. c_p of an autoregression that the estimator gave this record's noise; 1 alone otherwise.
+    """
+
+    name: str
+    times_s: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+    residuals: FloatArray
+    noise_sd: float
+    scores: Scores
+    whiteness: Whiteness
+    offset: float
+    ramp: float
+    noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
+
+
+def in_units_of_level(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the residuals of several records in a row, each in units of its own level; of one as they are.
+
+    Tests of whiteness take the variance to be one and the same everywhere.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    sizes = [max(float(np.linalg.norm(part)), 1e-300) / math.sqrt(max(len(part), 1)) for part in parts]
+    return np.concatenate([part / size for part, size in zip(parts, sizes, strict=True)])
+
+
+def pooled_scores(records: Sequence[tuple[FloatArray, FloatArray]]) -> Scores:
+    """Return scores over several records, each about its own mean.
+
+    About a mean of all of them, records that differ by an offset would score for their offsets.
+
+    Parameters
+    ----------
+    records : sequence of (values, residuals) -- each of shape (n,)
+    """
+    if len(records) == 1:
+        return Scores.of(*records[0])
+    values = np.concatenate([own - np.mean(own) for own, _ in records])
+    return Scores.of(values, np.concatenate([left for _, left in records]))

@@ -1,0 +1,97 @@
+"""Linear least squares on columns of very different size, shared by all estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+
+from beam_ident.arrays import FloatArray, IndexArray
+
+_RANK_TOLERANCE = 1e-10
+_CHOLESKY_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution:
+    """QR of a tall matrix, its columns scaled to unit length and dependent ones left out.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (n_rows, rank) -- orthonormal
+    triangle : ndarray, shape (rank, rank) -- upper triangular
+    kept : ndarray, shape (rank,) -- the columns that were kept, in the triangle's order
+    scales : ndarray, shape (n_columns,) -- lengths of the columns
+    """
+
+    basis: FloatArray
+    triangle: FloatArray
+    kept: IndexArray
+    scales: FloatArray
+
+    @staticmethod
+    def of(matrix: FloatArray) -> LinearSolution:
+        """Decompose a tall matrix."""
+        scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+        scales[scales == 0.0] = 1.0
+        scaled = matrix / scales
+        quick = _cholesky_qr(scaled)
+        if quick is not None:
+            return LinearSolution(quick[0], quick[1], np.arange(len(scales)), scales)
+        basis, triangle, order = qr(scaled, mode="economic", pivoting=True, check_finite=False)
+        diagonal = np.abs(np.diag(triangle))
+        rank = int(np.count_nonzero(diagonal > _RANK_TOLERANCE * max(diagonal[0], 1e-300)))
+        return LinearSolution(basis[:, :rank], triangle[:rank, :rank], order[:rank], scales)
+
+    def coefficients(self, values: FloatArray) -> FloatArray:
+        """Return ``A^+ values``, for one or several right-hand sides."""
+        result = np.zeros((len(self.scales), *values.shape[1:]))
+        if not len(self.kept):
+            return result
+        solved = solve_triangular(self.triangle, self.basis.T @ values, check_finite=False)
+        scales = self.scales[self.kept]
+        result[self.kept] = solved / (scales[:, None] if values.ndim > 1 else scales)
+        return result
+
+    def inverse_gram(self) -> FloatArray:
+        """Return ``(A^T A)^-1``, zero for columns left out."""
+        if not len(self.kept):
+            return np.zeros((len(self.scales), len(self.scales)))
+        inverse = solve_triangular(self.triangle, np.eye(len(self.kept)), check_finite=False)
+        inverse = inverse / self.scales[self.kept][:, None]
+        result = np.zeros((len(self.scales), len(self.scales)))
+        result[np.ix_(self.kept, self.kept)] = inverse @ inverse.T
+        return result
+
+
+def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return Q and R by two rounds of Cholesky, or None where columns are nearly dependent.
+
+    Notes
+    -----
+    Orthogonal to rounding while the condition stays below 1e7 (Yamamoto et al. 2015),
+    and several times quicker than Householder reflections on tall matrices.
+    """
+    basis, triangle = matrix, np.eye(matrix.shape[1])
+    if not matrix.shape[1]:
+        return basis, triangle
+    for _ in range(2):
+        try:
+            lower = np.linalg.cholesky(basis.T @ basis)
+        except np.linalg.LinAlgError:
+            return None
+        if np.min(np.diag(lower)) < _CHOLESKY_TOLERANCE:
+            return None
+        basis = solve_triangular(lower, basis.T, lower=True, check_finite=False).T
+        triangle = lower.T @ triangle
+    return basis, triangle
+
+
+def scaled_solve(information: FloatArray, direction: FloatArray, damping: float) -> FloatArray:
+    """Solve the damped normal equations on unit diagonal."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] += damping
+    step = np.linalg.lstsq(scaled, direction * scale, rcond=1e-14)[0]
+    return np.asarray(step * scale)

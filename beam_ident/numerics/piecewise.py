@@ -1,0 +1,245 @@
+"""Signals known between their samples: piecewise polynomials.
+
+An input that is held (ZOH), joined by straight lines or by a cubic spline is a
+polynomial between its knots.  Everything the estimators need from an input
+follows exactly from its coefficients: values, derivatives, antiderivatives, box
+averages and (in ``numerics.pole_response``) the response of a pole to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import factorial
+from typing import Literal
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray, IndexArray
+
+Hold = Literal["zoh", "linear", "cubic", "band_limited"]
+HOLDS: tuple[Hold, ...] = ("zoh", "linear", "cubic", "band_limited")
+BAND_LIMITED_DEGREE = 9
+
+
+_REGULAR_TOLERANCE = 1e-9  # knots closer than this [s] to k * period count as a regular grid
+_SNAP = 1e-6  # of a period: closer to a knot than this counts as after it
+_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # of an instant: what adding up periods may lose
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewisePolynomial:
+    """A scalar signal that is a polynomial between its knots.
+
+    Attributes
+    ----------
+    knots : ndarray, shape (n_segments + 1,) -- strictly increasing times [s]
+    coefficients : ndarray, shape (n_segments, degree + 1)
+        Ascending powers of ``t - knots[k]``.
+    period : float or None
+        Spacing of the knots where they form a regular grid, else None.
+
+    Notes
+    -----
+    Outside its knots the first and the last polynomial are continued.
+    """
+
+    knots: FloatArray
+    coefficients: FloatArray
+    period: float | None = field(default=None)
+
+    @staticmethod
+    def from_samples(
+        times_s: FloatArray,
+        values: FloatArray,
+        hold: Hold,
+        margin_s: float = 0.0,
+        lead: Literal["constant", "zero"] = "constant",
+    ) -> PiecewisePolynomial:
+        """Build the signal from samples and the hold between them.
+
+        Parameters
+        ----------
+        times_s : ndarray, shape (n,) -- strictly increasing sample times [s]
+        values : ndarray, shape (n,)
+        hold : {"zoh", "linear", "cubic", "band_limited"}
+            With "zoh" the last sample holds for one more (last) interval.  "band_limited" is
+            a spline of degree 9.
+        margin_s : float
+            The signal is continued by at least this much on both sides [s].
+        lead : {"constant", "zero"}
+            What stands before the first sample: its value, or zero.  After the
+            last sample its value is held.
+
+        Notes
+        -----
+        Between the samples of a signal without content above half its rate stands its sinc
+        interpolation, the limit of interpolating splines as their degree grows (Schoenberg
+        1974; Aldroubi, Unser and Eden 1992).  At the fraction ``x = f T`` of the rate a spline
+        of odd degree d misses it by less than ``3 (x / (1 - x))^(d + 1)`` of the amplitude and its
+        second derivative by ``3 (x / (1 - x))^(d - 1)``: with d = 9 that is 1e-9 and 7e-8 at a
+        tenth, 5e-5 and 5e-4 at a quarter of the rate, against 0.04 and 0.3 of a cubic spline.
+        The first and last ten samples, where it has neighbours on one side only, are less exact.
+        """
+        period = regular_period(times_s)
+        if hold == "zoh":
+            coefficients = values[:, None]
+            knots = np.append(times_s, times_s[-1] + (times_s[-1] - times_s[-2]))
+        elif hold == "linear":
+            slopes = np.diff(values) / np.diff(times_s)
+            coefficients = np.stack([values[:-1], slopes], axis=1)
+            knots = times_s
+        elif hold == "cubic" or len(values) <= BAND_LIMITED_DEGREE:
+            from scipy.interpolate import CubicSpline  # here: records are made where nothing is fitted
+
+            spline = CubicSpline(times_s, values, bc_type="not-a-knot" if len(values) > 3 else "natural")
+            coefficients = np.ascontiguousarray(spline.c[::-1].T)
+            knots = times_s
+        else:
+            coefficients = _high_spline(times_s, values, period)
+            knots = times_s
+        step = period if period is not None else float(np.median(np.diff(knots)))
+        n_extra = int(np.ceil(margin_s / step)) if margin_s > 0.0 else 0
+        if n_extra:
+            width = coefficients.shape[1]
+            before = np.zeros((n_extra, width))
+            before[:, 0] = values[0] if lead == "constant" else 0.0
+            after = np.zeros((n_extra, width))
+            after[:, 0] = values[-1]
+            counts = np.arange(1, n_extra + 1) * step
+            knots = np.concatenate([knots[0] - counts[::-1], knots, knots[-1] + counts])
+            coefficients = np.concatenate([before, coefficients, after])
+        if period is not None:
+            knots = knots[0] + period * np.arange(len(knots))
+        return PiecewisePolynomial(knots, np.ascontiguousarray(coefficients), period)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return int(self.coefficients.shape[1]) - 1
+
+    def locate(self, times: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """Return the segment of every instant and the time since its knot [s].
+
+        An instant that misses a knot by rounding alone belongs to the segment that begins
+        there: a held input has changed by then.  How far it misses is kept, for a likelihood
+        must stay smooth while a clock moves its instants over the knots.
+        """
+        last = len(self.coefficients) - 1
+        slack = _SNAP * (self.period if self.period is not None else float(np.min(np.diff(self.knots))))
+        if self.period is not None:
+            index = np.floor((times - self.knots[0] + slack) / self.period).astype(np.intp)
+        else:
+            index = np.searchsorted(self.knots, times + slack, side="right") - 1
+        index = np.clip(index, 0, last)
+        offset = times - self.knots[index]
+        rounding = _ROUNDING * float(np.max(np.abs(times), initial=0.0))
+        return index, np.where(np.abs(offset) <= rounding, 0.0, offset)
+
+    def __call__(self, times: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return the signal, or one of its derivatives, at any instants."""
+        index, offset = self.locate(times)
+        return self.evaluate(index, offset, derivative)
+
+    def evaluate(self, index: IndexArray, offset: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return the signal at places that ``locate`` has found."""
+        if derivative > self.degree:
+            return np.zeros_like(offset)
+        rows = self.coefficients[index]
+        result = np.zeros_like(offset)
+        for power in range(self.degree, derivative - 1, -1):
+            factor = 1.0
+            for k in range(derivative):
+                factor *= power - k
+            result = result * offset + factor * rows[:, power]
+        return result
+
+    def antiderivative(self) -> PiecewisePolynomial:
+        """Return the integral from the first knot."""
+        steps = np.diff(self.knots)
+        powers = np.arange(1, self.degree + 2)
+        raised = self.coefficients / powers
+        gains = np.sum(raised * steps[:, None] ** powers, axis=1)
+        start = np.concatenate([[0.0], np.cumsum(gains)[:-1]])
+        return PiecewisePolynomial(self.knots, np.column_stack([start, raised]), self.period)
+
+    def derivative(self) -> PiecewisePolynomial:
+        """Return the derivative inside the segments (jumps at the knots are left out)."""
+        if self.degree == 0:
+            return PiecewisePolynomial(self.knots, np.zeros_like(self.coefficients), self.period)
+        powers = np.arange(1, self.degree + 1)
+        return PiecewisePolynomial(self.knots, self.coefficients[:, 1:] * powers, self.period)
+
+    def shifted(self, offset: float) -> PiecewisePolynomial:
+        """Return the signal plus a constant."""
+        coefficients = self.coefficients.copy()
+        coefficients[:, 0] += offset
+        return PiecewisePolynomial(self.knots, coefficients, self.period)
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Output instants, with their exposures, located on the knots of an input.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,) -- centres of the exposures [s]
+    exposure_s : float -- length of the box average, 0 for none [s]
+    index, offset : ndarray
+        Segments and times since their knots: shape (n,), or (2 n,) with all starts of
+        the exposures followed by all ends.
+    """
+
+    times: FloatArray
+    exposure_s: float
+    index: IndexArray
+    offset: FloatArray
+
+    @staticmethod
+    def on(signal: PiecewisePolynomial, times: FloatArray, exposure_s: float) -> Instants:
+        """Locate instants on the knots of a signal."""
+        if exposure_s > 0.0:
+            half = 0.5 * exposure_s
+            index, offset = signal.locate(np.concatenate([times - half, times + half]))
+        else:
+            index, offset = signal.locate(times)
+        return Instants(times, exposure_s, index, offset)
+
+    def mean(
+        self, signal: PiecewisePolynomial, integral: PiecewisePolynomial
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the signal averaged over the exposures, and its derivative by time.
+
+        Both signals must have the knots on which the instants were located.
+        """
+        if self.exposure_s > 0.0:
+            return self._difference(integral), self._difference(signal)
+        return signal.evaluate(self.index, self.offset), signal.evaluate(self.index, self.offset, 1)
+
+    def _difference(self, signal: PiecewisePolynomial) -> FloatArray:
+        values = signal.evaluate(self.index, self.offset)
+        n = len(self.times)
+        return np.asarray((values[n:] - values[:n]) / self.exposure_s)
+
+
+def _high_spline(times_s: FloatArray, values: FloatArray, period: float | None) -> FloatArray:
+    """Return the interpolating spline of high degree, ascending powers on every interval."""
+    from scipy.interpolate import make_interp_spline
+
+    step = period if period is not None else float(np.median(np.diff(times_s)))
+    places = (times_s - times_s[0]) / step  # unit intervals keep high powers in range
+    spline = make_interp_spline(places, values, BAND_LIMITED_DEGREE)
+    columns = [
+        spline(places[:-1], power) / (factorial(power) * step**power)
+        for power in range(BAND_LIMITED_DEGREE + 1)
+    ]
+    return np.column_stack(columns)
+
+
+def regular_period(times_s: FloatArray) -> float | None:
+    """Return the period of a regular grid, or None when the stamps are irregular."""
+    n = len(times_s)
+    if n < 2:
+        return None
+    period = float(times_s[-1] - times_s[0]) / (n - 1)
+    deviation = np.max(np.abs(times_s - times_s[0] - period * np.arange(n)))
+    return period if deviation <= min(_REGULAR_TOLERANCE, 1e-3 * period) else None

@@ -1,0 +1,343 @@
+"""The exact response of complex poles to a piecewise polynomial.
+
+For ``x' = p x + a(t)`` with ``a`` a polynomial on every segment, the state at the
+knots obeys ``x[k+1] = e^(p h) x[k] + sum_m m! h^(m+1) phi_(m+1)(p h) a[k, m]`` with
+the phi functions of exponential integrators, and the same formula with a shorter
+step gives the state at any instant in between.  Derivatives with respect to ``p``
+follow by differentiating the recursion; averages over an exposure by integrating
+the differential equation: ``mean(x) = (x(b) - x(a) - int a) / (p (b - a))``.
+Nothing is interpolated and nothing depends on how the stamps of the outputs fall.
+
+On a regular grid the recursion is unrolled over blocks of knots: the states inside a
+block are a matrix product with the coefficients of the block, and only one state
+per block is left to recur.  That is the same sum in another order, several times quicker.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from math import factorial
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
+
+_SERIES_RADIUS = 1.0
+_SERIES_TERMS = 17  # 1 / 17! = 3e-15 of the leading term at the edge of the series' disc
+_TAYLOR_RADIUS = 4.0  # of |p t|: the largest term is 10, one digit is lost
+_BLOCK_WIDTH = 32  # coefficients in a block of knots
+_FEW = 12  # poles up to which a filter for each is quicker than steps of all together
+_DENSE = 0.5  # share of the knots above which all states are computed
+
+
+def phi_functions(z: ComplexArray, highest: int) -> list[ComplexArray]:
+    """Return ``phi_0 .. phi_highest`` of exponential integrators at ``z``.
+
+    Notes
+    -----
+    ``phi_0 = e^z``, ``phi_(k+1)(z) = (phi_k(z) - 1/k!) / z``.  The recursion is run
+    upwards where ``|z| > 1`` and downwards from a series where it would cancel
+    (Hochbruck and Ostermann, Acta Numerica 2010).
+    """
+    z = np.asarray(z, dtype=np.complex128)
+    large = np.abs(z) > _SERIES_RADIUS
+    any_large = bool(np.any(large))
+    small_z = np.where(large, 0.0, z) if any_large else z
+    series = np.full(z.shape, 1.0 / factorial(highest + _SERIES_TERMS), dtype=np.complex128)
+    for n in range(_SERIES_TERMS - 1, -1, -1):
+        series = series * small_z + 1.0 / factorial(highest + n)
+    results = [series]
+    for k in range(highest - 1, -1, -1):
+        results.append(small_z * results[-1] + 1.0 / factorial(k))
+    results.reverse()
+    if any_large:
+        where = z[large]
+        current = np.exp(where)
+        results[0][large] = current
+        for k in range(highest):
+            current = (current - 1.0 / factorial(k)) / where
+            results[k + 1][large] = current
+    return results
+
+
+def recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> ComplexArray:
+    """Return the states of ``x[k+1] = factor[k] x[k] + drive[k]`` from ``initial`` on."""
+    n = len(drive)
+    states = np.empty(n + 1, dtype=np.complex128)
+    states[0] = initial
+    if factor.size == 1:
+        feedback = complex(factor.ravel()[0])
+        filtered, _ = lfilter([1.0], [1.0, -feedback], drive, zi=np.array([feedback * initial]))
+        states[1:] = filtered
+    else:
+        pairs = zip(factor.tolist(), drive.tolist(), strict=True)
+
+        def advance(state: complex, pair: Any) -> complex:
+            return complex(pair[0] * state + pair[1])
+
+        states[1:] = list(itertools.accumulate(pairs, advance, initial=complex(initial)))[1:]
+    return states
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """What a step of length h does: ``x(h) = e x(0) + sum_m g_m a_m``, and the derivatives by the pole.
+
+    Attributes
+    ----------
+    carry : ndarray, shape (n_poles, n_orders, n_steps) -- ``e`` and, where asked for, ``de/dp``
+    gains : ndarray, shape (n_poles, n_orders, degree + 1, n_steps) -- ``g_m`` and ``dg_m/dp``
+    """
+
+    carry: ComplexArray
+    gains: ComplexArray
+
+    @staticmethod
+    def of(poles: ComplexArray, steps: FloatArray, degree: int, gradients: bool) -> _Weights:
+        """Evaluate by the phi functions."""
+        phi = phi_functions(poles[:, None] * steps, degree + (2 if gradients else 1))
+        shape = (len(poles), 2 if gradients else 1)
+        carry = np.empty((*shape, len(steps)), dtype=np.complex128)
+        gains = np.empty((*shape, degree + 1, len(steps)), dtype=np.complex128)
+        carry[:, 0] = phi[0]
+        if gradients:
+            carry[:, 1] = steps * phi[0]
+        power = np.ones_like(steps)
+        for m in range(degree + 1):
+            power = power * steps
+            scale = factorial(m) * power
+            gains[:, 0, m] = scale * phi[m + 1]
+            if gradients:
+                gains[:, 1, m] = scale * steps * (phi[m + 1] - (m + 1) * phi[m + 2])
+        return _Weights(carry, gains)
+
+    @staticmethod
+    def at(poles: ComplexArray, offsets: FloatArray, degree: int, gradients: bool) -> _Weights:
+        """Evaluate at many steps of less than a segment: polynomials in the step, in one product.
+
+        Notes
+        -----
+        ``e^(pt) = sum_j p^j t^j / j!`` and ``g_m(t) = m! sum_(j>m) p^(j-m-1) t^j / j!``.
+        """
+        longest = float(np.max(np.abs(offsets)))
+        if float(np.ptp(offsets)) <= 4.0 * np.finfo(float).eps * longest:
+            return _Weights.of(poles, offsets[:1], degree, gradients)
+        radius = float(np.max(np.abs(poles))) * longest
+        if radius > _TAYLOR_RADIUS:
+            return _Weights.of(poles, offsets, degree, gradients)
+        n_terms = 2 * degree + 4
+        while radius ** (n_terms - degree - 2) > 1e-17 * factorial(n_terms - degree - 2):
+            n_terms += 1
+        powers = np.empty((n_terms, len(offsets)))
+        powers[0] = 1.0
+        share = offsets / longest
+        for j in range(1, n_terms):
+            np.multiply(powers[j - 1], share, out=powers[j])
+        n_orders, width = (2, degree + 2) if gradients else (1, degree + 2)
+        table = np.zeros((len(poles), n_orders, width, n_terms), dtype=np.complex128)
+        raised = poles[:, None] ** np.arange(n_terms)
+        for j in range(n_terms):
+            size = longest**j / factorial(j)
+            for m in range(-1, min(degree, j - 1) + 1):  # m = -1 is the exponential
+                scale = size * factorial(max(m, 0))
+                table[:, 0, m + 1, j] = scale * raised[:, j - m - 1]
+                if gradients and j > m + 1:
+                    table[:, 1, m + 1, j] = scale * (j - m - 1) * raised[:, j - m - 2]
+        rows = table.reshape(-1, n_terms)
+        values = np.empty((len(rows), len(offsets)), dtype=np.complex128)
+        values.real = rows.real @ powers
+        values.imag = rows.imag @ powers
+        split = values.reshape(len(poles), n_orders, width, -1)
+        return _Weights(split[:, :, 0], split[:, :, 1:])
+
+
+@dataclass(frozen=True, eq=False)
+class SampledResponses:
+    """Responses of several poles at output instants (box averages where there is an exposure).
+
+    Attributes
+    ----------
+    values : ndarray, shape (n_poles, n) -- the states ``x``
+    pole_slopes : ndarray or None, shape (n_poles, n) -- ``dx/dp``
+    time_slopes : ndarray or None, shape (n_poles, n) -- ``dx/dt``
+    """
+
+    values: ComplexArray
+    pole_slopes: ComplexArray | None
+    time_slopes: ComplexArray | None
+
+
+class PoleResponses:
+    """States of ``x' = p x + a(t)``, from rest, ready to be sampled anywhere.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (n_poles,), complex
+    drive : PiecewisePolynomial
+    gradients : bool
+        Whether derivatives with respect to the poles are wanted.
+    """
+
+    def __init__(self, poles: ComplexArray, drive: PiecewisePolynomial, gradients: bool = True) -> None:
+        self.poles = np.asarray(poles, dtype=np.complex128)
+        self.drive = drive
+        self.gradients = gradients
+        self._knots: _RegularKnots | _IrregularKnots
+        if drive.period is not None:
+            self._knots = _RegularKnots(self.poles, drive.coefficients, drive.period, gradients)
+        else:
+            self._knots = _IrregularKnots(self.poles, drive, gradients)
+
+    def _at(self, index: IndexArray, offset: FloatArray, gradients: bool) -> ComplexArray:
+        """Return the states (and derivatives by the pole) at places inside segments."""
+        states = self._knots.states(index, 2 if gradients else 1)
+        if not len(self.poles) or not np.any(offset):  # every instant is a knot
+            return states
+        weights = _Weights.at(self.poles, offset, self.drive.degree, gradients)
+        result = weights.carry[:, :1] * states
+        if gradients:
+            result[:, 1] += weights.carry[:, 1] * states[:, 0]
+        rows = self.drive.coefficients[index]
+        for m in range(self.drive.degree + 1):
+            result += weights.gains[:, :, m] * np.ascontiguousarray(rows[:, m])
+        return result
+
+    def sample(
+        self, instants: Instants, integral: PiecewisePolynomial, gradients: bool = True
+    ) -> SampledResponses:
+        """Return the responses at output instants, averaged over their exposures.
+
+        Parameters
+        ----------
+        instants : Instants -- located on the knots of the drive
+        integral : PiecewisePolynomial -- antiderivative of the drive
+        gradients : bool -- whether derivatives are wanted, where there are any
+        """
+        gradients = gradients and self.gradients
+        index, offset = instants.index, instants.offset
+        states = self._at(index, offset, gradients)
+        poles = self.poles[:, None]
+        if instants.exposure_s <= 0.0:
+            if not gradients:
+                return SampledResponses(states[:, 0], None, None)
+            rate = poles * states[:, 0] + self.drive.evaluate(index, offset)
+            return SampledResponses(states[:, 0], states[:, 1], rate)
+        area = integral.evaluate(index, offset)
+        n = len(instants.times)
+        scale = 1.0 / (poles * instants.exposure_s)
+        difference = states[:, :, n:] - states[:, :, :n]
+        mean = (difference[:, 0] - (area[n:] - area[:n])) * scale
+        if not gradients:
+            return SampledResponses(mean, None, None)
+        mean_slope = difference[:, 1] * scale - mean / poles
+        return SampledResponses(mean, mean_slope, difference[:, 0] / instants.exposure_s)
+
+
+class _RegularKnots:
+    """States at the knots of a regular grid, block by block."""
+
+    def __init__(self, poles: ComplexArray, coefficients: FloatArray, period: float, gradients: bool) -> None:
+        self.n_segments, n_coefficients = coefficients.shape
+        self.length = length = _BLOCK_WIDTH // n_coefficients
+        n_blocks = -(-self.n_segments // length)
+        if n_blocks * length > self.n_segments:
+            rest = np.zeros((n_blocks * length - self.n_segments, n_coefficients))
+            coefficients = np.concatenate([coefficients, rest])
+        self.blocks = coefficients.reshape(n_blocks, length * n_coefficients)
+        weights = _Weights.of(poles, np.array([period]), n_coefficients - 1, gradients)
+        carry, gains = weights.carry[:, :, 0], weights.gains[:, :, :, 0]
+        # What a block's first state, and its coefficients, do 0, 1, .. length knots later.
+        later = np.arange(length + 1)
+        self.powers = np.empty((*carry.shape, length + 1), dtype=np.complex128)
+        self.powers[:, 0] = carry[:, :1] ** later
+        reach = self.powers[:, :1, None, :-1] * gains[..., None]
+        if gradients:
+            self.powers[:, 1] = later * period * self.powers[:, 0]
+            reach[:, 1] += self.powers[:, 1, None, :-1] * gains[:, 0, :, None]
+        padded = np.concatenate([reach, np.zeros((*reach.shape[:-1], 1))], axis=-1)
+        lags = later[None, :] - 1 - np.arange(length)[:, None]
+        kernel = padded[..., np.where(lags < 0, length, lags)]  # (pole, order, m, from, to)
+        self.kernel = np.moveaxis(kernel, 2, 3).reshape(*carry.shape, length * n_coefficients, length + 1)
+        self.first = np.empty((*carry.shape, n_blocks), dtype=np.complex128)
+        gained = self._product(self.blocks, length)
+        factors = self.powers[:, 0, length]
+        self.first[:, 0] = _recursions(factors, gained[:, 0])
+        if gradients:
+            forcing = gained[:, 1] + self.powers[:, 1, length, None] * self.first[:, 0]
+            self.first[:, 1] = _recursions(factors, forcing)
+
+    def _product(self, blocks: FloatArray, later: int, n_orders: int = 2) -> ComplexArray:
+        """Return what the coefficients of blocks have done a number of knots later."""
+        kernel = self.kernel[:, :n_orders, :, later]
+        rows = np.concatenate([kernel.real, kernel.imag]).reshape(-1, kernel.shape[-1]) @ blocks.T
+        parts = rows.reshape(2, *kernel.shape[:-1], len(blocks))
+        result = np.empty(parts.shape[1:], dtype=np.complex128)
+        result.real, result.imag = parts
+        return result
+
+    def states(self, index: IndexArray, n_orders: int) -> ComplexArray:
+        """Return the states at knots, shape (n_poles, n_orders, n)."""
+        if len(index) > _DENSE * self.n_segments:
+            return np.asarray(np.take(self._all(n_orders), index, axis=2))
+        block, later = np.divmod(index, self.length)
+        order = np.argsort(later, kind="stable")
+        block, ends = block[order], np.searchsorted(later[order], np.arange(self.length + 1))
+        rows = self.blocks[block]
+        result = np.empty((len(self.kernel), n_orders, len(index)), dtype=np.complex128)
+        for lag in range(self.length):
+            here = slice(ends[lag], ends[lag + 1])
+            powers, first = self.powers[:, :, lag, None], self.first[:, :, block[here]]
+            part = self._product(rows[here], lag, n_orders)
+            part += powers[:, :1] * first[:, :n_orders]
+            if n_orders == 2:
+                part[:, 1] += powers[:, 1] * first[:, 0]
+            result[:, :, order[here]] = part
+        return result
+
+    def _all(self, n_orders: int) -> ComplexArray:
+        """Return the states at all knots."""
+        n_poles, length = len(self.kernel), self.length
+        inside = np.ascontiguousarray(self.kernel[:, :n_orders, :, :length])
+        states = np.matmul(self.blocks, inside.view(np.float64)).view(np.complex128)
+        for state, first, powers in zip(states, self.first, self.powers, strict=True):
+            for number in range(n_orders):
+                state[number] += first[number, :, None] * powers[0, :length]
+            if n_orders == 2:
+                state[1] += first[0, :, None] * powers[1, :length]
+        return np.asarray(states.reshape(n_poles, n_orders, len(self.blocks) * length))
+
+
+def _recursions(factors: ComplexArray, drives: ComplexArray) -> ComplexArray:
+    """Return ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, from ``x[0] = 0``, a row for each factor."""
+    if len(factors) <= _FEW:
+        pairs = zip(factors, drives, strict=True)
+        return np.array([recursion(np.array([f]), d, 0.0)[:-1] for f, d in pairs]).reshape(drives.shape)
+    states = np.zeros(drives.shape[::-1], dtype=np.complex128)
+    columns = np.ascontiguousarray(drives.T)
+    for k in range(len(states) - 1):
+        np.multiply(factors, states[k], out=states[k + 1])
+        states[k + 1] += columns[k]
+    return np.ascontiguousarray(states.T)
+
+
+class _IrregularKnots:
+    """States at knots that follow each other at any distance."""
+
+    def __init__(self, poles: ComplexArray, drive: PiecewisePolynomial, gradients: bool) -> None:
+        steps = np.diff(drive.knots)
+        self._states = np.zeros((len(poles), 2 if gradients else 1, len(steps)), dtype=np.complex128)
+        for number, states in enumerate(self._states):
+            weights = _Weights.of(poles[number : number + 1], steps, drive.degree, gradients)
+            carry, gains = weights.carry[0], weights.gains[0]
+            forcing = np.einsum("omk,km->ok", gains, drive.coefficients)
+            states[0] = recursion(carry[0], forcing[0], 0.0)[:-1]
+            if gradients:
+                states[1] = recursion(carry[0], forcing[1] + carry[1] * states[0], 0.0)[:-1]
+
+    def states(self, index: IndexArray, n_orders: int) -> ComplexArray:
+        """Return the states at knots, shape (n_poles, n_orders, n)."""
+        return np.asarray(np.take(self._states[:, :n_orders], index, axis=2))

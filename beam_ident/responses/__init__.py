@@ -1,0 +1,1 @@
+"""Frequency responses from records: spectral, local polynomial, periodic, stepped sines, distortion."""

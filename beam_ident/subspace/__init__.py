@@ -1,0 +1,1 @@
+"""State-space models without a start: past-output MOESP."""

@@ -1,0 +1,72 @@
+"""What a model predicts of an output: the simulation, and what belongs to the record alone.
+
+An output-error model takes the output's noise as white, so that past residuals predict
+nothing.  An offset, and the motion that was already there when the record begins, are no
+property of the model; both are fitted to the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal, OutputSignal
+from beam_ident.numerics.linear_least_squares import LinearSolution
+
+Simulation = Callable[[FloatArray, float], FloatArray]  # stamps and exposure [s] to the output from rest
+
+
+@dataclass(frozen=True, eq=False)
+class OutputPrediction:
+    """An output and its prediction, where all inputs are known.
+
+    Attributes
+    ----------
+    inside : ndarray of bool, shape (n_samples,) -- which of the output's samples these are
+    times_s, measured, predicted : ndarray, shape (n_inside,) -- measured is NaN where nothing was seen
+    offset : float -- the constant in the prediction
+    """
+
+    inside: NDArray[np.bool_]
+    times_s: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    offset: float
+
+    @staticmethod
+    def of(
+        output: OutputSignal, drives: Sequence[InputSignal], simulate: Simulation, free_motions: Simulation
+    ) -> OutputPrediction:
+        """Predict an output.
+
+        Parameters
+        ----------
+        output : OutputSignal
+        drives : sequence of InputSignal
+        simulate : callable -- of stamps and exposure [s]: the output from rest, shape (n,)
+        free_motions : callable
+            Of times since the record's begin and exposure [s]: columns of what the
+            system does on its own, a constant first, shape (n, n_columns).
+        """
+        half = 0.5 * output.exposure_s
+        first = max(drive.span_s[0] for drive in drives)
+        last = min(drive.span_s[1] for drive in drives)
+        inside = (output.times_s - half >= first) & (output.times_s + half <= last)
+        times, measured = np.asarray(output.times_s[inside]), np.asarray(output.values[inside])
+        if not len(times):
+            return OutputPrediction(inside, times, measured, np.empty(0), 0.0)
+        simulated = simulate(times, output.exposure_s)
+        own = free_motions(times - times[0] + half, output.exposure_s)
+        seen = np.isfinite(measured)
+        found = LinearSolution.of(own[seen]).coefficients((measured - simulated)[seen])
+        return OutputPrediction(inside, times, measured, simulated + own @ found, float(found[0]))
+
+    def everywhere(self) -> FloatArray:
+        """Return the prediction at every sample, NaN where an input is not known."""
+        result = np.full(len(self.inside), np.nan)
+        result[self.inside] = self.predicted
+        return result

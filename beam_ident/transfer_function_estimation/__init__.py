@@ -1,0 +1,1 @@
+"""Transfer functions from records: SRIVC, RIVC, CLSRIVC, output error, order selection."""

@@ -1,0 +1,281 @@
+"""Transfer functions from one input to several outputs that share their poles.
+
+    y_j = B_j(s) / (s^q A(s)) e^(-s T) u + nuisances_j + noise_j
+
+Every output has its own numerator, nuisances, stamps and noise, and all of them inform the one
+denominator: the log-likelihoods add up, each with its own unknown noise variance.  The best of the
+denominators that the outputs give alone is where the joint iteration starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import (
+    require_arrival,
+    require_excitation,
+    require_records,
+    require_time,
+    require_whole_number,
+)
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.modal_estimation.variable_projection import Prior
+from beam_ident.noise.record_fit import RecordFit, pooled_scores
+from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
+from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function.structure_gates import (
+    criterion_of_nothing,
+    information_criterion,
+    transfer_function_warnings,
+)
+from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
+from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances
+from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.transfer_function_estimation.srivc import estimate_denominator
+
+_ITERATIONS = 50
+_TURNS = 6  # of poles and levels of noise, with several records
+_SETTLED = 0.02  # standard deviations that a turn may still move the poles
+_MAX_POLES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class CommonPoleResult:
+    """Transfer functions with one denominator and what is to be known about their estimation.
+
+    Attributes
+    ----------
+    models : tuple of TransferFunctionModel
+        One for each output; the denominator and its covariance are the same in all.
+    times_s, measured, modelled, residuals : tuple of ndarray
+        Of every output the samples used, in the order of the records.
+    records : tuple of tuple of RecordFit -- of every output, record by record
+    scores : tuple of Scores
+    whiteness : tuple of Whiteness
+    converged : bool
+    reason : str
+    iterations : int -- of the joint fit
+    warnings : tuple of str -- what a reader must know before trusting the numbers
+    """
+
+    models: tuple[TransferFunctionModel, ...]
+    times_s: tuple[FloatArray, ...]
+    measured: tuple[FloatArray, ...]
+    modelled: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    records: tuple[tuple[RecordFit, ...], ...]
+    scores: tuple[Scores, ...]
+    whiteness: tuple[Whiteness, ...]
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    def model(self, output_name: str) -> TransferFunctionModel:
+        """Return the transfer function of one output by its name."""
+        for model in self.models:
+            if model.output_name == output_name:
+                return model
+        names = ", ".join(model.output_name for model in self.models)
+        raise EstimationError(f"no output {output_name!r} in this result; available: {names}")
+
+
+@dataclass(frozen=True, eq=False)
+class _JointState:
+    theta: FloatArray
+    cost: float
+    states: tuple[OutputErrorState, ...]
+
+
+class _JointProblem:
+    """The likelihoods of several outputs as a function of one denominator."""
+
+    def __init__(self, problems: list[OutputErrorProblem], scale: float) -> None:
+        self.problems = problems
+        for problem in problems:
+            problem.scale = scale
+
+    def state(self, theta: FloatArray) -> _JointState:
+        states = tuple(problem.state(theta) for problem in self.problems)
+        return _JointState(theta, sum(state.cost for state in states), states)
+
+    def slope(self, state: _JointState) -> tuple[FloatArray, FloatArray]:
+        parts = [problem.slope(own) for problem, own in zip(self.problems, state.states, strict=True)]
+        return np.sum([part[0] for part in parts], axis=0), np.sum([part[1] for part in parts], axis=0)
+
+    def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
+        return np.asarray(theta + step)
+
+    def reweighed(self, state: _JointState) -> _JointProblem:
+        """Return the problem under the level of noise that every output has in every record."""
+        pairs = zip(self.problems, state.states, strict=True)
+        return _JointProblem(
+            [problem.reweighed(own, is_coloured=False) for problem, own in pairs], state.states[0].scale
+        )
+
+
+@on_one_thread
+def estimate_common_poles(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int,
+    n_zeros: int | Sequence[int],
+    has_offset: bool = False,
+    has_ramp: bool = False,
+    has_free_response: bool = False,
+    delay: float = 0.0,
+    input_name: str | None = None,
+    n_integrators: int = 0,
+) -> CommonPoleResult:
+    """Estimate transfer functions from one input to every output, with common poles.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share the transfer functions; each has its own clocks, offsets,
+        ramps and initial states, and every output weighs in each by its noise there.
+    n_poles : int -- degree of the common denominator
+    n_zeros : int or sequence of int -- degree of the numerators, or of each
+    has_offset, has_ramp, has_free_response : bool -- estimated for every output
+    delay : float -- known pure delay of all outputs [s]
+    input_name : str or None -- which input, where there are several
+    n_integrators : {0, 1, 2} -- known poles at zero
+
+    Raises
+    ------
+    EstimationError
+        Impossible degrees, too few samples, a constant output, no output that gives a start, or records
+        whose signals differ in name or unit.
+    """
+    records = require_records(record)
+    first = records[0]
+    if input_name is None and len(first.inputs) > 1:
+        raise EstimationError(
+            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name"
+        )
+    drive = first.inputs[0] if input_name is None else first.input(input_name)
+    zeros = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(first.outputs)
+    if len(zeros) != len(first.outputs):
+        raise EstimationError(
+            f"n_zeros has {len(zeros)} entries for {len(first.outputs)} outputs; expected one for each"
+        )
+    for name, value in (
+        ("n_poles", n_poles),
+        ("n_integrators", n_integrators),
+        *(("n_zeros", m) for m in zeros),
+    ):
+        require_whole_number(name, value, 0)
+    if (
+        n_integrators not in range(3)
+        or not 1 <= n_poles <= _MAX_POLES
+        or not all(0 <= m <= n_poles + n_integrators for m in zeros)
+    ):
+        raise EstimationError(
+            f"{n_poles} poles, {n_integrators} integrators and {zeros} zeros; expected 1 to {_MAX_POLES} poles, at "
+            "most 2 integrators, and no more zeros than both together"
+        )
+    require_time("delay", delay)
+    for one in records:
+        for output in one.outputs:
+            require_arrival(one.input(drive.name), delay, output)
+    if not has_free_response:
+        require_excitation(records, drive.name)
+    nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
+    problems, starts = [], []
+    for name, m in zip(first.output_names, zeros, strict=True):
+        experiments = [
+            Experiment.of(one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, has_free_response)
+            for one in records
+        ]
+        problem, optimum = estimate_denominator(
+            OutputErrorProblem(experiments, (n_poles,), nuisances), "auto"
+        )
+        problems.append(problem)
+        starts.append(optimum.state)
+    joints = [_JointProblem(problems, own.scale).state(own.theta) for own in starts]
+    chosen = int(np.argmin([joint.cost for joint in joints]))
+    if not math.isfinite(joints[chosen].cost):
+        raise EstimationError("no output gives a denominator that the others allow; give other degrees")
+    joint = _JointProblem(problems, starts[chosen].scale)
+    minimum = minimise(joint, joints[chosen], _ITERATIONS)
+    iterations = minimum.iterations
+    for _ in range(_TURNS if len(records) > 1 else 0):
+        joint = joint.reweighed(minimum.state)
+        start = minimum.state.theta
+        minimum = minimise(joint, joint.state(start), _ITERATIONS)
+        iterations += minimum.iterations
+        moved = minimum.state.theta - start
+        if math.sqrt(float(moved @ joint.slope(minimum.state)[0] @ moved) / len(moved)) < _SETTLED:
+            break
+    else:
+        if len(records) > 1:
+            reason = f"system and noise still moved after {_TURNS} turns"
+            minimum = replace(minimum, converged=False, reason=reason)
+    return _result(records, joint, minimum, n_integrators, iterations)
+
+
+def _result(
+    records: Sequence[TimeRecord],
+    joint: _JointProblem,
+    minimum: Minimum[_JointState],
+    n_integrators: int,
+    iterations: int,
+) -> CommonPoleResult:
+    """Collect what an optimum says, in physical units."""
+    states = minimum.state.states
+    residuals = [
+        problem.unweighed_residuals(own) for problem, own in zip(joint.problems, states, strict=True)
+    ]
+    information = [problem.slope(own)[0] for problem, own in zip(joint.problems, states, strict=True)]
+    models, fits = [], []
+    for j, (problem, own, name) in enumerate(
+        zip(joint.problems, states, records[0].output_names, strict=True)
+    ):
+        others = [part for k, part in enumerate(information) if k != j]
+        covariance = problem.covariance(own, np.sum(others, axis=0) if others else None)
+        fits.append(record_fits(problem, own, covariance))
+        model = physical_model(problem, own, covariance.values, n_integrators, pooled_level(fits[-1]), name)
+        models.append(model.path(0))
+    whiteness = tuple(
+        Whiteness.of(problem.standardised(own.residuals))
+        for problem, own in zip(joint.problems, states, strict=True)
+    )
+    warnings: list[str] = []
+    for problem, own, found, of_records, of_residuals in zip(
+        joint.problems, states, models, fits, whiteness, strict=True
+    ):
+        terms = problem.nuisances
+        of_nothing = criterion_of_nothing(
+            [(e.times, e.values) for e in problem.experiments], terms.has_offset, terms.has_ramp
+        )
+        n_own = len(own.theta) + len(own.coefficients)
+        is_worth_it = information_criterion([e.residuals for e in of_records], n_own) < of_nothing
+        warnings += [
+            f"Output {found.output_name}: {said}"
+            for said in transfer_function_warnings([found], of_records, of_residuals, is_worth_it, True, "")
+        ]
+    if not minimum.converged:
+        warnings.insert(0, f"The fit did not converge: {minimum.reason}.")
+    return CommonPoleResult(
+        models=tuple(models),
+        times_s=tuple(problem.times for problem in joint.problems),
+        measured=tuple(problem.values for problem in joint.problems),
+        modelled=tuple(
+            problem.values - left for problem, left in zip(joint.problems, residuals, strict=True)
+        ),
+        residuals=tuple(residuals),
+        records=tuple(fits),
+        scores=tuple(pooled_scores([(own.measured, own.residuals) for own in parts]) for parts in fits),
+        whiteness=whiteness,
+        converged=minimum.converged,
+        reason=minimum.reason,
+        iterations=iterations,
+        warnings=tuple(warnings),
+    )

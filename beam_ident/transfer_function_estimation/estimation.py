@@ -1,0 +1,489 @@
+"""Direct estimation of transfer functions from sampled data, with no hints beyond their degrees.
+
+Several records of one system are one fit: denominators, numerators and delays are common to them, while
+every record has its own clocks, offset, drift and initial state, and its own noise, by which it weighs.
+
+What is estimated is a ``OutputErrorProblem``; how a start is found and
+refined to the optimum stands in ``transfer_function_estimation.srivc``, how a delay is found in
+``transfer_function_estimation.delay_search``, and how inputs with denominators of their own are told apart in
+``transfer_function_estimation.additive_fit``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, overload
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import (
+    require_arrival,
+    require_excitation,
+    require_records,
+    require_whole_number,
+)
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.modal_estimation.variable_projection import Prior
+from beam_ident.noise.record_fit import RecordFit, pooled_scores
+from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function.multi_input_model import MultiInputModel
+from beam_ident.transfer_function.structure_gates import (
+    criterion_of_nothing,
+    information_criterion,
+    transfer_function_warnings,
+)
+from beam_ident.transfer_function_estimation.additive_fit import estimate_additive
+from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances
+from beam_ident.transfer_function_estimation.output_error import (
+    JointCovariance,
+    OutputErrorProblem,
+    OutputErrorState,
+)
+from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model
+from beam_ident.transfer_function_estimation.srivc import (
+    FINALISTS,
+    METHODS,
+    Method,
+    Optimum,
+    estimate_denominator,
+)
+
+DelayLike = float | Prior | Literal["estimate"]
+
+_MAX_POLES = 20
+_MAX_INTEGRATORS = 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RationalFit:
+    """What is to be known about the estimation of transfer functions to one output.
+
+    Attributes
+    ----------
+    method : str -- which estimator the numbers come from
+    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit, in the order of the records.
+    noise_coefficients : ndarray
+        1, c_1 .. c_p of the noise's autoregression; 1 alone for all methods but "rivc".  Of the first record.
+    scores : Scores -- with several records, each about its own mean
+    whiteness : Whiteness
+        Of the residuals, or of the innovations of their autoregression; in units of each record's level.
+    bic, yic : float
+        Bayesian information criterion, and Young's information criterion
+        ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
+    condition : float -- of the scaled information matrix
+    converged : bool
+    reason : str
+    iterations : int
+    offset, ramp : float
+        Of the first record: at its middle, and over its whole length.
+    records : tuple of RecordFit -- the same record by record
+    warnings : tuple of str -- what a reader must know before trusting the numbers
+    """
+
+    method: Method
+    times_s: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+    residuals: FloatArray
+    noise_coefficients: FloatArray
+    scores: Scores
+    whiteness: Whiteness
+    bic: float
+    yic: float
+    condition: float
+    converged: bool
+    reason: str
+    iterations: int
+    offset: float
+    ramp: float
+    records: tuple[RecordFit, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransferFunctionResult(RationalFit):
+    """A transfer function and what is to be known about its estimation.
+
+    Attributes
+    ----------
+    model : TransferFunctionModel
+        Beside it, everything that ``RationalFit`` lists.
+    """
+
+    model: TransferFunctionModel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MultiInputResult(RationalFit):
+    """Transfer functions from several inputs and what is to be known about their estimation.
+
+    Attributes
+    ----------
+    model : MultiInputModel
+        Beside it, everything that ``RationalFit`` lists.
+    """
+
+    model: MultiInputModel
+
+
+@overload
+def estimate_transfer_function(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int,
+    n_zeros: int,
+    method: Method = ...,
+    has_offset: bool = ...,
+    has_ramp: bool = ...,
+    has_free_response: bool = ...,
+    delay: DelayLike = ...,
+    input_name: str | None = ...,
+    output_name: str | None = ...,
+    cutoff: float | None = ...,
+    n_integrators: int = ...,
+    n_starts: int = ...,
+) -> TransferFunctionResult: ...
+
+
+@overload
+def estimate_transfer_function(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int | Sequence[int],
+    n_zeros: Sequence[int],
+    method: Method = ...,
+    has_offset: bool = ...,
+    has_ramp: bool = ...,
+    has_free_response: bool = ...,
+    delay: DelayLike | Sequence[DelayLike] = ...,
+    input_name: None = ...,
+    output_name: str | None = ...,
+    cutoff: float | None = ...,
+    n_integrators: int = ...,
+    n_starts: int = ...,
+) -> MultiInputResult: ...
+
+
+@on_one_thread
+def estimate_transfer_function(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int | Sequence[int],
+    n_zeros: int | Sequence[int],
+    method: Method = "auto",
+    has_offset: bool = False,
+    has_ramp: bool = False,
+    has_free_response: bool = False,
+    delay: DelayLike | Sequence[DelayLike] = 0.0,
+    input_name: str | None = None,
+    output_name: str | None = None,
+    cutoff: float | None = None,
+    n_integrators: int = 0,
+    n_starts: int = FINALISTS + 1,
+) -> TransferFunctionResult | MultiInputResult:
+    """Estimate B(s)/A(s) from one input to one output, or one B_k(s)/A(s) from each of several.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share transfer functions and delays.  Each has its own clocks,
+        offset, ramp and initial state, and weighs by the noise that its residuals show.
+    n_poles : int or sequence of int
+        Degree of A.  With several inputs one number is a denominator common to all of them,
+        and a sequence gives every input a denominator of its own.
+    n_zeros : int or sequence of int
+        Degree of B, or one for each input of the records; no more than poles and integrators.
+    method : {"auto", "rivc", "output_error", "srivc", "ivsvf", "lssvf"}
+        "auto" goes by SRIVC to the output-error optimum, "output_error" by Levenberg-Marquardt alone;
+        "rivc" goes on from there under an autoregression of the noise, whose order BIC chooses;
+        the others stop at the estimator they name (LSSVF is biased under noise, IVSVF is
+        not efficient).
+    has_offset, has_ramp, has_free_response : bool
+        Unknown constant, drift, and initial state, estimated along with the rest.
+    delay : float, Prior, "estimate" or a sequence of these, one for each input
+        Pure delay [s]: known, or estimated with what is known beforehand; "estimate" is
+        ``Prior(0, inf)``, searched up to a quarter of the shortest record.
+    input_name, output_name : str or None -- which signals, where there are several
+    cutoff : float or None
+        Cut-off of the state-variable filter [rad/s]; None tries a portfolio.
+    n_integrators : {0, 1, 2}
+        Known poles at zero, beside those that are estimated; with a free response an unknown
+        constant (and for two a ramp) is estimated too.
+    n_starts : int
+        Starts at most, tried in turn until the residuals look like noise; 1 is the quickest, for
+        comparing many structures.  Inputs with denominators of their own have starts of their own.
+
+    Returns
+    -------
+    TransferFunctionResult, or MultiInputResult where ``n_zeros`` is a sequence
+
+    Raises
+    ------
+    EstimationError
+        Impossible degrees, too few samples, a constant output, an input at rest; irregular stamps
+        where the noise is to have a model ("rivc"); records whose signals differ in name or unit.
+
+    Notes
+    -----
+    The noise of every record has its own variance (and colour, with "rivc"): samples of a quiet record count
+    for more, and the stated standard deviations stay true whatever the levels.  The model's ``noise_sd``
+    is the root of the mean square over all samples; each record's own stands in ``records``.  The weights
+    of "lssvf" and "ivsvf" are those of a first estimate.
+    """
+    if method not in METHODS:
+        raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    records = require_records(record)
+    first = records[0]
+    require_whole_number("n_starts", n_starts, 1)
+    require_whole_number("n_integrators", n_integrators, 0, _MAX_INTEGRATORS)
+    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0.0):
+        raise EstimationError(
+            f"cutoff is {cutoff}; expected a frequency > 0 in rad/s, or None for a portfolio"
+        )
+    if output_name is None and len(first.outputs) > 1:
+        raise EstimationError(
+            f"record {first.name!r} has {len(first.outputs)} outputs; say which one by its name"
+        )
+    output_name = (first.outputs[0] if output_name is None else first.output(output_name)).name
+    several = isinstance(n_zeros, Sequence) and not isinstance(n_zeros, str)
+    if several:
+        if input_name is not None:
+            raise EstimationError(
+                "input_name goes with one number of zeros; a sequence of them takes all inputs"
+            )
+        drives = [drive.name for drive in first.inputs]
+    elif input_name is None and len(first.inputs) > 1:
+        raise EstimationError(
+            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name, or give one "
+            "number of zeros for each"
+        )
+    else:
+        drives = [(first.inputs[0] if input_name is None else first.input(input_name)).name]
+    zeros = _one_each("n_zeros", n_zeros, drives)
+    own_poles = isinstance(n_poles, Sequence) and not isinstance(n_poles, str)
+    poles = _one_each("n_poles", n_poles, drives)
+    for n, m in zip(poles, zeros, strict=True):
+        require_whole_number("n_poles", n, 0)
+        require_whole_number("n_zeros", m, 0)
+        if n == 0 and n_integrators:
+            raise EstimationError(
+                f"0 poles beside {n_integrators} at zero; expected n_poles of at least 1, which are those to be "
+                "estimated. Without integrators, n_poles=1 finds such a pole near zero, with its deviation; the gain "
+                "of an integrator alone is the slope of the output over the input's integral (numpy.polyfit)"
+            )
+        if not 1 <= n <= _MAX_POLES or not 0 <= m <= n + n_integrators:
+            raise EstimationError(
+                f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "
+                "(beyond that use the additive modal form: identify())"
+            )
+    delays = [delay_prior(value) for value in _one_each("delay", delay, drives)]
+    if any(prior.is_free for prior in delays) and method in ("srivc", "ivsvf", "lssvf"):
+        raise EstimationError(
+            f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
+            "or 'rivc'"
+        )
+    for one in records:
+        for name, prior in zip(drives, delays, strict=True):
+            require_arrival(one.input(name), prior.mean, one.output(output_name))
+    if not has_free_response:
+        for name in drives:
+            require_excitation(records, name)
+    blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
+    experiments = [
+        Experiment.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
+        for one in records
+    ]
+    nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
+    orders = tuple(poles) if own_poles else (poles[0],)
+    problem = OutputErrorProblem(experiments, orders, nuisances)
+    if len(orders) == 1:
+        problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
+    else:
+        problem, optimum = estimate_additive(problem, method, cutoff)
+    if method == "rivc" or (len(records) > 1 and method not in ("lssvf", "ivsvf")):
+        problem, optimum = refine_with_noise_model(problem, optimum, method)
+    return _result(problem, optimum, method, n_integrators, output_name, several)
+
+
+def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:
+    """Return one value for each input."""
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        if len(value) != len(drives):
+            raise EstimationError(
+                f"{name} has {len(value)} entries for {len(drives)} inputs "
+                f"({', '.join(drives)}); expected one for each"
+            )
+        return list(value)
+    return [value] * len(drives)
+
+
+def delay_prior(delay: DelayLike) -> Prior:
+    """Return what is known of a delay [s] that is given as a time, as a prior or as "estimate"."""
+    if isinstance(delay, str):
+        if delay != "estimate":
+            raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
+        return Prior(0.0, math.inf)
+    if isinstance(delay, bool) or not isinstance(delay, Prior | int | float | np.integer | np.floating):
+        raise EstimationError(f"delay is {delay!r}; expected a time [s], a Prior, or 'estimate'")
+    prior = delay if isinstance(delay, Prior) else Prior(float(delay))
+    if prior.mean < 0.0:
+        raise EstimationError(
+            f"the delay is {prior.mean} s; expected 0 or more: an output does not precede its input"
+        )
+    return prior
+
+
+def _result(
+    problem: OutputErrorProblem,
+    optimum: Optimum,
+    method: Method,
+    n_integrators: int,
+    output_name: str,
+    several: bool,
+) -> TransferFunctionResult | MultiInputResult:
+    """Collect what an optimum says, in physical units."""
+    state = optimum.state
+    converged, reason = optimum.converged, optimum.reason
+    problem.scale = state.scale
+    if not state.responses[0].has_squares:
+        state = problem.state(state.theta)
+    joint = problem.covariance(state)
+    if not joint.condition < 1e14:
+        converged, reason = False, "the data do not determine all poles: the information matrix is singular"
+    n_noise = 0 if problem.noise is None else problem.noise.n_parameters
+    n_all = len(state.theta) + len(state.coefficients) + n_noise
+    residuals = problem.unweighed_residuals(state)
+    records = record_fits(problem, state, joint)
+    terms = problem.nuisances
+    relative = np.diag(joint.values)[: problem.n_a] / np.maximum(state.theta[: problem.n_a] ** 2, 1e-300)
+    sizes = [len(own.measured) for own in records]
+    spread = float(np.average([np.var(own.measured) for own in records], weights=sizes))
+    figures: dict[str, Any] = {
+        "method": method,
+        "times_s": problem.times,
+        "measured": problem.values,
+        "modelled": problem.values - residuals,
+        "residuals": residuals,
+        "noise_coefficients": records[0].noise_coefficients,
+        "scores": pooled_scores([(own.measured, own.residuals) for own in records]),
+        "whiteness": Whiteness.of(problem.standardised(state.residuals)),
+        "bic": 2.0 * state.cost + n_all * math.log(len(problem.values)),
+        "yic": math.log(max(float(np.var(residuals)), 1e-300) / max(spread, 1e-300))
+        + math.log(max(float(np.mean(relative)), 1e-300)),
+        "condition": joint.condition,
+        "converged": converged,
+        "reason": reason,
+        "iterations": optimum.iterations,
+        "offset": records[0].offset,
+        "ramp": records[0].ramp,
+        "records": records,
+    }
+    noise_sd = pooled_level(records)
+    model = physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
+    of_nothing = criterion_of_nothing(
+        [(own.times, own.values) for own in problem.experiments], terms.has_offset, terms.has_ramp
+    )
+    figures["warnings"] = transfer_function_warnings(
+        [model.path(k) for k in range(len(problem.paths))],
+        records,
+        figures["whiteness"],
+        information_criterion([own.residuals for own in records], n_all) < of_nothing,
+        converged,
+        reason,
+    )
+    if several:
+        return MultiInputResult(model=model, **figures)
+    return TransferFunctionResult(model=model.path(0), **figures)
+
+
+def record_fits(
+    problem: OutputErrorProblem, state: OutputErrorState, joint: JointCovariance
+) -> tuple[RecordFit, ...]:
+    """Return what every record says of an optimum."""
+    residuals, terms = problem.unweighed_residuals(state), problem.nuisances
+    fits = []
+    for record, (own, part) in enumerate(zip(problem.experiments, problem.rows, strict=True)):
+        colour, level = np.ones(1), 1.0
+        if problem.noise is not None:
+            colour, level = problem.noise.colours[record], float(problem.noise.levels[record])
+        place = problem.n_numerators + record * problem.n_nuisances
+        left = residuals[part]
+        fits.append(
+            RecordFit(
+                name=own.name,
+                times_s=own.times,
+                measured=own.values,
+                modelled=own.values - left,
+                residuals=left,
+                noise_sd=level * math.sqrt(joint.variance) if len(colour) == 1 else float(np.std(left)),
+                noise_coefficients=colour,
+                scores=Scores.of(own.values, left),
+                whiteness=Whiteness.of(state.residuals[part]),
+                offset=float(state.coefficients[place]) if terms.has_offset else 0.0,
+                ramp=float(state.coefficients[place + terms.has_offset]) if terms.has_ramp else 0.0,
+            )
+        )
+    return tuple(fits)
+
+
+def pooled_level(records: Sequence[RecordFit]) -> float:
+    """Return the standard deviation of the noise over all samples of all records."""
+    if len(records) == 1:
+        return records[0].noise_sd
+    sizes = [len(own.residuals) for own in records]
+    return math.sqrt(float(np.average([own.noise_sd**2 for own in records], weights=sizes)))
+
+
+def physical_model(
+    problem: OutputErrorProblem,
+    state: OutputErrorState,
+    covariance: FloatArray,
+    n_integrators: int,
+    noise_sd: float,
+    output_name: str,
+) -> MultiInputModel:
+    """Return the model in physical units, with the covariance of all its parameters.
+
+    Notes
+    -----
+    In units of the scale w, ``s^p / (s^n + ..)`` is ``w^(n-p) s^p / (s^n + ..)`` in physical ones.
+    """
+    scale, n_theta = state.scale, len(state.theta)
+    source: list[int] = []  # of every physical parameter among theta and the coefficients; -1 is known
+    units: list[float] = []
+    denominators, numerators = [], []
+    for block, n in enumerate(problem.orders):
+        powers = scale ** np.arange(1.0, n + 1.0)
+        denominators.append(
+            np.concatenate([[1.0], state.theta[problem.parts[block]] * powers, np.zeros(n_integrators)])
+        )
+        source += [*problem.parts[block].tolist(), *[-1] * n_integrators]
+        units += [*powers.tolist(), *[1.0] * n_integrators]
+    place = n_theta
+    for k, path in enumerate(problem.paths):
+        descending = np.arange(path.n_zeros, -1, -1)
+        factors = scale ** (problem.orders[path.block] - descending.astype(np.float64))
+        numerators.append(problem.numerator(state, k)[::-1] * factors)
+        source += (place + descending).tolist()
+        units += factors.tolist()
+        place += path.n_zeros + 1
+    for k in range(len(problem.paths)):
+        source.append(problem.n_a + problem.free_delays.index(k) if k in problem.free_delays else -1)
+        units.append(1.0)
+    index = np.array(source)
+    taken = covariance[np.ix_(index, index)] * np.outer(units, units)
+    taken[index < 0, :] = 0.0
+    taken[:, index < 0] = 0.0
+    return MultiInputModel(
+        numerators=tuple(numerators),
+        denominators=tuple(denominators),
+        delays=tuple(float(delay) for delay in problem.delays(state.theta)),
+        covariance=taken,
+        noise_sd=noise_sd,
+        input_names=tuple(path.name for path in problem.paths),
+        output_name=output_name,
+    )

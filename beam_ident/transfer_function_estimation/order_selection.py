@@ -1,0 +1,237 @@
+"""Which degrees a transfer function needs: the table of orders, and a choice.
+
+Every structure is estimated, from one start and, where that may have led to a local optimum, from
+several.  All are listed with the figures that the literature tabulates (R_T^2, YIC, AIC, BIC,
+FIT, condition, convergence).  The choice is made by BIC among the structures that pass the
+gates: the fit converged, every pole is known well enough to mean something, and no pole is
+cancelled by a zero within their uncertainty.  YIC is shown because it is customary; for lightly
+damped modes it picks orders that are too low, and decides nothing here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from beam_ident.data.argument_checks import require_records, require_whole_number
+from beam_ident.data.batches import Progress, map_records
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.transfer_function.structure_gates import criterion_of_nothing, structure_complaint
+from beam_ident.transfer_function_estimation.estimation import (
+    TransferFunctionResult,
+    estimate_transfer_function,
+)
+from beam_ident.transfer_function_estimation.srivc import WHITE
+
+_FIRST_PART = 0.7  # of the progress: one start for every structure
+_VISIBLE = 1.0  # of -2 log-likelihood
+_NEAR = 2  # parameters
+_STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
+
+
+@dataclass(frozen=True)
+class StructureEntry:
+    """One line of the table of orders.
+
+    Attributes
+    ----------
+    n_poles, n_zeros : int
+    r_squared, fit_percent, yic, aic, bic, condition : float -- NaN where the estimation failed
+    converged : bool
+    refused_because : str -- empty when the structure passed all gates
+    is_chosen : bool
+    """
+
+    n_poles: int
+    n_zeros: int
+    r_squared: float
+    fit_percent: float
+    yic: float
+    aic: float
+    bic: float
+    condition: float
+    converged: bool
+    refused_because: str
+    is_chosen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class OrderSelection:
+    """The table of orders and the chosen estimate.
+
+    Attributes
+    ----------
+    table : tuple of StructureEntry -- best BIC first
+    chosen : TransferFunctionResult
+    """
+
+    table: tuple[StructureEntry, ...]
+    chosen: TransferFunctionResult
+
+    def __str__(self) -> str:
+        """Return the table as text, a line for every structure, the chosen one marked by an arrow."""
+        heads = ("poles", "zeros", "R_T^2", "YIC", "FIT %", "AIC", "BIC", "condition", "converged")
+        lines = ["   " + " ".join(f"{head:>10}" for head in heads) + "  refused because"]
+        for e in self.table:
+            figures = (
+                f"{e.n_poles:d}",
+                f"{e.n_zeros:d}",
+                f"{e.r_squared:.5f}",
+                f"{e.yic:.2f}",
+                f"{e.fit_percent:.2f}",
+                f"{e.aic:.1f}",
+                f"{e.bic:.1f}",
+                f"{e.condition:.1e}",
+                "yes" if e.converged else "no",
+            )
+            mark = "-> " if e.is_chosen else "   "
+            lines.append(mark + " ".join(f"{f:>10}" for f in figures) + f"  {e.refused_because}".rstrip())
+        return "\n".join(lines)
+
+
+def select_transfer_function(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: Iterable[int] = range(1, 7),
+    n_zeros: Iterable[int] | None = None,
+    n_workers: int = 1,
+    progress: Progress | None = None,
+    scheduler: str | None = None,
+    **options: Any,
+) -> OrderSelection:
+    """Estimate all structures of a range and choose one.
+
+    Parameters
+    ----------
+    record : TimeRecord or sequence of TimeRecord
+        One experiment, or several that share the structure and the model.
+    n_poles : iterable of int -- degrees of the denominator
+    n_zeros : iterable of int or None
+        Degrees of the numerator; None takes all below the denominator's.
+    n_workers : int -- processes to spread the estimates over; 1 stays in this one
+    progress : callable or None -- called with a phrase and the share done
+    scheduler : str or None -- address of a Dask cluster that does the work instead; see ``map_records``
+    **options
+        Handed to ``estimate_transfer_function``, such as ``has_offset``.
+
+    Raises
+    ------
+    EstimationError
+        An empty range, no structure that passes the gates, or no cluster where one was named.
+    """
+    records = require_records(record)
+    if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
+        raise EstimationError(
+            f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
+            "range(1, 7) (estimate_transfer_function() takes one number of each)"
+        )
+    zeros = None if n_zeros is None else list(n_zeros)
+    poles = list(n_poles)
+    for name, degrees in (("n_poles", poles), ("n_zeros", zeros or [])):
+        for degree in degrees:
+            require_whole_number(f"a degree in {name}", degree, 0)
+    structures = [(n, m) for n in poles for m in (range(n) if zeros is None else zeros) if 0 <= m <= n]
+    if not structures:
+        raise EstimationError(
+            "no structure to try; give at least one number of poles with no more zeros than poles"
+        )
+    quick = {"n_starts": 1} | options
+    jobs = [(records, n, m, quick) for n, m in structures]
+    results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
+    suspects = [] if "n_starts" in options else _suspects(structures, results)
+    jobs = [(records, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
+    again = (
+        map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
+    )
+    for k, outcome in zip(suspects, again, strict=True):
+        results[k] = _better(results[k], outcome)
+    if progress is not None and not suspects:
+        progress(f"{len(structures)} structures", 1.0)
+    entries = [_entry(n, m, outcome) for (n, m), outcome in zip(structures, results, strict=True)]
+    passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
+    if not passed:
+        reasons = "; ".join(f"{e.n_poles}/{e.n_zeros}: {e.refused_because}" for e in entries[:4])
+        raise EstimationError(
+            f"none of {len(entries)} structures passes the gates ({reasons}). Excite more, or record longer"
+        )
+    best = min(passed, key=lambda k: entries[k].bic)
+    entries[best] = replace(entries[best], is_chosen=True)
+    chosen = results[best]
+    assert isinstance(chosen, TransferFunctionResult)
+    ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
+    return OrderSelection(tuple(ordered), chosen)
+
+
+def _part(progress: Progress | None, start: float, end: float) -> Progress | None:
+    """Return a progress that reports a part of the whole."""
+    if progress is None:
+        return None
+    return lambda phrase, share: progress(phrase, start + (end - start) * share)
+
+
+def _suspects(structures: list[tuple[int, int]], results: list[TransferFunctionResult | str]) -> list[int]:
+    """Return which structures may have ended in a local optimum, and matter.
+
+    Those without any estimate; those that a structure inside them surpasses; and, where residuals
+    do not look like noise, those not larger than the best by BIC and not much smaller.
+    """
+    found = [(k, r) for k, r in enumerate(results) if not isinstance(r, str)]
+    suspects = [k for k, r in enumerate(results) if isinstance(r, str)]
+    if not found:
+        return suspects
+    n_best, m_best = structures[min(found, key=lambda item: item[1].bic)[0]]
+    misfits = {k: r.bic - sum(structures[k]) * math.log(len(r.measured)) for k, r in found}
+    for k, r in found:
+        n, m = structures[k]
+        inside = [j for j, _ in found if j != k and structures[j][0] <= n and structures[j][1] <= m]
+        is_surpassed = any(misfits[j] < misfits[k] - _VISIBLE for j in inside)
+        is_noise = r.converged and r.whiteness.p_value > WHITE
+        is_near = n_best + m_best - _NEAR <= n + m <= n_best + m_best and (n, m) != (n_best, m_best)
+        if is_surpassed or (is_near and not is_noise):
+            suspects.append(k)
+    return suspects
+
+
+def _better(
+    first: TransferFunctionResult | str, second: TransferFunctionResult | str
+) -> TransferFunctionResult | str:
+    """Return the estimate of lower cost."""
+    if isinstance(second, str):
+        return first
+    return second if isinstance(first, str) or second.bic <= first.bic else first
+
+
+def _attempt(job: tuple[Sequence[TimeRecord], int, int, dict[str, Any]]) -> TransferFunctionResult | str:
+    records, n, m, options = job
+    try:
+        return estimate_transfer_function(records, n, m, **options)
+    except EstimationError as err:
+        return str(err)
+
+
+def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEntry:
+    if isinstance(outcome, str):
+        nan = math.nan
+        return StructureEntry(n, m, nan, nan, nan, nan, nan, nan, False, outcome)
+    n_samples = len(outcome.measured)
+    n_parameters = n + m + 1
+    refusal = "" if outcome.converged else outcome.reason
+    of_nothing = criterion_of_nothing(
+        [(own.times_s, own.measured) for own in outcome.records], outcome.offset != 0.0, outcome.ramp != 0.0
+    )
+    if not refusal and not outcome.bic < of_nothing:
+        refusal = "no better by BIC than no model at all"
+    return StructureEntry(
+        n,
+        m,
+        outcome.scores.r_squared,
+        outcome.scores.fit_percent,
+        outcome.yic,
+        outcome.bic - n_parameters * (math.log(n_samples) - 2.0),
+        outcome.bic,
+        outcome.condition,
+        outcome.converged,
+        refusal or structure_complaint(outcome.model),
+    )

@@ -1,0 +1,1 @@
+"""What the model advises for an experiment, in numbers, words and figures."""

@@ -1,0 +1,1 @@
+"""The continuous beam: mode shapes, exact frequency responses, spectral elements."""

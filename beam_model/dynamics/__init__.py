@@ -1,0 +1,1 @@
+"""Beyond the linear beam: air drag and large deflections, friction, servo and stops of the axis."""

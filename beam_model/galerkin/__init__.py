@@ -1,0 +1,1 @@
+"""The Galerkin model: matrices, exact stepping, frequency responses, linear forms."""

@@ -1,0 +1,213 @@
+"""Galerkin's method with the beam's own clamped modes as the basis: M, C, K, F (thesis eqs. (2.36)-(2.41)).
+
+With w(z, t) = sum q_i(t) phi_i(z) and x = [alpha, q_1 .. q_n] the beam on its hub obeys
+M x'' + C x' + K x = F f:
+
+    M = [[J, E^T], [E, m_b I]],   K = diag(0, m_b omega_i^2),   F = [1, 0 ..],
+    J = m + m_b,   E_i = int rho phi_i dz + sum of m_k phi_i(z_k) + M_t phi_i(L)
+
+The phi_i are the clamped modes of the beam with everything that it carries, so that M and K are diagonal
+but for the coupling E to the hub. They are scaled to the modal mass m_b = rho L + M_t + marker masses;
+for a bare beam that is the scale of thesis eq. (2.35).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from beam_model.arrays import FloatArray
+from beam_model.continuum.mode_shapes import UniformBeamShapes
+from beam_model.continuum.spectral_elements import SpectralElements
+from beam_model.parameters import BeamParameters
+
+
+class ModalBasis:
+    """The first clamped, undamped modes of a beam, in SI units.
+
+    Parameters
+    ----------
+    parameters : BeamParameters
+        The beam.
+    n_modes : int
+        How many modes.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_modes,)
+        omega_i [rad/s].
+    modal_mass : float
+        m_b [kg], the same for every mode.
+    participation : ndarray, shape (n_modes,)
+        E_i [kg], thesis eq. (2.36) with the tip mass and the markers.
+    strip_integral : ndarray, shape (n_modes,)
+        int phi_i dz [m].
+    strip_overlap : ndarray, shape (n_modes, n_modes)
+        int phi_i phi_j dz [m].
+    curvature_overlap : ndarray, shape (n_modes, n_modes)
+        int phi_i'' phi_j'' dz [1/m^3].
+
+    Notes
+    -----
+    A uniform beam without gravity and markers has its modes in closed form (``mode_shapes``); every other
+    one is solved to rounding in piecewise polynomials (``spectral_elements``).
+    """
+
+    def __init__(self, parameters: BeamParameters, n_modes: int) -> None:
+        self._parameters = parameters
+        L, rho = parameters.length, parameters.mass_per_length
+        strip = rho * L
+        self.modal_mass = parameters.beam_mass
+        self._uniform: UniformBeamShapes | None = None
+        if parameters.gravity_sign == 0 and not any(mass.mass > 0.0 for mass in parameters.point_masses):
+            shapes = UniformBeamShapes(
+                n_modes, parameters.tip_mass_ratio, parameters.tip_inertia_ratio, parameters.clamp_compliance
+            )
+            self._uniform = shapes
+            self.frequencies: FloatArray = shapes.roots**2 / parameters.time_scale
+            self.strip_integral: FloatArray = L * shapes.integral()
+            self.strip_overlap: FloatArray = L * shapes.overlap()
+            self.curvature_overlap: FloatArray = shapes.curvature_overlap() / L**3
+            tip = shapes.evaluate(1.0)[0]
+            self.participation: FloatArray = rho * self.strip_integral + parameters.tip_mass * tip
+        else:
+            elements = SpectralElements(parameters, n_modes)
+            squared, vectors = elements.modes(n_modes)
+            rise = elements.basis(np.zeros(1), 2)[0] @ vectors
+            vectors = vectors * np.where(rise < 0.0, -1.0, 1.0) * np.sqrt(self.modal_mass / strip)
+            self._elements, self._vectors = elements, vectors
+            self._static_vector = elements.solve(elements.load)
+            self.frequencies = np.sqrt(squared) / parameters.time_scale
+            self.strip_integral = L * (elements.strip_load @ vectors)
+            self.strip_overlap = L * (vectors.T @ elements.strip_mass @ vectors)
+            self.curvature_overlap = (vectors.T @ elements.bending @ vectors) / L**3
+            self.participation = strip * (elements.load @ vectors)
+
+    def shape(self, heights: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return d^k phi_i / dz^k at ``heights`` [m], shape (n_heights, n_modes), for k = 0 to 3."""
+        x = np.asarray(heights, dtype=np.float64) / self._parameters.length
+        if self._uniform is not None:
+            values = self._uniform.evaluate(x, derivative)
+        else:
+            values = self._elements.basis(x, derivative) @ self._vectors
+        result: FloatArray = values / self._parameters.length**derivative
+        return result
+
+    def static_shape(self, heights: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return d^k S/dz^k, shape (n_heights,): w = -S(z) [s^2] alpha'' under a lasting hub acceleration."""
+        x = np.asarray(heights, dtype=np.float64) / self._parameters.length
+        if self._uniform is not None:
+            values = self._uniform.static_shape(x, derivative)
+        else:
+            values = self._elements.basis(x, derivative) @ self._static_vector
+        result: FloatArray = values * self._parameters.time_scale**2 / self._parameters.length**derivative
+        return result
+
+    def static_reaction(self) -> float:
+        """Return the integral of S over the inertia load [kg s^2]; the hub feels -alpha'''' times it."""
+        parameters = self._parameters
+        strip = parameters.mass_per_length * parameters.length
+        if self._uniform is not None:
+            mu, gamma = parameters.tip_mass_ratio, parameters.clamp_compliance
+            # int S_strip + 2 mu S_strip(1) + mu^2 S_tip(1), by reciprocity.
+            strip_tip, tip_tip = 1.0 / 8.0 + gamma / 2.0, 1.0 / 3.0 + gamma
+            value = 1.0 / 20.0 + gamma / 4.0 + 2.0 * mu * strip_tip + mu**2 * tip_tip
+        else:
+            value = float(self._elements.load @ self._static_vector)
+        return value * strip * parameters.time_scale**2
+
+
+@dataclass(frozen=True)
+class ModalParameters:
+    """Undamped modes of the beam on its free hub, thesis eqs. (2.42) and (2.43).
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (1 + n,)
+        omega_r [rad/s]; the first, 0, is the rigid body.
+    vectors : ndarray, shape (1 + n, 1 + n)
+        phi_r over [alpha, q_1 .. q_n], one mode a column, scaled to M_r = 1.
+    masses, stiffnesses : ndarray, shape (1 + n,)
+        M_r = phi_r^T M phi_r and K_r = phi_r^T K phi_r = omega_r^2 M_r.
+    dampings : ndarray, shape (1 + n, 1 + n)
+        phi^T C phi. Its diagonal is C_r = 2 zeta_r omega_r M_r where damping is proportional; off it lies what
+        couples the modes. (The thesis's line for C_r prints K in place of C.)
+    """
+
+    frequencies: FloatArray
+    vectors: FloatArray
+    masses: FloatArray
+    stiffnesses: FloatArray
+    dampings: FloatArray
+
+
+@dataclass(frozen=True)
+class GalerkinMatrices:
+    """The matrices of thesis eq. (2.40) over x = [alpha, q_1 .. q_n].
+
+    Attributes
+    ----------
+    M, C, K : ndarray, shape (1 + n, 1 + n)
+        Mass, damping and stiffness.
+    F : ndarray, shape (1 + n,)
+        Where the force acts.
+    """
+
+    M: FloatArray
+    C: FloatArray
+    K: FloatArray
+    F: FloatArray
+
+    def modal_parameters(self) -> ModalParameters:
+        """Return the eigenvectors of K - omega^2 M and M, C, K between them, thesis eqs. (2.42) and (2.43)."""
+        squared, V = linalg.eigh(self.K, self.M)
+        squared[0] = 0.0
+        return ModalParameters(
+            frequencies=np.sqrt(squared),
+            vectors=V,
+            masses=np.einsum("ir,ij,jr->r", V, self.M, V),
+            stiffnesses=np.einsum("ir,ij,jr->r", V, self.K, V),
+            dampings=V.T @ self.C @ V,
+        )
+
+    def state_space(self) -> tuple[FloatArray, FloatArray]:
+        """Return A (2N, 2N) and B (2N,) of X' = A X + B f with X = [x, x'], thesis eq. (2.41)."""
+        size = self.F.size
+        right = np.linalg.solve(self.M, np.column_stack([self.K, self.C, self.F]))
+        A = np.zeros((2 * size, 2 * size))
+        A[:size, size:] = np.eye(size)
+        A[size:, :size] = -right[:, :size]
+        A[size:, size:] = -right[:, size : 2 * size]
+        return A, np.concatenate([np.zeros(size), right[:, -1]])
+
+
+def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
+    """Return M, C, K and F of the beam on its hub in the basis of its clamped modes.
+
+    Notes
+    -----
+    C adds up what ``Damping`` holds: prescribed ratios give 2 zeta_i omega_i m_b on the diagonal; xi gives
+    int xi phi_i phi_j (thesis eq. (2.39)); xi_a the same and, because air resists the absolute motion, the
+    hub's row xi_a [L, int phi_i]; eta gives eta int EI phi_i'' phi_j''.
+    """
+    n = basis.frequencies.size
+    damping = parameters.damping
+    mass, E = basis.modal_mass, basis.participation
+    M = np.zeros((n + 1, n + 1))
+    M[0, 0] = parameters.total_mass
+    M[0, 1:] = M[1:, 0] = E
+    M[1:, 1:] = mass * np.eye(n)
+    K = np.zeros((n + 1, n + 1))
+    K[1:, 1:] = np.diag(mass * basis.frequencies**2)
+    ratios = np.array([damping.modal_ratio(mode) for mode in range(n)])
+    C = np.zeros((n + 1, n + 1))
+    C[1:, 1:] = np.diag(2.0 * ratios * basis.frequencies * mass)
+    C[1:, 1:] += (damping.viscous + damping.air) * basis.strip_overlap
+    C[1:, 1:] += damping.internal * parameters.flexural_rigidity * basis.curvature_overlap
+    C[0, 0] = damping.air * parameters.length
+    C[0, 1:] = C[1:, 0] = damping.air * basis.strip_integral
+    F = np.zeros(n + 1)
+    F[0] = 1.0
+    return GalerkinMatrices(M, C, K, F)

@@ -1,0 +1,395 @@
+"""Exact stepping of the beam in time, for the simulator (one tick at a time) and for whole records.
+
+The model is linear and its input is held between ticks, so that the step from one tick to the next is a
+matrix computed once, X_{k+1} = e^{AT} X_k + int_0^T e^{As} ds B u_k: no step size, no drift, and the state
+between two ticks is as exact as at them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from beam_model.arrays import FloatArray
+from beam_model.errors import BeamParameterError
+from beam_model.parameters import check_number
+
+# Terms of the exponential's series and the largest |A| tau for it: 3^28/28! is below rounding.
+_SERIES_TERMS = 28
+_SERIES_REACH = 3.0
+_BLOCK = 32
+
+
+def discretise(
+    A: FloatArray, B: FloatArray, period: float, scale: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return e^{AT} and the effects of an input that is held and of one that rises by 1 over the period.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n,)
+    period : float
+        T [s].
+    scale : ndarray, shape (n,), optional
+        Magnitudes of the states against each other; the exponential is taken of the scaled system, which
+        keeps small entries accurate.
+
+    Returns
+    -------
+    transition : ndarray, shape (n, n)
+    held, ramp : ndarray, shape (n,)
+        Zero-order hold: X+ = transition X + held u. First-order hold: + ramp (u+ - u) more.
+    """
+    size = A.shape[0]
+    weight = np.append(np.ones(size) if scale is None else scale, [1.0, 1.0])
+    augmented = np.zeros((size + 2, size + 2))
+    augmented[:size, :size] = A * period
+    augmented[:size, size] = B * period
+    augmented[size, size + 1] = 1.0
+    result = expm(augmented * weight[:, None] / weight[None, :]) * weight[None, :] / weight[:, None]
+    held, ramp = result[:size, size], result[:size, size + 1]
+    return np.ascontiguousarray(result[:size, :size]), np.ascontiguousarray(held), np.ascontiguousarray(ramp)
+
+
+class LinearStepper:
+    """A linear system under a held input, stepped exactly.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n,)
+    period : float
+        From tick to tick [s].
+    scale : ndarray, shape (n,)
+        See ``discretise``.
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, period: float, scale: FloatArray) -> None:
+        self.period = check_number("period", period, "s", above=0.0)
+        self._A, self._B = A, B
+        self._transition, self._held, self._ramp = discretise(A, B, self.period, scale)
+        self._full_state = np.zeros(B.size)
+        self._scratch = np.zeros(B.size)
+        scaled = A * scale[:, None] / scale[None, :]
+        self._rate = float(np.linalg.norm(scaled, 2))
+
+    def _advance(self, value: float) -> None:
+        np.dot(self._transition, self._full_state, out=self._scratch)
+        np.multiply(self._held, value, out=self._full_state)
+        np.add(self._full_state, self._scratch, out=self._full_state)
+
+    def _advance_linear(self, start: float, end: float) -> None:
+        self._advance(start)
+        self._full_state += self._ramp * (end - start)
+
+    def _state_after(self, tau: float | FloatArray, value: float) -> FloatArray:
+        """Return the whole state ``tau`` seconds into the tick, shape (n,) or (n_tau, n)."""
+        taus = np.asarray(tau, dtype=np.float64)
+        if taus.ndim == 0:
+            return self._state_at(float(taus), value)
+        result: FloatArray
+        horizon = float(np.max(np.abs(taus), initial=0.0))
+        if self._rate * horizon > _SERIES_REACH:
+            result = np.stack([self._state_at(float(t), value) for t in taus])
+            return result
+        terms = np.empty((_SERIES_TERMS, self._full_state.size))
+        terms[0] = self._full_state
+        terms[1] = horizon * (self._A @ terms[0] + self._B * value)
+        for k in range(2, _SERIES_TERMS):
+            terms[k] = self._A @ terms[k - 1] * (horizon / k)
+        ratios = taus / horizon if horizon > 0.0 else taus
+        powers = ratios[:, None] ** np.arange(_SERIES_TERMS)[None, :]
+        result = powers @ terms
+        return result
+
+    def _state_at(self, tau: float, value: float, slope: float = 0.0) -> FloatArray:
+        return self.propagate(self._full_state, tau, value, slope)
+
+    def propagate(self, start: FloatArray, tau: float, value: float, slope: float = 0.0) -> FloatArray:
+        """Return where a state stands after ``tau`` under the input value + slope t, shape (n,).
+
+        Parameters
+        ----------
+        start : ndarray, shape (n,)
+            Not the stepper's own state, which stays as it is.
+        tau : float
+            [s], as long as wanted; a whole period under a held input takes the precomputed step.
+        value, slope : float
+            Of the input and of its change per second.
+        """
+        if tau == self.period and slope == 0.0:
+            return np.asarray(self._transition @ start + self._held * value)
+        n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
+        h = tau / n_pieces
+        state = start.copy()
+        for piece in range(n_pieces):
+            term = h * (self._A @ state + self._B * (value + slope * h * piece))
+            state += term
+            term = 0.5 * h * (self._A @ term + self._B * (slope * h))
+            state += term
+            for k in range(3, _SERIES_TERMS):
+                term = self._A @ term * (h / k)
+                state += term
+        return np.asarray(state)
+
+    def _run(self, values: FloatArray, hold: str) -> FloatArray:
+        """Return the state at every tick and leave the stepper at the last one.
+
+        A first-order hold is a zero-order hold of the state less ramp u: one path serves both.
+        """
+        values = np.asarray(values, dtype=np.float64).ravel()
+        if hold == "zoh":
+            return self._run_held(values, self._held)
+        if hold != "foh":
+            raise BeamParameterError("hold", hold, "", '"zoh" or "foh"')
+        if values.size == 0:
+            raise BeamParameterError(
+                "values", (), "", "at least the value at the present tick for a first-order hold"
+            )
+        self._full_state -= self._ramp * values[0]
+        shifted = self._run_held(values[:-1], self._held - self._ramp + self._transition @ self._ramp)
+        result = shifted + values[:, None] * self._ramp
+        self._full_state[:] = result[-1]
+        return result
+
+    def _run_held(self, values: FloatArray, effect: FloatArray) -> FloatArray:
+        size, n_samples = self._full_state.size, values.size
+        n_blocks = -(-n_samples // _BLOCK)
+        inputs = np.zeros((n_blocks, _BLOCK))
+        inputs.ravel()[:n_samples] = values
+        # Within a block the states are linear in its first state and its inputs: one matrix product for all.
+        powers = np.empty((_BLOCK + 1, size, size))
+        powers[0] = np.eye(size)
+        for k in range(_BLOCK):
+            powers[k + 1] = self._transition @ powers[k]
+        impulse = powers[:_BLOCK] @ effect
+        forced = np.zeros((_BLOCK, _BLOCK, size))
+        for k in range(_BLOCK):
+            forced[: k + 1, k] = impulse[k::-1]
+        ends = inputs @ forced[:, -1]
+        starts = np.empty((n_blocks, size))
+        state = self._full_state.copy()
+        for block in range(n_blocks):
+            starts[block] = state
+            state = powers[_BLOCK] @ state + ends[block]
+        free = powers[1:].transpose(2, 0, 1).reshape(size, _BLOCK * size)
+        states = starts @ free + inputs @ forced.reshape(_BLOCK, _BLOCK * size)
+        result = np.empty((n_samples + 1, size))
+        result[0] = self._full_state
+        result[1:] = states.reshape(-1, size)[:n_samples]
+        self._full_state[:] = result[-1]
+        return result
+
+    def _run_at(self, times: FloatArray, values: FloatArray, hold: str) -> FloatArray:
+        """Return the state at every one of increasing times, the stepper standing at the first of them."""
+        times, values = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
+        if hold not in ("zoh", "foh"):
+            raise BeamParameterError("hold", hold, "", '"zoh" or "foh"')
+        if times.shape != values.shape or times.ndim != 1:
+            raise BeamParameterError(
+                "times", times.shape, "", f"one time for each of the values {values.shape}"
+            )
+        steps = np.diff(times)
+        if not np.all(steps > 0.0):
+            raise BeamParameterError("times", float(steps.min()), "s", "strictly increasing")
+        result = np.empty((times.size, self._full_state.size))
+        for index, step in enumerate(np.append(steps, 0.0)):
+            result[index] = self._full_state
+            if step > 0.0:
+                slope = (values[index + 1] - values[index]) / step if hold == "foh" else 0.0
+                self._full_state[:] = self._state_at(float(step), float(values[index]), float(slope))
+        return result
+
+
+class MotionStepper(LinearStepper):
+    """The beam under a prescribed hub acceleration, held over each tick.
+
+    Deflections are w(z, t) = shape(z) @ q(t) - R(z) a_R(t) with ``BeamModel.shape``, ``BeamModel.residual_terms``
+    and the acceleration a_R that the left-out modes follow, ``residual_acceleration``: the hub's own, unless
+    there is internal damping.
+
+    Parameters
+    ----------
+    A, B, period, scale
+        See ``LinearStepper``; states are q, q', and, where the damping asks for them, the hub's velocity (air)
+        and a_R (internal damping).
+    n_modes : int
+        n.
+    gain : ndarray, shape (n,)
+        Gamma_i = E_i / m_b: q_i'' + ... = -Gamma_i alpha''.
+    has_velocity, has_lag : bool
+        Whether the hub's velocity and a_R are states.
+    """
+
+    def __init__(
+        self,
+        A: FloatArray,
+        B: FloatArray,
+        period: float,
+        scale: FloatArray,
+        *,
+        n_modes: int,
+        gain: FloatArray,
+        has_velocity: bool,
+        has_lag: bool,
+    ) -> None:
+        super().__init__(A, B, period, scale)
+        self._n = n_modes
+        self._gain = gain
+        self._has_velocity, self._has_lag = has_velocity, has_lag
+
+    @property
+    def state(self) -> FloatArray:
+        """Coordinates q and rates q', shape (2 n,); a view, so that it can be written to."""
+        return self._full_state[: 2 * self._n]
+
+    @state.setter
+    def state(self, value: FloatArray) -> None:
+        self._full_state[: 2 * self._n] = value
+
+    def reset(self) -> None:
+        """Put the beam at rest, straight, on a still hub."""
+        self._full_state[:] = 0.0
+
+    def step(self, acceleration: float) -> None:
+        """Advance one tick under a hub acceleration held over it [m/s^2]."""
+        self._advance(acceleration)
+
+    def coordinates(self, tau: float | FloatArray, acceleration: float) -> FloatArray:
+        """Return q at ``tau`` seconds into the current tick, exact, without a change of state.
+
+        Parameters
+        ----------
+        tau : float or ndarray, shape (n_tau,)
+            Between 0 and the period.
+        acceleration : float
+            Of the hub, held since the tick [m/s^2].
+
+        Returns
+        -------
+        ndarray, shape (n,) or (n_tau, n)
+        """
+        return self._state_after(tau, acceleration)[..., : self._n]
+
+    def residual_acceleration(self, tau: float | FloatArray, acceleration: float) -> FloatArray:
+        """Return a_R [m/s^2] at ``tau``: what the left-out modes follow, shape () or (n_tau,)."""
+        if self._has_lag:
+            return np.asarray(self._state_after(tau, acceleration)[..., -1])
+        return np.full(np.shape(tau), acceleration, dtype=np.float64)
+
+    def kick(self, delta_velocity: float) -> None:
+        """Change the hub's velocity at once [m/s], as a piecewise-constant velocity command does at a tick.
+
+        The left-out modes, which have no inertia of their own, do not show the blow.
+        """
+        self._full_state[self._n : 2 * self._n] -= self._gain * delta_velocity
+        if self._has_velocity:
+            self._full_state[2 * self._n] += delta_velocity
+
+    def step_linear(self, start: float, end: float) -> None:
+        """Advance one tick under a hub acceleration that runs straight from ``start`` to ``end`` [m/s^2]."""
+        self._advance_linear(start, end)
+
+    def run(self, accelerations: FloatArray, hold: str = "zoh") -> FloatArray:
+        """Return q and q' at every tick of a record, shape (n_ticks, 2 n), the present state first.
+
+        Parameters
+        ----------
+        accelerations : ndarray
+            Of the hub [m/s^2]: for "zoh" (n_ticks - 1,), held from tick to tick; for "foh" (n_ticks,), joined by
+            straight lines.
+        hold : {"zoh", "foh"}
+            How the input runs between ticks. The stepper is left at the end of the record.
+        """
+        return self._run(accelerations, hold)[:, : 2 * self._n]
+
+    def run_at(self, times: FloatArray, accelerations: FloatArray, hold: str = "zoh") -> FloatArray:
+        """Return q and q' at irregular times, shape (n_times, 2 n), the present state at the first of them.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n_times,)
+            Strictly increasing [s].
+        accelerations : ndarray, shape (n_times,)
+            Of the hub at those times [m/s^2], held ("zoh": the last one is not used) or joined ("foh").
+        hold : {"zoh", "foh"}
+        """
+        return self._run_at(times, accelerations, hold)[:, : 2 * self._n]
+
+
+@dataclass(frozen=True)
+class HubAndBeam:
+    """Where hub and beam are at one instant, or at several.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : ndarray, shape () or (n_tau,)
+        Of the hub [m], [m/s], [m/s^2].
+    coordinates : ndarray, shape (n,) or (n_tau, n)
+        q.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    coordinates: FloatArray
+
+
+class ForceStepper(LinearStepper):
+    """The beam on a free hub under a force, held over each tick.
+
+    Displacements are u(z, t) = alpha + shape(z) @ q - R(z) alpha''. (The lag that internal damping gives to the
+    last term, eta omega of a part in a thousand, is left out here.)
+
+    Parameters
+    ----------
+    A, B, period, scale
+        See ``LinearStepper``; states are [alpha, q, alpha', q'].
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, period: float, scale: FloatArray) -> None:
+        super().__init__(A, B, period, scale)
+        self._n = B.size // 2
+
+    @property
+    def state(self) -> FloatArray:
+        """Hub and beam, [alpha, q, alpha', q'], shape (2 + 2 n,); a view, so that it can be written to."""
+        return self._full_state
+
+    @state.setter
+    def state(self, value: FloatArray) -> None:
+        self._full_state[:] = value
+
+    def reset(self) -> None:
+        """Put the hub at rest at home with a straight, still beam."""
+        self._full_state[:] = 0.0
+
+    def step(self, force: float) -> None:
+        """Advance one tick under a force on the hub held over it [N]."""
+        self._advance(force)
+
+    def coordinates(self, tau: float | FloatArray, force: float) -> tuple[FloatArray, FloatArray]:
+        """Return alpha, shape () or (n_tau,), and q, shape (n,) or (n_tau, n), ``tau`` into the tick."""
+        state = self._state_after(tau, force)
+        return state[..., 0], state[..., 1 : self._n]
+
+    def motion(self, tau: float | FloatArray, force: float) -> HubAndBeam:
+        """Return position, velocity and acceleration of the hub and q, at ``tau`` into the current tick."""
+        state = self._state_after(tau, force)
+        acceleration = state @ self._A[self._n] + self._B[self._n] * force
+        return HubAndBeam(state[..., 0], state[..., self._n], acceleration, state[..., 1 : self._n])
+
+    def step_linear(self, start: float, end: float) -> None:
+        """Advance one tick under a force that runs straight from ``start`` to ``end`` [N]."""
+        self._advance_linear(start, end)
+
+    def run(self, forces: FloatArray, hold: str = "zoh") -> FloatArray:
+        """Return [alpha, q, alpha', q'] at every tick, shape (n_ticks, 2 + 2 n); see ``MotionStepper.run``."""
+        return self._run(forces, hold)
+
+    def run_at(self, times: FloatArray, forces: FloatArray, hold: str = "zoh") -> FloatArray:
+        """Return [alpha, q, alpha', q'] at irregular times; see ``MotionStepper.run_at``."""
+        return self._run_at(times, forces, hold)

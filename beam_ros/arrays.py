@@ -1,0 +1,14 @@
+"""The aliases for arrays that all annotations use; shapes and units stand in the docstrings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+StampArray = NDArray[np.int64]
+"""Stamps [ns]."""
+ImageArray = NDArray[Any]
+"""Grey values of one picture, shape (height, width)."""

@@ -1,0 +1,1 @@
+"""Pixels to metres, from recorded bags and from boards."""

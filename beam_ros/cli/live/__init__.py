@@ -1,0 +1,1 @@
+"""Verbs that run nodes on the ROS graph."""

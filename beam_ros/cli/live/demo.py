@@ -1,0 +1,53 @@
+"""Run the whole experiment without hardware.
+
+Separate processes over ROS 2, on a domain of their own that never leaves this machine: the rig is
+simulated (or emulated behind a serial line), a chirp moves the hub, a camera films the beam, the tracker
+measures the markers, everything is recorded to one bag, and the identifier fits a continuous-time model
+whose natural frequencies and damping ratios are compared with the ones that the simulation was made from.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+from beam_ros.cli.options import add_rig_file, read_rig, run_folder
+from beam_ros.interfaces.graph import RigKind
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument(
+        "--rig",
+        choices=[RigKind.SIMULATED.value, RigKind.EMULATED.value],
+        default=RigKind.SIMULATED.value,
+        help="what stands in for the hardware: the simulator, or a motion controller on a pseudo-terminal",
+    )
+    add_rig_file(parser)
+    parser.add_argument("--images", action="store_true", help="record the camera's frames too (30 MB/s)")
+    parser.add_argument(
+        "--out", type=Path, help="folder for bag, model and report (default: runs/<time>-demo-<rig>)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    rig = read_rig(arguments)
+    folder = run_folder(arguments.out, f"demo-{arguments.rig}")
+    from beam_ros.launching.demo import conduct_demo
+    from beam_ros.offline.identification import format_table
+
+    started = time.monotonic()
+    result = conduct_demo(rig, RigKind(arguments.rig), folder, record_images=arguments.images)
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+        return 0
+    print(f"\n{format_table(result)}\n")
+    for line in (*result["notes"], *result["warnings"]):
+        print(f"note: {line}")
+    print(f"report   {result['report']}\nmodel    {result['model']}\nbag      {result['bag']}")
+    print(f"took     {time.monotonic() - started:.0f} s")
+    return 0

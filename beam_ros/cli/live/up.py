@@ -1,0 +1,89 @@
+"""Start the rig's nodes together and keep them until Ctrl-C.
+
+The nodes' logs go to runs/<time>-up-<rig>/logs. They use your own ROS domain and discovery range, so that
+viewers, `ros2` and other nodes can attach.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+import time
+from pathlib import Path
+
+from beam_ros.cli.options import add_rig_file, read_rig, run_folder
+from beam_ros.errors import UsageError
+from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
+from beam_ros.launching.processes import (
+    NodeGroup,
+    interrupted_by_sigterm,
+    node_arguments,
+    refuse_made_up_time,
+)
+from beam_ros.process.folders import make_folder
+
+_WATCH_S = 0.2
+_START_TIMEOUT_S = 40.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    kinds = [kind.value for kind in RigKind]
+    parser.add_argument("--rig", choices=kinds, required=True, help="what stands behind the topics")
+    add_rig_file(parser)
+    parser.add_argument("--namespace", default="", help="ROS namespace for every node of this rig")
+    parser.add_argument("--record", type=Path, metavar="BAG", help="also record to this folder")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    rig, kind = read_rig(arguments), RigKind(arguments.rig)
+    has_images = kind is not RigKind.SIMULATED or bool(rig["simulation.images"])
+    executables = list(nodes_of_rig(kind, with_camera_images=has_images))
+    changes: dict[str, object] = {}
+    if arguments.record is not None:
+        if arguments.record.exists():
+            raise UsageError(f"--record {arguments.record}: exists already; give a folder that does not")
+        executables.append("bag_recorder")
+        changes["recorder.path"] = str(arguments.record.resolve())
+    if kind is RigKind.REAL and not rig.text("serial.port"):
+        raise UsageError(
+            "--rig real needs the controller's port: expected serial.port in the rig file, or "
+            "-p serial.port:=/dev/ttyACM0"
+        )
+    refuse_made_up_time(rig, kind)
+    from beam_ros.launching.client import RigClient
+
+    with (
+        interrupted_by_sigterm(),
+        tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch,
+        RigClient(namespace=arguments.namespace) as client,
+    ):
+        client.refuse_live_hub()
+        logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
+        if kind is RigKind.EMULATED:
+            changes.update(emulated_port(rig.text("serial.port") or f"{scratch}/controller"))
+        rig_file = logs.parent / "rig.yaml"
+        rig.with_values(changes).write(rig_file)
+        with NodeGroup(logs) as nodes:
+            client.check = nodes.check
+            for executable in executables:
+                nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
+            client.wait(
+                lambda: not math.isnan(client.hub_position),
+                _START_TIMEOUT_S,
+                "the hub published no state",
+                f"look at the nodes' logs in {logs}",
+            )
+            print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")
+            print(f"{client.reach()}; Ctrl-C ends it", flush=True)
+            try:
+                while True:
+                    nodes.check()
+                    time.sleep(_WATCH_S)
+            except KeyboardInterrupt:
+                statuses = nodes.end()
+    failed = [f"{name} with status {status}" for name, status in statuses.items() if status]
+    print("ended" if not failed else f"ended, but {', '.join(failed)}; logs in {logs}")
+    return 1 if failed else 0

@@ -1,0 +1,180 @@
+"""Pixels to metres, with their uncertainty: from recorded bags, or from a checkerboard.
+
+From bags: the hub stops at twenty or more positions in both directions for a second or two each while beam/markers
+is recorded; every rest is a point of a straight line per marker. The reference is the hub's own encoder, or another
+sensor on a JointState topic (--reference TOPIC:NAME --reference-sd M).
+
+From a board: the first picture or video shows the board in the beam's plane and gives the scale; further ones, of
+the board tilted in other places, give the lens. `beam track --calibration` and tracker.calibration read the result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beam_ros.cli.options import add_rig_file, quiet_opencv, read_rig
+from beam_ros.errors import UsageError
+from beam_ros.process.progress import Progress
+
+if TYPE_CHECKING:
+    from beam_ros.vision.calibration.procedure import CalibrationFit
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument(
+        "sources", type=Path, nargs="+", metavar="SOURCE", help="bags, or with --board pictures and videos"
+    )
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write the calibration to this YAML file")
+    parser.add_argument(
+        "--reference",
+        default="hub/measured",
+        metavar="TOPIC[:NAME]",
+        help="reference sensor in the bags (default: the hub's encoder, hub/measured)",
+    )
+    parser.add_argument(
+        "--reference-sd",
+        type=float,
+        metavar="M",
+        help="its standard deviation in m (default: hub.encoder_resolution over sqrt(12))",
+    )
+    parser.add_argument(
+        "--frames", type=int, default=100, help="frames averaged at the end of each rest (default: 100)"
+    )
+    parser.add_argument("--board", metavar="COLUMNSxROWS", help="inner corners of a checkerboard, as 8x6")
+    parser.add_argument("--square", type=float, metavar="M", help="edge of its squares in m")
+    parser.add_argument(
+        "--square-sd", type=float, default=0.0, metavar="M", help="standard deviation of that edge in m"
+    )
+    add_rig_file(parser)
+    parser.add_argument("--json", action="store_true", help="print the calibration and its tests as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    quiet_opencv()
+    date = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    result = _from_board(arguments, date) if arguments.board else _from_bags(arguments, date)
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+    else:
+        print("\n".join([*result["table"], *(f"note: {warning}" for warning in result["warnings"])]))
+        if arguments.save is not None:
+            print(f"saved    {arguments.save}")
+    return 0
+
+
+def _save(calibration: Any, path: Path | None) -> None:
+    from beam_ros.vision.calibration.storage import save_calibration
+
+    if path is not None:
+        save_calibration(calibration, path)
+
+
+def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+    from beam_ros.calibration.from_bag import calibrate_from_bags
+    from beam_ros.offline.video_into_bag import bag_rig
+
+    if arguments.square is not None:
+        raise UsageError("--square goes with --board COLUMNSxROWS")
+    if arguments.frames < 10:
+        raise UsageError(f"--frames is {arguments.frames}: expected at least 10 for each rest")
+    rig = None
+    if arguments.rig_file is not None:
+        rig = read_rig(arguments)
+    elif arguments.parameters:
+        rig = bag_rig(arguments.sources[0]).with_texts(arguments.parameters)
+    with Progress("calibrate", 1.0) as stage:
+        fit, rig = calibrate_from_bags(
+            arguments.sources,
+            rig=rig,
+            reference=arguments.reference,
+            reference_sd_m=arguments.reference_sd,
+            frames=arguments.frames,
+            date=date,
+        )
+        stage.finish(f"{fit.calibration.provenance['n_points']} positions")
+    _save(fit.calibration, arguments.save)
+    return {
+        "calibration": fit.calibration.to_dict(),
+        "markers": _tests(fit, rig.marker_names),
+        "warnings": list(fit.warnings),
+        "table": _table(fit, rig.marker_names),
+    }
+
+
+def _tests(fit: CalibrationFit, names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    return {
+        name: {
+            "pixels_per_metre": abs(line.slope),
+            "pixels_per_metre_sd": math.sqrt(line.covariance[0, 0]),
+            "zero_px": line.intercept,
+            "zero_sd_px": math.sqrt(line.covariance[1, 1]),
+            "residual_rms_px": line.residual_rms_px,
+            "reduced_chi_squared": line.chi_squared / line.degrees_of_freedom,
+            "hysteresis_px": None if math.isnan(line.hysteresis_px) else line.hysteresis_px,
+            "hysteresis_sd_px": None if math.isnan(line.hysteresis_sd_px) else line.hysteresis_sd_px,
+            "curvature_px_m2": None if math.isnan(line.curvature) else line.curvature,
+            "curvature_sd_px_m2": None if math.isnan(line.curvature_sd) else line.curvature_sd,
+            "has_hysteresis": line.has_hysteresis,
+            "is_curved": line.is_curved,
+        }
+        for name, line in zip(names, fit.lines, strict=True)
+    }
+
+
+def _table(fit: CalibrationFit, names: tuple[str, ...]) -> list[str]:
+    lines = [
+        "marker          scale [px/m]             zero [px]       residual   hysteresis [px]      curvature "
+        "[px/m^2]   chi^2/dof",
+    ]
+    for name, line in zip(names, fit.lines, strict=True):
+        scale_sd, zero_sd = (math.sqrt(line.covariance[k, k]) for k in (0, 1))
+        lines.append(
+            f"{name:<10} {abs(line.slope):>10.3f} +- {scale_sd:<8.2g} {line.intercept:>10.4f} +- {zero_sd:<8.2g} "
+            f"{line.residual_rms_px:>7.4f} px {line.hysteresis_px:>+8.4f} +- {line.hysteresis_sd_px:<8.2g}"
+            f"{line.curvature:>+9.2f} +- {line.curvature_sd:<8.2g} "
+            f"{line.chi_squared / line.degrees_of_freedom:>7.2f}"
+        )
+    return lines
+
+
+def _from_board(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+    from beam_ros.calibration.from_board import calibrate_from_board
+    from beam_ros.vision.calibration.checkerboard import Checkerboard
+
+    columns, separator, rows = arguments.board.lower().partition("x")
+    if not (separator and columns.isdigit() and rows.isdigit()):
+        raise UsageError(f"--board is {arguments.board!r}: expected its inner corners, as 8x6")
+    if arguments.square is None:
+        raise UsageError("--board needs --square, the edge of its squares in m")
+    board = Checkerboard(int(columns), int(rows), arguments.square, arguments.square_sd)
+    plane, *tilted = arguments.sources
+    with Progress("calibrate", 1.0) as stage:
+        found = calibrate_from_board(plane, tilted, board, read_rig(arguments), date)
+        stage.finish(f"board found in {plane}")
+    _save(found.calibration, arguments.save)
+    table = [
+        f"scale    {found.scale.pixels_per_metre:.3f} +- {found.scale.sd:.2g} px/m, corners off by "
+        f"{found.scale.residual_rms_px:.3f} px (RMS), scale over the board even to {100 * found.scale.tilt:.2f} %"
+    ]
+    if found.lens is not None:
+        lens = found.lens.lens
+        table.append(
+            f"lens     {found.lens.n_pictures} pictures, corners off by {found.lens.residual_rms_px:.3f} px (RMS), "
+            f"focal length {lens.focal_px[0]:.1f} px, distortion "
+            + ", ".join(f"{value:+.4f}" for value in lens.distortion)
+        )
+    return {
+        "calibration": found.calibration.to_dict(),
+        "scale_sd": found.scale.sd,
+        "tilt": found.scale.tilt,
+        "residual_rms_px": found.scale.residual_rms_px,
+        "warnings": list(found.warnings),
+        "table": table,
+    }

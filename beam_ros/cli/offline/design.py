@@ -1,0 +1,117 @@
+"""Check the rig's excitation against the hub's limits and the beam's predicted motion, before anything moves."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+from typing import Any
+
+from beam_ident.design.prediction import half_power_bands, resolution_warning
+from beam_ident.design.summary import excitation_report
+from beam_ident.excitation import describe_recipe
+from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.rig.rig import Rig
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    add_rig_file(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    rig = read_rig(arguments)
+    design = describe_design(rig)
+    print(json.dumps(design, indent=2) if arguments.json else _text(design))
+    return 0
+
+
+def describe_design(rig: Rig) -> dict[str, Any]:
+    """Plan the excitation and collect its figures beside the limits (SI).
+
+    Raises
+    ------
+    UsageError
+        The excitation leaves a limit; the message names it.
+    """
+    from beam_ros.excitation.plan import plan_excitation
+
+    plan = plan_excitation(rig)
+    sampled, model = plan.sampled, rig.beam_model()
+    report = excitation_report(sampled)
+    bands = half_power_bands(plan.recipe, model.natural_frequencies, model.damping_ratios)
+    low, high = report.band_hz
+    reached = [low <= band.frequency_hz <= high for band in bands]
+    warning = resolution_warning(
+        [band for band, is_reached in zip(bands, reached, strict=True) if is_reached]
+    )
+    peaks = sampled.peaks()
+    return {
+        "recipe": plan.recipe.to_dict(),
+        "mode": plan.mode,
+        "samples": len(plan.values),
+        "duration": sampled.duration_s,
+        "peaks": {
+            "travel": [peaks["travel"][0], rig.number("hub.travel") / 2, "m"],
+            "speed": [peaks["speed"][0], rig.number("hub.max_speed"), "m/s"],
+            "acceleration": [peaks["acceleration"][0], rig.number("hub.max_acceleration"), "m/s^2"],
+            "jerk": [peaks["jerk"][0], rig.number("excitation.max_jerk") or None, "m/s^3"],
+            "tip deflection": [plan.prediction.tip_deflection, rig.number("hub.max_tip_deflection"), "m"],
+            "root strain": [plan.prediction.root_strain, rig.number("beam.max_root_strain"), ""],
+            "hub force": [plan.prediction.hub_force, rig.number("hub.max_effort"), "N"],
+        },
+        "crest_factor": report.levels[0].crest_factor,
+        "levels": [dataclasses.asdict(level) for level in report.levels],
+        "band_hz": [low, high],
+        "modes": [
+            {
+                "frequency_hz": band.frequency_hz,
+                "half_power_band_hz": band.width_hz,
+                "lines_in_band": band.lines,
+                "is_in_band": is_reached,
+                "settling_s": 5.0 / (math.pi * band.width_hz),
+                "tip_amplitude": float(amplitude),
+            }
+            for band, is_reached, amplitude in zip(
+                bands, reached, plan.prediction.modal_tip_deflections, strict=True
+            )
+        ],
+        "warnings": [warning] if warning else [],
+    }
+
+
+def _millimetres(length: float) -> str:
+    """Return a length [m] in mm; below a micrometre its digits mean nothing."""
+    return "< 0.001" if length < 1e-6 else f"{length * 1e3:.4g}"
+
+
+def _text(design: dict[str, Any]) -> str:
+    crests = ", ".join(f"{level['quantity']} {level['crest_factor']:.2f}" for level in design["levels"])
+    low, high = design["band_hz"]
+    lines = [
+        describe_recipe(design["recipe"]),
+        f"{design['samples']} samples over {design['duration']:.3f} s, commanded in {design['mode']}, from {low:.3g} "
+        f"to {high:.3g} Hz",
+        f"crest factors: {crests}",
+        "",
+        "quantity             peak       limit",
+    ]
+    for name, (peak, limit, unit) in design["peaks"].items():
+        allowed = "none" if limit is None else f"{limit:.4g}"
+        lines.append(f"{name:<16} {peak:>9.4g}   {allowed:>9} {unit}")
+    lines += [
+        "",
+        "mode   frequency [Hz]   half-power band [Hz]   lines in it   settling [s]   predicted tip [mm]",
+    ]
+    for k, mode in enumerate(design["modes"], 1):
+        seen = f"{mode['lines_in_band']:.2g}" if mode["is_in_band"] else "not driven"
+        lines.append(
+            f"{k:>4}   {mode['frequency_hz']:>14.4f}   {mode['half_power_band_hz']:>20.4f}   {seen:>11}   "
+            f"{mode['settling_s']:>12.1f}   {_millimetres(mode['tip_amplitude']):>18}"
+        )
+    if design["warnings"]:
+        lines += ["", *design["warnings"]]
+    return "\n".join(lines)

@@ -1,0 +1,65 @@
+"""Identify a continuous-time model with common poles from a recorded bag.
+
+Prints the natural frequencies and damping ratios beside the theory of the rig that the bag describes; writes
+model.json and a self-contained report.html into the folder of --report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.process.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="folder of the bag, or a single .mcap or .db3 file"
+    )
+    parser.add_argument("--validate", type=Path, metavar="BAG", help="another bag to score the model on")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for model.json and report.html")
+    parser.add_argument("--modes", type=int, help="number of modes (default: from the data)")
+    parser.add_argument(
+        "--structure",
+        choices=["auto", "base_motion", "acceleration", "velocity", "force"],
+        default="auto",
+        help="which model goes with which input (default: by the hub's command mode)",
+    )
+    add_rig_file(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    from beam_ros.offline.identification import format_table, identify_bag
+
+    rig = read_rig(arguments) if arguments.rig_file or arguments.parameters else None
+    with Progress("identify", 1.0) as stage:
+        result = identify_bag(
+            arguments.bag,
+            rig=rig,
+            structure=arguments.structure,
+            n_modes=arguments.modes,
+            folder=arguments.report,
+            validation=arguments.validate,
+            progress=lambda phrase, share: stage.update(share, phrase),
+        )
+        stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+        return 0
+    print(format_table(result))
+    for name, score in result["scores"].items():
+        print(
+            f"{name}   FIT {score['fit_percent']:.3f} %, of the deflection {score['deflection_fit_percent']:.2f} %"
+        )
+    for name, score in result.get("validation", {}).get("scores", {}).items():
+        print(f"{name} on {arguments.validate}: {score['verdict']}")
+    for line in (*result["notes"], *result["warnings"]):
+        print(f"note: {line}")
+    if arguments.report is not None:
+        print(f"report   {result['report']}\nmodel    {result['model']}")
+    return 0

@@ -1,0 +1,85 @@
+"""Print the theory of a rig: natural frequencies, damping ratios, participation, and how best to measure them.
+
+`--plot DIR` draws mode shapes, Bode plots and the pole map.
+`--parameters` lists every parameter of the rig file with its unit, range, default and meaning.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from beam_model.advice.summary import summarise
+from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.interfaces import schema
+from beam_ros.process.folders import make_folder
+from beam_ros.rig.rig import Rig
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    add_rig_file(parser)
+    parser.add_argument(
+        "--parameters",
+        dest="lists_parameters",
+        action="store_true",
+        help="list the rig file's parameters and exit",
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="DIR", help="draw mode shapes, Bode plots and poles into DIR"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    if arguments.lists_parameters:
+        print(_parameter_list())
+        return 0
+    rig = read_rig(arguments)
+    model = rig.beam_model()
+    theory = summarise(
+        model, rig.numbers("markers.heights"), rig.number("camera.rate"), min(3, model.n_modes)
+    )
+    figures = [] if arguments.plot is None else _draw(rig, arguments.plot)
+    if arguments.json:
+        content = {
+            **theory.to_dict(),
+            "marker_names": list(rig.marker_names),
+            "figures": list(map(str, figures)),
+        }
+        print(json.dumps(content, indent=2))
+        return 0
+    beam = model.parameters
+    print(f"EI {beam.flexural_rigidity:.6g} N m^2, rho {beam.mass_per_length:.6g} kg/m, {beam.gravity}\n")
+    print(theory.to_text())
+    for path in figures:
+        print(path)
+    return 0
+
+
+def _draw(rig: Rig, folder: Path) -> list[Path]:
+    from beam_model.advice import figures
+
+    model, heights = rig.beam_model(), rig.numbers("markers.heights")
+    make_folder(folder)
+    drawn = {
+        "mode_shapes.png": figures.mode_shape_figure(model, heights),
+        "bode_motion.png": figures.bode_figure(model, heights),
+        "bode_force.png": figures.bode_figure(model, heights, drive="force"),
+        "poles.png": figures.pole_figure(model),
+    }
+    for name, figure in drawn.items():
+        figure.savefig(folder / name, dpi=150)
+    return [folder / name for name in drawn]
+
+
+def _parameter_list() -> str:
+    defaults = schema.packaged_defaults()
+    lines = []
+    for name, parameter in schema.RIG_PARAMETERS.items():
+        default = defaults[name]
+        shown = '""' if default == "" else str(default)
+        lines.append(f"{name} = {shown}\n    {parameter.description}: {parameter.expectation()}")
+    return "\n".join(lines)

@@ -1,0 +1,100 @@
+"""Track the markers through a video and put their displacements into the bag of its experiment.
+
+For a camera that only leaves a file. The bag holds what the hub measured; the lowest marker, which moves as the hub
+does, tells when the video was taken and how fast its clock ran. The bag then identifies like any other. Its old form
+stays beside it as BAG_untracked, unless --out names a new bag.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from beam_ros.cli.options import add_rig_file, quiet_opencv, read_rig
+from beam_ros.process.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("video", type=Path, metavar="VIDEO", help="file that OpenCV can read")
+    parser.add_argument(
+        "--into",
+        type=Path,
+        required=True,
+        metavar="BAG",
+        help="folder of the bag of the same experiment, with hub/measured",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="BAG", help="write this new bag and leave --into as it is"
+    )
+    time = parser.add_mutually_exclusive_group()
+    time.add_argument(
+        "--rate", type=float, metavar="HZ", help="frames per second (default: as the file says)"
+    )
+    time.add_argument("--times", type=Path, metavar="FILE", help="time of every frame in seconds, one a line")
+    parser.add_argument(
+        "--exact-rate",
+        action="store_true",
+        help="the frame times run as the hub's do: fit the offset alone, not the rate of the camera's clock",
+    )
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="pixels to metres (default: camera.pixels_per_metre)"
+    )
+    parser.add_argument(
+        "--replace", action="store_true", help="leave out displacements that the bag has already"
+    )
+    add_rig_file(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    quiet_opencv()
+    from beam_ros.offline.video_into_bag import bag_rig, track_into_bag
+    from beam_ros.rig.rig import Rig
+    from beam_ros.vision.calibration.storage import load_calibration
+
+    calibration = None if arguments.calibration is None else load_calibration(arguments.calibration)
+    rig: Rig | None = None
+    if arguments.rig_file is not None:
+        rig = read_rig(arguments)
+    elif arguments.parameters:
+        rig = bag_rig(arguments.into).with_texts(arguments.parameters)
+    with Progress("track", 1.0) as stage:
+        result = track_into_bag(
+            arguments.video,
+            arguments.into,
+            target=arguments.out,
+            rig=rig,
+            rate_hz=arguments.rate,
+            times_path=arguments.times,
+            calibration=calibration,
+            has_exact_rate=arguments.exact_rate,
+            replaces=arguments.replace,
+            progress=lambda phrase, share: stage.update(share, phrase),
+        )
+        stage.finish(f"{result['frames']} frames into {result['bag']}")
+    print(json.dumps(result, indent=2) if arguments.json else _text(result))
+    return 0
+
+
+def _text(result: dict[str, Any]) -> str:
+    found = result["synchronisation"]
+    lines = [
+        f"{name}   seen in {marker['seen']} of {result['frames']} frames, +- {marker['sigma_m'] * 1e6:.1f} um"
+        for name, marker in result["markers"].items()
+    ]
+    lines += [
+        f"offset   {found['offset_s']:.6f} +- {found['offset_sd_s']:.6f} s from the hub's first sample to the first "
+        "frame",
+        f"clock    {found['drift'] * 1e6:+.1f} +- {found['drift_sd'] * 1e6:.1f} ppm against the hub's",
+        f"gain     {found['gain']:.4f} of the low marker over the hub, correlation {found['correlation']:.4f}, "
+        f"residual {found['residual_rms_m'] * 1e6:.0f} um",
+        *(f"note: {note}" for note in result["notes"]),
+        f"bag      {result['bag']}",
+    ]
+    if result["original"] != result["bag"]:
+        lines.append(f"before   {result['original']}")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""From the rig's excitation parameters to checked samples for its hub."""

@@ -1,0 +1,1 @@
+"""A motion controller's firmware, emulated on a pseudo-terminal."""

@@ -1,0 +1,1 @@
+"""The line to a motion controller: bytes, frames, messages, client and driver."""

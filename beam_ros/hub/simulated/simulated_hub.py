@@ -1,0 +1,245 @@
+"""The hub without hardware: a virtual axis in this process, advanced by the time that passes.
+
+``SimulatedHub`` behaves as the driver does with the real axis behind it: the device has a clock of its own
+with a start and a drift, set-points age, samples come in batches whose stamps are mapped from device time.
+Two things differ: the map is known exactly here, and since device and host are one process, a stall of the
+computer is not a silence of the host until it lasts for seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from beam_ros.arrays import StampArray
+from beam_ros.hub.contract import (
+    ClockSync,
+    HostTime,
+    HubEvent,
+    HubReport,
+    HubStatus,
+    Outcome,
+    RequestKind,
+    SampleBatch,
+    SequenceChunk,
+)
+from beam_ros.hub.errors import SnapshotError
+from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.sequences import CommandGate, Guard
+from beam_ros.hub.simulated.axis import Snapshots, TickBatch, VirtualAxis, sample_batches
+
+CLOCK_SYNC_NS = 200_000_000
+"""Interval of the clock comparisons that are reported [ns]."""
+MAX_STALL_NS = 2_000_000_000
+"""A busy computer may keep this process waiting so long; device and host stood still together then."""
+MAX_CATCH_UP_NS = 10_000_000_000
+"""After a longer pause (a suspended computer) the simulated device starts a new clock epoch instead."""
+
+
+class SimulatedHub:
+    """A hub that lives in this process; implements ``Hub``, and shows itself to a simulated camera.
+
+    Parameters
+    ----------
+    axis : VirtualAxis
+        The device, without a limit on its buffer.
+    real_time_factor : float
+        Simulated seconds per second of the host's steady clock.
+    guard : callable, optional
+        A further check of complete sequences, for limits that need a model of the beam.
+    """
+
+    def __init__(
+        self, axis: VirtualAxis, *, real_time_factor: float = 1.0, guard: Guard | None = None
+    ) -> None:
+        self.axis = axis
+        self._parameters = axis.parameters
+        self._factor = real_time_factor
+        self._gate = CommandGate(axis.parameters, guard)
+        self._clock: HostClock | None = None
+        self._rate_ppb = round(axis.parameters.clock_drift_ppm * 1000)
+        self._anchor_stamp_ns = 0
+        self._anchor_device_ns = axis.device_ns
+        self._epoch = 1
+        self._last_steady_ns = 0
+        self._next_sync_ns = 0
+        self._pending: list[TickBatch] = []
+        self._n_pending = 0
+        self._next_request = 1
+        self._counters = {"real_time_jumps": 0, "setpoints_refused": 0, "pauses": 0}
+
+    # The Hub protocol ---------------------------------------------------------------------------------
+
+    def request(self, kind: RequestKind) -> int:
+        """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
+        request_id = self._next_request
+        self._next_request += 1
+        self.axis.request(request_id, kind)
+        if kind in ("stop", "disable"):
+            self._gate.abort_loading(f"{kind} was asked for")
+        return request_id
+
+    def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
+        """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
+        now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
+        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self.axis.state)
+        if outcome.success:
+            outcome = self.axis.setpoint(value)
+        if not outcome.success:
+            self._counters["setpoints_refused"] += 1
+        return outcome
+
+    def load(self, chunk: SequenceChunk, now: HostTime) -> None:
+        """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
+        now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
+        axis = self.axis
+        sequence = self._gate.add(chunk, now_ns, axis.state, axis.position, axis.velocity)
+        if sequence is None:
+            return
+        outcome = axis.arm(self.device_ns(sequence.start_ns), len(sequence.values))
+        if outcome.success:
+            outcome = axis.append(0, sequence.values.tolist())
+        if not outcome.success:
+            self._gate.finish("refused", outcome.message)
+
+    def poll(self, now: HostTime) -> HubReport:
+        """Advance by the time that has passed, and collect what happened."""
+        clock = self._host_clock(now)
+        events: list[HubEvent] = []
+        pause_ns = now.steady_ns - self._last_steady_ns
+        batches = self._catch_up_or_pause(now, clock, events)
+        self._last_steady_ns = now.steady_ns
+        now_ns = clock.stamp_ns(now.steady_ns)
+        self._advance(self.device_ns(now_ns), is_stall=pause_ns <= MAX_STALL_NS)
+        batches += self._full_batches()
+
+        jump_ns = clock.jump_ns(now)
+        if jump_ns is not None:
+            self._counters["real_time_jumps"] += 1
+            events.append(
+                HubEvent(
+                    "error",
+                    f"the computer's real-time clock jumped by {jump_ns * 1e-9:.3f} s; stamps keep the old "
+                    "time: discard this recording and start the rig anew",
+                )
+            )
+        for event in self.axis.take_events():
+            line = self._gate.note(event.kind, event.text)
+            if line is not None:
+                events.append(line)
+        self._gate.expire(now_ns)
+        clock_syncs = []
+        if now.steady_ns >= self._next_sync_ns:
+            self._next_sync_ns = now.steady_ns + CLOCK_SYNC_NS
+            device_ns = self.axis.device_ns
+            clock_syncs.append(ClockSync(self.stamp_ns(device_ns), device_ns, self._epoch, 0))
+        return HubReport(
+            applied=[applied for applied, _ in batches],
+            measured=[measured for _, measured in batches],
+            sequences=self._gate.take_reports(),
+            clock=clock_syncs,
+            completed=self.axis.take_completed(),
+            status=self._status(),
+            events=events,
+        )
+
+    def close(self) -> None:
+        """Bring the axis to rest and disable it."""
+        self.axis.emergency_stop("the hub was closed")
+        while self.axis.activity != "idle":
+            self.axis.advance(self.axis.device_ns + self._parameters.batch_ns)
+
+    # Time, and the camera -----------------------------------------------------------------------------
+
+    def device_ns(self, stamp_ns: int) -> int:
+        """Return the device time [ns] of a stamp [ns, UNIX]."""
+        elapsed_ns = stamp_ns - self._anchor_stamp_ns
+        return self._anchor_device_ns + elapsed_ns + elapsed_ns * self._rate_ppb // 1_000_000_000
+
+    def stamp_ns(self, device_ns: int) -> int:
+        """Return the stamp [ns, UNIX] of a device time [ns]."""
+        elapsed_ns = device_ns - self._anchor_device_ns
+        return self._anchor_stamp_ns + elapsed_ns * 1_000_000_000 // (1_000_000_000 + self._rate_ppb)
+
+    @property
+    def reached_ns(self) -> int:
+        """The newest stamp [ns, UNIX] that ``snapshots`` can show."""
+        return self.stamp_ns(self.axis.device_ns)
+
+    def snapshots(self, stamps_ns: Sequence[int] | StampArray) -> Snapshots:
+        """Return hub and beam at exact instants, from the first poll to ``reached_ns``, up to 4 s ago.
+
+        Parameters
+        ----------
+        stamps_ns : sequence of int
+            Instants [ns, UNIX], for instance several within one exposure.
+
+        Raises
+        ------
+        SnapshotError
+            An instant is not reached yet, or too long ago.
+        """
+        if self._clock is None:
+            raise SnapshotError(
+                "snapshot before the first poll: the simulated hub has no time yet; poll first"
+            )
+        times = [self.device_ns(int(stamp)) for stamp in stamps_ns]
+        return self.axis.snapshots(times)
+
+    # Inside -------------------------------------------------------------------------------------------
+
+    def _host_clock(self, now: HostTime) -> HostClock:
+        if self._clock is None:
+            self._clock = HostClock(now, self._factor)
+            self._anchor_stamp_ns = now.unix_ns
+            self._last_steady_ns = self._next_sync_ns = now.steady_ns
+        return self._clock
+
+    def _advance(self, device_ns: int, *, is_stall: bool) -> None:
+        """Advance the axis; after a mere stall it was one process with its host all along, never without it."""
+        step_ns = self._parameters.batch_ticks * self._parameters.period_ns
+        while True:
+            until_ns = min(device_ns, self.axis.device_ns + step_ns) if is_stall else device_ns
+            self._pending.append(self.axis.advance(until_ns))
+            self._n_pending += len(self._pending[-1])
+            self.axis.feed()
+            if until_ns >= device_ns:
+                return
+
+    def _catch_up_or_pause(
+        self, now: HostTime, clock: HostClock, events: list[HubEvent]
+    ) -> list[tuple[SampleBatch, SampleBatch]]:
+        """After a long pause, let the axis come to rest in its own time and begin a new clock epoch."""
+        pause_ns = now.steady_ns - self._last_steady_ns
+        if pause_ns <= MAX_CATCH_UP_NS:
+            return []
+        patience_ns = MAX_CATCH_UP_NS // 10
+        self._pending.append(self.axis.advance(self.axis.device_ns + patience_ns))
+        self._n_pending += len(self._pending[-1])
+        batches = self._full_batches()
+        self._pending.clear()
+        self._n_pending = 0
+        self._anchor_stamp_ns = clock.stamp_ns(now.steady_ns)
+        self._anchor_device_ns = self.axis.device_ns
+        self._epoch += 1
+        self._counters["pauses"] += 1
+        events.append(HubEvent("error", f"the host paused for {pause_ns * 1e-9:.1f} s; new clock epoch"))
+        return batches
+
+    def _full_batches(self) -> list[tuple[SampleBatch, SampleBatch]]:
+        size = self._parameters.batch_ticks
+        if self._n_pending < size:
+            return []
+        whole = TickBatch.join(self._pending)
+        batches = []
+        n_full = len(whole) // size
+        for k in range(n_full):
+            ticks = whole[k * size : (k + 1) * size]
+            stamp_ns = self.stamp_ns(ticks.first_tick * self._parameters.period_ns)
+            batches.append(sample_batches(ticks, stamp_ns, self._epoch, self._parameters))
+        self._pending = [whole[n_full * size :]]
+        self._n_pending = len(self._pending[0])
+        return batches
+
+    def _status(self) -> HubStatus:
+        axis = self.axis
+        return HubStatus(axis.state, axis.position, axis.velocity, axis.reason, dict(self._counters))

@@ -1,0 +1,1 @@
+"""Work on bags and videos without ROS: simulate, identify, film to displacement."""

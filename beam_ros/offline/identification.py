@@ -1,0 +1,438 @@
+"""From a recorded bag to an identified model: what the identifier node and ``beam identify`` share.
+
+Only header stamps carry time. The hub's samples are counted in device ticks and put on the host's clock by one
+straight line through the whole recording's clock comparisons; how well that line is known enters the fit as
+prior knowledge of the clock rate, and so the stated standard deviations.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beam_ident import (
+    IdentificationResult,
+    InputSignal,
+    OutputSignal,
+    Prior,
+    TimeRecord,
+    identify,
+    validate,
+)
+from beam_ident.excitation import describe_recipe
+from beam_model import BeamModel
+from beam_ros.arrays import FloatArray
+from beam_ros.bags.errors import BagError
+from beam_ros.bags.reading import Bag, Displacements, HubSamples
+from beam_ros.errors import ParameterFileError, UsageError
+from beam_ros.hub.clock_mapping import fit_affine
+from beam_ros.process.folders import make_folder
+from beam_ros.rig.rig import Rig
+
+Progress = Callable[[str, float], None]
+
+SCHEMA = 1
+_LEAD_S = 0.3
+VIDEO_TOPIC = "tracker/video"
+"""String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
+_STRUCTURE_OF_MODE = {
+    "acceleration": "base_motion",
+    "velocity": "base_motion",
+    "position": "base_motion",
+    "effort": "force",
+}
+_INPUT_OF_STRUCTURE = {
+    "base_motion": ("hub/measured", "positions", "m"),
+    "acceleration": ("hub/applied", "accelerations", "m/s^2"),
+    "velocity": ("hub/applied", "velocities", "m/s"),
+    "force": ("hub/applied", "efforts", "N"),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A recorded experiment, ready for estimation.
+
+    Attributes
+    ----------
+    path : Path -- the bag
+    record : TimeRecord -- hub input and markers, on the host's clock
+    rig : Rig -- the rig it was recorded on
+    structure : str -- which model goes with the input
+    clock_rate : Prior -- what is known of the device's clock against the host's
+    notes : tuple of str -- what a reader should know: gaps, lost samples, markers not seen
+    info : mapping -- what ``excitation/info`` said
+    """
+
+    path: Path
+    record: TimeRecord
+    rig: Rig
+    structure: str
+    clock_rate: Prior
+    notes: tuple[str, ...]
+    info: Mapping[str, Any]
+
+
+def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto") -> Experiment:
+    """Read a bag as one experiment.
+
+    Parameters
+    ----------
+    path : Path -- the bag
+    rig : Rig, optional -- None: the rig that the bag itself describes
+    structure : str -- base_motion, acceleration, velocity or force; "auto": by the hub's command mode
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    BagError
+        The bag is missing, damaged, or lacks a topic that identification needs.
+    UsageError
+        The bag does not say which rig it was recorded on, and no rig is given.
+    """
+    with Bag(path) as bag:
+        bag.require("beam/displacement")
+        info = bag.excitation_info() or {}
+        if rig is None:
+            rig = described_rig(path, info)
+        mode = str(info.get("mode", rig.text("hub.command_mode")))
+        if mode not in _STRUCTURE_OF_MODE:
+            raise BagError(
+                f"{path}: excitation/info names the command mode {mode!r}; expected one of "
+                f"{', '.join(_STRUCTURE_OF_MODE)}: give the structure with --structure and the rig with --rig-file"
+            )
+        _refuse_unrun_sequence(path, info, bag.sequence_states())
+        chosen = _STRUCTURE_OF_MODE[mode] if structure == "auto" else structure
+        topic, quantity, unit = _INPUT_OF_STRUCTURE[chosen]
+        bag.require(topic)
+        samples = bag.hub_samples(topic)
+        displacements = bag.displacements()
+        syncs = bag.clock_syncs()
+        videos = bag.texts(VIDEO_TOPIC)
+    values = getattr(samples, quantity)
+    if values is None:
+        raise BagError(
+            f"{path}: {topic} carries no {quantity}, which structure {chosen} needs; choose the structure that "
+            f"goes with command mode {mode}"
+        )
+    notes: list[str] = []
+    part = _longest_stretch(samples, notes)
+    rate, clock_rate = _device_clock(samples, syncs, part)
+    if videos:
+        # The frames run on the camera's own clock, which is known as well as the low marker tells.
+        drift_sd = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
+        clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, drift_sd))
+    origin_ns = int(samples.stamps_ns[part.start])
+    times = _device_times(samples, part, rate, origin_ns)
+    hold = rig.text("hub.measured_hold" if topic == "hub/measured" else "hub.applied_hold")
+    sigma = rig.number("hub.encoder_resolution") / math.sqrt(12.0) if topic == "hub/measured" else 0.0
+    drive = InputSignal("hub", unit, times, np.ascontiguousarray(values[part]), hold, sigma)  # type: ignore[arg-type]
+    outputs = _outputs(displacements, origin_ns, rig, notes)
+    record = TimeRecord((drive,), outputs, origin_ns, path.name)
+    return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
+
+
+def described_rig(path: Path, info: Mapping[str, Any]) -> Rig:
+    """Build the rig that a bag's ``excitation/info`` describes.
+
+    Parameters
+    ----------
+    path : Path -- the bag, for the message
+    info : mapping -- the content of ``excitation/info``; empty where there is none
+
+    Raises
+    ------
+    UsageError
+        It describes none, or one that this version does not know.
+    """
+    if "rig" not in info:
+        raise UsageError(
+            f"{path}: has no excitation/info that describes its rig; give the rig file it was recorded "
+            "with (--rig-file)"
+        )
+    try:
+        return Rig.from_nested(info["rig"])
+    except (ParameterFileError, AttributeError) as err:
+        raise UsageError(
+            f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the "
+            "rig file it was recorded with (--rig-file)"
+        ) from err
+
+
+def _refuse_unrun_sequence(path: Path, info: Mapping[str, Any], states: Sequence[Mapping[str, Any]]) -> None:
+    """Name the hub's refusal where the recorded excitation never ran."""
+    for state in states:
+        if state.get("id") == info.get("sequence_id") and state.get("state") == "refused":
+            raise BagError(
+                f"{path}: the hub refused the excitation {state['id']} ({state.get('reason')}), so that nothing "
+                "moved; mend that and record again"
+            )
+
+
+def _longest_stretch(samples: HubSamples, notes: list[str]) -> slice:
+    """Choose the longest piece of the hub's samples without a gap."""
+    ends_ns = [gap.start_ns for gap in samples.gaps]
+    borders = [0, *(int(np.searchsorted(samples.stamps_ns, end, side="right")) for end in ends_ns)]
+    borders.append(len(samples.stamps_ns))
+    lengths = np.diff(borders)
+    longest = int(np.argmax(lengths))
+    if samples.gaps:
+        notes.append(
+            f"{samples.topic} has {len(samples.gaps)} gaps ({samples.lost} samples lost); the longest stretch "
+            f"without one was used, {int(lengths[longest])} of {len(samples.stamps_ns)} samples"
+        )
+    return slice(borders[longest], borders[longest + 1])
+
+
+def _device_clock(samples: HubSamples, syncs: Sequence[Any], part: slice) -> tuple[float, Prior]:
+    """Return host seconds per device second, and what is known of the rate that remains."""
+    epoch = int(samples.epochs[part.start])
+    own = [sync for sync in syncs if sync.epoch == epoch]
+    if len(own) < 3:
+        return 1.0, Prior(0.0, 50e-6)
+    line = fit_affine(own)
+    is_exact = all(sync.rtt_ns == 0 for sync in own)
+    return line.rate, Prior(0.0, 0.0 if is_exact else math.sqrt(float(line.covariance[1, 1])))
+
+
+def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int) -> FloatArray:
+    """Put the samples on the host's clock: whole ticks on one line, which the stamps place.
+
+    The stamps of batches wander by microseconds as the driver slews its map; ticks are counted exactly.
+    """
+    stamps_ns = samples.stamps_ns[part]
+    ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / samples.period_ns))])
+    line = ticks * (samples.period_ns * rate)
+    offset = float(np.mean((stamps_ns - origin_ns) - line))
+    return np.asarray((line + offset) * 1e-9)
+
+
+def _outputs(
+    displacements: Displacements, origin_ns: int, rig: Rig, notes: list[str]
+) -> tuple[OutputSignal, ...]:
+    times: FloatArray = np.asarray((displacements.stamps_ns - origin_ns) * 1e-9, dtype=np.float64)
+    outputs = []
+    for k, name in enumerate(displacements.names):
+        values = displacements.positions[:, k]
+        seen = np.isfinite(values)
+        if not np.any(seen):
+            notes.append(f"{name} was never seen and is left out")
+            continue
+        missing = int(np.count_nonzero(~seen))
+        # With a rolling shutter every marker has stamps of its own, and NaN at the others'.
+        if missing and rig.number("camera.readout") == 0.0:
+            notes.append(f"{name} was not seen in {missing} of {len(values)} frames")
+        outputs.append(
+            OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.number("camera.exposure"))
+        )
+    return tuple(outputs)
+
+
+def _trimmed(record: TimeRecord, info: Mapping[str, Any]) -> TimeRecord:
+    """Leave out what happened long before the excitation began."""
+    drive = record.inputs[0]
+    first, last = drive.span_s
+    if "start_ns" in info:
+        first = max(first, (int(info["start_ns"]) - record.start_ns) * 1e-9 - _LEAD_S)
+    guard = 0.02
+    outputs = tuple(output.between(first + guard, last - guard) for output in record.outputs)
+    return TimeRecord((drive.between(first, last),), outputs, record.start_ns, record.name)
+
+
+def theoretical_modes(rig: Rig, structure: str) -> tuple[FloatArray, FloatArray]:
+    """Return natural frequencies [rad/s] and damping ratios of the poles that a structure identifies."""
+    model: BeamModel = rig.beam_model()
+    if structure == "force":
+        return model.free_hub_natural_frequencies, model.free_hub_damping_ratios
+    return model.natural_frequencies, model.damping_ratios
+
+
+def identify_bag(
+    path: Path,
+    *,
+    rig: Rig | None = None,
+    structure: str = "auto",
+    n_modes: int | None = None,
+    folder: Path | None = None,
+    validation: Path | None = None,
+    progress: Progress = lambda phrase, share: None,
+) -> dict[str, Any]:
+    """Identify a model from a bag; write ``model.json`` and ``report.html`` where a folder is given.
+
+    Parameters
+    ----------
+    path : Path -- the bag
+    rig : Rig, optional -- None: as the bag says
+    structure : str -- "auto" or one of base_motion, acceleration, velocity, force
+    n_modes : int, optional -- None: from the data
+    folder : Path, optional -- for model and report
+    validation : Path, optional -- another bag, on which the model is scored
+    progress : callable -- called with a phrase and the share done
+
+    Returns
+    -------
+    dict -- what ``identification/result`` carries and ``--json`` prints
+
+    Raises
+    ------
+    BagError, UsageError, IdentificationError
+    """
+    experiment = load_experiment(path, rig, structure)
+    unseen = None if validation is None else load_experiment(validation, rig, structure)
+    if folder is not None:
+        make_folder(folder)
+    result = identify(
+        experiment.record,
+        experiment.structure,  # type: ignore[arg-type]
+        n_modes,
+        clock_rate=experiment.clock_rate,
+        progress=progress,
+    )
+    content = describe(experiment, result)
+    if unseen is not None:
+        content["validation"] = _validate(unseen, result)
+    if folder is not None:
+        progress("writing the report", 1.0)
+        _write(folder, experiment, result, content)
+    return content
+
+
+def describe(experiment: Experiment, result: IdentificationResult) -> dict[str, Any]:
+    """Summarise an identification in plain numbers, beside the theory of its rig."""
+    model = result.model
+    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
+    modes = []
+    for k in range(model.n_modes):
+        nearest = int(np.argmin(np.abs(np.log(omegas / model.natural_frequencies[k]))))
+        hertz = 2.0 * math.pi
+        f, f_sd = model.natural_frequencies[k] / hertz, model.natural_frequency_sd[k] / hertz
+        zeta, zeta_sd = model.damping_ratios[k], model.damping_ratio_sd[k]
+        f_theory, zeta_theory = omegas[nearest] / hertz, zetas[nearest]
+        modes.append(
+            {
+                "frequency_hz": float(f),
+                "frequency_sd_hz": float(f_sd),
+                "damping_ratio": float(zeta),
+                "damping_ratio_sd": float(zeta_sd),
+                "theory_mode": nearest + 1,
+                "theory_frequency_hz": float(f_theory),
+                "theory_damping_ratio": float(zeta_theory),
+                "frequency_z": float((f - f_theory) / f_sd),
+                "damping_ratio_z": float((zeta - zeta_theory) / zeta_sd),
+            }
+        )
+    scores = {
+        output.name: {
+            "fit_percent": output.scores.fit_percent,
+            "r_squared": output.scores.r_squared,
+            "deflection_fit_percent": output.deflection_scores.fit_percent,
+            "deflection_r_squared": output.deflection_scores.r_squared,
+            "noise_sd_m": output.noise_sd,
+            "residuals_are_white": output.whiteness.is_white,
+        }
+        for output in result.outputs
+    }
+    return {
+        "schema": SCHEMA,
+        "bag": str(experiment.path),
+        "structure": experiment.structure,
+        "outputs": list(model.output_names),
+        "modes": modes,
+        "latency_s": model.latency,
+        "latency_sd_s": model.latency_sd,
+        "clock_rate": model.clock_rate,
+        "clock_rate_sd": model.clock_rate_sd,
+        "scores": scores,
+        "converged": result.converged,
+        "warnings": list(result.warnings),
+        "notes": list(experiment.notes),
+    }
+
+
+def _validate(unseen: Experiment, result: IdentificationResult) -> dict[str, Any]:
+    """Score the model on data that it was not fitted to."""
+    scores = {
+        output.name: {
+            "fit_percent": output.scores.fit_percent,
+            "r_squared": output.scores.r_squared,
+            "deflection_fit_percent": output.deflection_scores.fit_percent,
+            "residual_over_noise": output.noise_ratio,
+            "verdict": output.verdict,
+        }
+        for output in validate(result.model, unseen.record).outputs
+    }
+    return {"bag": str(unseen.path), "scores": scores}
+
+
+def _write(
+    folder: Path, experiment: Experiment, result: IdentificationResult, content: dict[str, Any]
+) -> None:
+    from beam_ident.report.identification import write_report
+
+    model_path, report_path = folder / "model.json", folder / "report.html"
+    partial = model_path.with_name(model_path.name + ".partial")
+    document = {"schema": SCHEMA, "model": result.model.to_dict(), "summary": content}
+    partial.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    os.replace(partial, model_path)
+    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
+    highest = 1.5 * float(np.max(result.model.natural_frequencies))
+    reference = [
+        (f"mode {k + 1}", float(omegas[k]), float(zetas[k]))
+        for k in range(len(omegas))
+        if omegas[k] < highest
+    ]
+    write_report(
+        report_path,
+        f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
+        experiment.record,
+        result,
+        reference_modes=reference,
+        provenance=_provenance(experiment),
+        notes=experiment.notes,
+    )
+    content["model"], content["report"] = str(model_path), str(report_path)
+
+
+def _provenance(experiment: Experiment) -> dict[str, str]:
+    rig = experiment.rig
+    recipe = experiment.info.get("recipe", {})
+    return {
+        "bag": str(experiment.path),
+        "excitation": describe_recipe(recipe),
+        "hub": f"commanded in {experiment.info.get('mode', rig['hub.command_mode'])}, "
+        f"encoder {rig.number('hub.encoder_resolution') * 1e6:g} um",
+        "camera": f"{rig.number('camera.rate'):g} frames/s, exposure {rig.number('camera.exposure') * 1e3:g} ms",
+        "markers": ", ".join(
+            f"{name} at {height * 1e3:g} mm"
+            for name, height in zip(rig.marker_names, rig.numbers("markers.heights"), strict=True)
+        ),
+    }
+
+
+def format_table(content: Mapping[str, Any]) -> str:
+    """Format the identified modes beside the theoretical ones for a terminal."""
+    lines = [
+        "mode    identified                    theory    off       identified            theory    off",
+        "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
+    ]
+    for k, mode in enumerate(content["modes"], start=1):
+        f, f_sd = mode["frequency_hz"], mode["frequency_sd_hz"]
+        decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if f_sd > 0.0 else 6
+        zeta, zeta_sd = 100 * mode["damping_ratio"], 100 * mode["damping_ratio_sd"]
+        lines.append(
+            f"{k:>4} {f:>13.{decimals}f} +- {f_sd:<8.2g} {mode['theory_frequency_hz']:>13.{decimals}f}"
+            f" {mode['frequency_z']:>+6.1f}"
+            f"      {zeta:>8.5f} +- {zeta_sd:<8.2g} {100 * mode['theory_damping_ratio']:>7.4f}"
+            f" {mode['damping_ratio_z']:>+6.1f}"
+        )
+    return "\n".join(lines)

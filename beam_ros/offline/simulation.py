@@ -1,0 +1,210 @@
+"""The experiment without ROS: the simulator's core straight into a bag, as fast as the computer can.
+
+The same virtual axis, the same plant and the same camera as in the simulator node, led by a made-up clock,
+so that a seed gives the same bag to the last byte of every message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beam_ros import messages
+from beam_ros.bags.batches import encode_batch
+from beam_ros.bags.writing import BagWriter
+from beam_ros.errors import RigUnavailableError
+from beam_ros.excitation.plan import plan_excitation, tip_guard
+from beam_ros.hub.contract import HostTime, HubReport, RequestKind
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.plant import beam_on_axis
+from beam_ros.hub.simulated.simulated_hub import SimulatedHub
+from beam_ros.measurements.frames import displacement_messages, markers_message
+from beam_ros.messages import BagTypes
+from beam_ros.rig.filming import Exposure, Film
+from beam_ros.rig.rig import Rig
+
+Measure = Callable[[Exposure], Iterator[tuple[str, Any]]]
+"""From an exposure to the topics and messages that tell of it."""
+
+START_NS = 1_700_000_000_000_000_000
+"""Made-up real time at which every simulated experiment begins [ns, UNIX]."""
+
+_STEP_NS = 10_000_000
+_LEAD_NS = 500_000_000
+_PATIENCE_S = 60.0
+
+
+def simulate(
+    rig: Rig,
+    path: Path,
+    *,
+    with_camera: bool = False,
+    on_frame: Callable[[Exposure, NDArray[np.uint8]], None] | None = None,
+    on_progress: Callable[[float, float], None] = lambda done_s, total_s: None,
+) -> int:
+    """Run the rig's excitation on the simulated rig and write the bag.
+
+    Parameters
+    ----------
+    rig : Rig
+    path : Path -- the bag's folder; must not exist
+    with_camera : bool -- render every frame and track it, for beam/markers too; else displacements carry white
+        noise
+    on_frame : callable, optional -- given every exposure and its image; displacements stay out of the bag, as where
+        a camera only leaves a file
+    on_progress : callable -- called with simulated seconds so far and in all
+
+    Returns
+    -------
+    int -- messages written
+
+    Raises
+    ------
+    UsageError
+        The excitation leaves a limit.
+    BagExistsError
+        Something is at the path.
+    """
+    plan = plan_excitation(rig)
+    model = rig.beam_model()
+    parameters = rig.hub_parameters()
+    axis = VirtualAxis(parameters, beam_on_axis(model, parameters, rig.nonlinear_terms()))
+    hub = SimulatedHub(axis, guard=tip_guard(rig))
+    types = BagTypes()
+    with BagWriter(path) as bag:
+        run = _Run(hub, bag, types)
+        run.step()
+        film = Film(rig, model, hub.snapshots, hub.reached_ns)
+        measure = (_tracked if with_camera else _noisy)(rig, film, types)
+        render = None if on_frame is None else _rendered(rig, film)
+
+        def record_displacements() -> None:
+            for exposure in film.due(hub.reached_ns):
+                if on_frame is not None and render is not None:
+                    on_frame(exposure, render(exposure))
+                    continue
+                for topic, message in measure(exposure):
+                    bag.write_message(topic, run.now_ns, message)
+
+        run.after_step = record_displacements
+        run.ask("home")
+        run.ask("enable")
+        start_ns = run.now_ns + _LEAD_NS
+        period_ns = parameters.period_ns
+        info = {**plan.info(rig), "sequence_id": "simulated", "start_ns": start_ns}
+        bag.write_message("excitation/info", run.now_ns, messages.json_text(types, info))
+        for chunk in messages.split_sequence("simulated", start_ns, period_ns, plan.values):
+            hub.load(chunk, run.now)
+        total_s = (_LEAD_NS + len(plan.values) * period_ns) * 1e-9
+        begun_ns = run.now_ns
+        while run.sequence_state not in ("done", "refused", "aborted", "underrun"):
+            run.step()
+            on_progress((run.now_ns - begun_ns) * 1e-9, total_s)
+        if run.sequence_state != "done":
+            raise RigUnavailableError(
+                f"the simulated hub ended the sequence as {run.sequence_state}: {run.sequence_reason}; change the "
+                "excitation or the hub's limits"
+            )
+        hub.close()
+        return bag.message_count
+
+
+class _Run:
+    """Made-up time, the hub's answers, and what of them is recorded."""
+
+    def __init__(self, hub: SimulatedHub, bag: BagWriter, types: BagTypes) -> None:
+        self._hub, self._bag, self._types = hub, bag, types
+        self._elapsed_ns = 0
+        self._completed: dict[int, str] = {}
+        self.sequence_state = ""
+        self.sequence_reason = ""
+        self.after_step: Callable[[], None] = lambda: None
+
+    @property
+    def now_ns(self) -> int:
+        return START_NS + self._elapsed_ns
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(self._elapsed_ns, self.now_ns)
+
+    def step(self) -> None:
+        self._elapsed_ns += _STEP_NS
+        self._record(self._hub.poll(self.now))
+        self.after_step()
+
+    def ask(self, kind: RequestKind) -> None:
+        number = self._hub.request(kind)
+        end_ns = self._elapsed_ns + round(_PATIENCE_S * 1e9)
+        while number not in self._completed:
+            if self._elapsed_ns > end_ns:
+                raise RigUnavailableError(f"the simulated hub did not {kind} within {_PATIENCE_S:g} s")
+            self.step()
+        if self._completed[number]:
+            raise RigUnavailableError(f"the simulated hub did not {kind}: {self._completed[number]}")
+
+    def _record(self, report: HubReport) -> None:
+        bag, types, now_ns = self._bag, self._types, self.now_ns
+        for topic, batches in (("hub/applied", report.applied), ("hub/measured", report.measured)):
+            for batch in batches:
+                bag.write(topic, now_ns, encode_batch(batch))
+        for sync in report.clock:
+            bag.write_message("hub/clock_sync", now_ns, messages.clock_sync(types, sync))
+        for sequence in report.sequences:
+            self.sequence_state, self.sequence_reason = sequence.state, sequence.reason
+            if sequence.state != "loading":
+                bag.write_message("hub/sequence_state", now_ns, messages.sequence_state(types, sequence))
+        for number, outcome in report.completed:
+            self._completed[number] = "" if outcome.success else outcome.message
+
+
+def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
+    rng = np.random.default_rng(int(rig.number("simulation.seed")))
+    noise = rig.number("simulation.displacement_noise")
+
+    names = rig.marker_names
+
+    def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
+        u = film.mean_displacement(exposure)
+        u = u + noise * rng.standard_normal(len(u))
+        for _, message in displacement_messages(types, names, film.marker_stamps(exposure), u):
+            yield "beam/displacement", message
+
+    return measure
+
+
+def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], NDArray[np.uint8]]:
+    from beam_ros.vision.rendering.frames import SceneRenderer
+
+    seed = int(rig.number("simulation.seed"))
+    rng = np.random.default_rng(seed)
+    renderer = SceneRenderer(
+        film.camera, rig.numbers("markers.heights"), strip_heights=film.strip_heights, seed=seed
+    )
+    return lambda exposure: renderer.render(exposure.markers, rng, exposure.strip)
+
+
+def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
+    from beam_ros.vision.calibration.linear import LinearCalibration
+    from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+
+    names, heights = rig.marker_names, rig.numbers("markers.heights")
+    render = _rendered(rig, film)
+    calibration = LinearCalibration.from_camera(film.camera, len(names))
+    chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)
+
+    def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
+        seen = chain.measure(exposure.stamp_ns, render(exposure))
+        found = seen.displacement
+        for _, message in displacement_messages(types, names, seen.stamps_ns, found.x_m):
+            yield "beam/displacement", message
+        yield (
+            "beam/markers",
+            markers_message(types, seen.stamp_ns, heights, found.x_m, found.sigma_m, seen.u_px, seen.v_px),
+        )
+
+    return measure

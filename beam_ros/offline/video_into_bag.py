@@ -1,0 +1,437 @@
+"""A video that a camera left behind becomes displacements in the bag of its experiment.
+
+The markers are tracked through the file; the low marker, which moves as the hub does, gives the camera's time in the
+hub's; displacements and markers are then written where a camera on the graph would have put them, so that the bag
+identifies like any other. The bag is written anew beside the old one and takes its name only when it is whole; the
+old one stays under another name.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beam_ros import messages
+from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.bags.errors import BagError, BagExistsError
+from beam_ros.bags.reading import Bag, HubSamples
+from beam_ros.bags.writing import BagWriter
+from beam_ros.errors import UsageError
+from beam_ros.interfaces import graph
+from beam_ros.measurements.frames import displacement_messages, markers_message
+from beam_ros.messages import BagTypes
+from beam_ros.offline.identification import VIDEO_TOPIC, described_rig
+from beam_ros.rig.rig import Rig
+from beam_ros.vision.calibration.lens import Lens
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.camera.video import VideoFile, read_frame_times
+from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
+from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.measurement.synchronisation import Synchronisation, synchronise
+
+Progress = Callable[[str, float], None]
+
+_MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
+_GAIN_TOLERANCE = 0.03
+_LARGE_OFFSET_SD_S = 0.2e-3
+"""A time known no better than this is told: it turns the phase of a mode at 28 Hz by 2 degrees."""
+_LEAST_SEEN = 0.5
+
+
+@dataclass(frozen=True)
+class TrackedVideo:
+    """The markers of a whole video in metres, by the camera's clock.
+
+    Attributes
+    ----------
+    names : tuple of str, length m -- markers, from the clamp upwards
+    heights : ndarray, shape (m,) -- above the clamp [m]
+    frame_times_ns : ndarray of int64, shape (n,) -- stamp of every frame, in the meaning of ``camera.stamp`` [ns]
+    times_ns : ndarray of int64, shape (n, m) -- middle of the exposure of every marker's row [ns]
+    u_px, v_px, x_m, sigma_m : ndarray, shape (n, m) -- position in the image, displacement and its standard
+        deviation; NaN where not seen
+    reasons : tuple of mapping of str to int, length m -- how often each marker was valid ("ok") or not, and why
+    notes : tuple of str -- what a reader should know
+    """
+
+    names: tuple[str, ...]
+    heights: FloatArray
+    frame_times_ns: StampArray
+    times_ns: StampArray
+    u_px: FloatArray
+    v_px: FloatArray
+    x_m: FloatArray
+    sigma_m: FloatArray
+    reasons: tuple[dict[str, int], ...]
+    notes: tuple[str, ...]
+
+
+def track_video(
+    video: VideoFile,
+    rig: Rig,
+    calibration: LinearCalibration | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> TrackedVideo:
+    """Track the rig's markers through a video.
+
+    Parameters
+    ----------
+    video : VideoFile
+    rig : Rig -- its camera and markers
+    calibration : LinearCalibration, optional -- None: the rig's nominal scale
+    progress : callable -- told the share done
+
+    Returns
+    -------
+    TrackedVideo
+
+    Raises
+    ------
+    VideoError
+        The video has another size than the rig's camera, or shows none of the low marker.
+    CalibrationError
+        The calibration was made for another camera, image size or number of markers.
+    VisionParameterError
+        The exposure is longer than a frame.
+    """
+    camera = rig.camera_parameters()
+    if (video.width, video.height) != (camera.width, camera.height):
+        raise VideoError(
+            f"{video.path}: is {video.width} x {video.height}; expected {camera.width} x {camera.height}, the rig's "
+            "camera: give its rig file with --rig-file, or -p camera.width:=.. -p camera.height:=.."
+        )
+    if math.isfinite(video.rate_hz):
+        try:
+            camera = replace(camera, rate_hz=video.rate_hz)
+        except VisionParameterError as err:
+            raise VisionParameterError(
+                f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
+            ) from err
+    names, heights = rig.marker_names, rig.numbers("markers.heights")
+    name, focus = rig.text("camera.name"), rig.text("camera.focus")
+    chosen = calibration or LinearCalibration.from_camera(camera, len(names), camera_name=name, focus=focus)
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, name, focus)
+    if "lens" in chosen.provenance:
+        chain.lens = Lens.from_dict(chosen.provenance["lens"])
+    if chain.calibration_fault:
+        raise CalibrationError(chain.calibration_fault)
+    measured = []
+    for time_ns, image in video.frames():
+        measured.append(chain.measure(time_ns, image))
+        progress(len(measured) / max(video.n_frames, len(measured)))
+    reasons: tuple[dict[str, int], ...] = tuple({} for _ in names)
+    for frame in measured:
+        for counts, reason in zip(reasons, frame.reasons, strict=True):
+            counts[reason] = counts.get(reason, 0) + 1
+    if not reasons[0].get("ok"):
+        raise VideoError(
+            f"{video.path}: the low marker {names[0]} is in none of {len(measured)} frames "
+            f"({_in_words(reasons[0])}); expected it where the rig file puts it: check markers.heights, "
+            "markers.diameter, camera.origin_u and "
+            "origin_v, camera.pixels_per_metre and tracker.polarity"
+        )
+    return TrackedVideo(
+        names,
+        np.asarray(heights),
+        np.array([frame.stamp_ns for frame in measured], dtype=np.int64),
+        np.array([frame.stamps_ns for frame in measured], dtype=np.int64),
+        np.array([frame.u_px for frame in measured]),
+        np.array([frame.v_px for frame in measured]),
+        np.array([frame.displacement.x_m for frame in measured]),
+        np.array([frame.displacement.sigma_m for frame in measured]),
+        reasons,
+        tuple(_remarks(video, names, reasons, len(measured), chain.calibration_doubt)),
+    )
+
+
+def _remarks(
+    video: VideoFile,
+    names: tuple[str, ...],
+    reasons: tuple[dict[str, int], ...],
+    n_frames: int,
+    doubt: str,
+) -> Iterator[str]:
+    if doubt:
+        yield doubt
+    if n_frames < video.n_frames:
+        yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
+    if video.n_times is not None and video.n_times > n_frames:
+        yield (
+            f"{video.n_times} frame times are given for {n_frames} frames: where frames are missing but at the end, "
+            "the times are not theirs"
+        )
+    for name, counts in zip(names, reasons, strict=True):
+        if counts.get("ok", 0) < _LEAST_SEEN * n_frames:
+            yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"
+
+
+def _in_words(counts: dict[str, int]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in sorted(counts.items()) if reason != "ok")
+
+
+def synchronise_with_hub(
+    tracked: TrackedVideo, hub: HubSamples, *, has_exact_rate: bool = False
+) -> Synchronisation:
+    """Find the camera's time in the hub's by the low marker.
+
+    Parameters
+    ----------
+    tracked : TrackedVideo
+    hub : HubSamples -- ``hub/measured`` with positions
+    has_exact_rate : bool -- the frame times run as the hub's do: only the offset is fitted
+
+    Returns
+    -------
+    Synchronisation -- between the camera's times and seconds since the first sample of the hub
+
+    Raises
+    ------
+    SynchronisationError
+        The records do not resemble each other.
+    BagError
+        The hub has no positions.
+    """
+    if hub.positions is None:
+        raise BagError(
+            f"{hub.topic} carries no positions: expected them to synchronise the video by; record the hub's encoder"
+        )
+    # Nobody knows what the hub did in a gap: its longest stretch without one decides.
+    borders = [int(np.searchsorted(hub.stamps_ns, gap.end_ns)) for gap in hub.gaps]
+    first, last = max(pairwise([0, *borders, len(hub.stamps_ns)]), key=lambda piece: piece[1] - piece[0])
+    seen = np.isfinite(hub.positions)
+    seen[:first] = seen[last:] = False
+    return synchronise(
+        (hub.stamps_ns[seen] - hub.stamps_ns[0]) * 1e-9,
+        hub.positions[seen],
+        (tracked.times_ns[:, 0] - tracked.times_ns[0, 0]) * 1e-9,
+        tracked.x_m[:, 0],
+        fits_drift=not has_exact_rate,
+    )
+
+
+def bag_rig(path: Path) -> Rig:
+    """Build the rig that a bag describes.
+
+    Raises
+    ------
+    BagError, UsageError
+        There is no bag, or it describes no rig.
+    """
+    with Bag(path) as bag:
+        return described_rig(path, bag.excitation_info() or {})
+
+
+def track_into_bag(
+    video_path: Path,
+    bag_path: Path,
+    *,
+    target: Path | None = None,
+    rig: Rig | None = None,
+    rate_hz: float | None = None,
+    times_path: Path | None = None,
+    calibration: LinearCalibration | None = None,
+    has_exact_rate: bool = False,
+    replaces: bool = False,
+    progress: Progress = lambda phrase, share: None,
+) -> dict[str, Any]:
+    """Track a video and put its displacements into a bag.
+
+    Parameters
+    ----------
+    video_path, bag_path : Path -- the video, and the bag with ``hub/measured`` of the same experiment
+    target : Path, optional -- a new bag to write; None: the bag itself, whose old form is kept beside it
+    rig : Rig, optional -- None: as the bag says
+    rate_hz : float, optional -- frames per second; None: as the file says
+    times_path : Path, optional -- file with the time of every frame; comes before any rate
+    calibration : LinearCalibration, optional -- None: the rig's nominal scale
+    has_exact_rate : bool -- do not fit the rate of the camera's clock
+    replaces : bool -- leave out displacements that the bag has already, instead of refusing it
+    progress : callable -- called with a phrase and the share done
+
+    Returns
+    -------
+    dict -- what ``beam track --json`` prints
+
+    Raises
+    ------
+    BagError, UsageError, VisionError
+        Nothing is written and the bag is as it was.
+    """
+    times_ns = None if times_path is None else read_frame_times(times_path)
+    video = VideoFile(video_path, rate_hz=rate_hz, frame_times_ns=times_ns)
+    if target is None and not bag_path.is_dir() and bag_path.exists():
+        raise UsageError(f"{bag_path} is a single file: expected a bag's folder; give a new bag with --out")
+    if target is not None and target.exists():
+        raise BagExistsError(f"{target} exists already: expected a new path; give another --out")
+    with Bag(bag_path) as bag:
+        bag.require("hub/measured")
+        if not replaces and bag.count("beam/displacement"):
+            raise UsageError(
+                f"{bag_path} has {bag.count('beam/displacement')} messages on beam/displacement already: expected a "
+                "bag without; --replace leaves these out"
+            )
+        rig = rig or described_rig(bag_path, bag.excitation_info() or {})
+        hub = bag.hub_samples()
+    tracked = track_video(video, rig, calibration, lambda share: progress("tracking", share))
+    found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
+    tracked = _by_the_hubs_clock(tracked, found, int(hub.stamps_ns[0]))
+    summary = _summary(video, tracked, found)
+    progress("writing the bag", 1.0)
+    written, original = _write(bag_path, target, tracked, summary)
+    return {"bag": str(written), "original": str(original), **summary}
+
+
+def _by_the_hubs_clock(tracked: TrackedVideo, found: Synchronisation, hub_start_ns: int) -> TrackedVideo:
+    """Return the record with the times [ns, UNIX] that the hub's stamps have."""
+    first_ns = int(tracked.times_ns[0, 0])
+
+    def mapped(times_ns: StampArray) -> StampArray:
+        seconds = found.hub_times((times_ns - first_ns) * 1e-9)
+        return np.asarray(hub_start_ns + np.rint(seconds * 1e9).astype(np.int64))
+
+    return replace(tracked, frame_times_ns=mapped(tracked.frame_times_ns), times_ns=mapped(tracked.times_ns))
+
+
+def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) -> dict[str, Any]:
+    notes = list(tracked.notes)
+    if abs(found.gain - 1) > _GAIN_TOLERANCE:
+        notes.append(
+            f"the low marker moves {found.gain:.3f} times as far as the hub: the scale is not right; calibrate, or "
+            "correct camera.pixels_per_metre"
+        )
+    if found.offset_sd_s > _LARGE_OFFSET_SD_S:
+        remedy = "let the hub move more, or film it longer"
+        if found.drift_sd > 0:
+            remedy += "; --exact-rate where the frame times are exact"
+        notes.append(
+            f"the video's time in the hub's is known to +- {found.offset_sd_s * 1e3:.2g} ms; expected "
+            f"{_LARGE_OFFSET_SD_S * 1e3:g} ms or less: {remedy}"
+        )
+    sigma = np.sqrt(np.nanmean(tracked.sigma_m**2, axis=0))
+    return {
+        "video": str(video.path),
+        "frames": len(tracked.times_ns),
+        "rate_hz": video.rate_hz if math.isfinite(video.rate_hz) else None,
+        "markers": {
+            name: {"seen": counts.get("ok", 0), "sigma_m": float(s), "reasons": counts}
+            for name, counts, s in zip(tracked.names, tracked.reasons, sigma, strict=True)
+        },
+        "synchronisation": {
+            "offset_s": found.offset_s,
+            "offset_sd_s": found.offset_sd_s,
+            "drift": found.drift,
+            "drift_sd": found.drift_sd,
+            "gain": found.gain,
+            "zero_m": found.zero_m,
+            "correlation": found.correlation,
+            "residual_rms_m": found.residual_rms_m,
+            "frames": found.n_frames,
+        },
+        "notes": notes,
+    }
+
+
+# --- the bag ---------------------------------------------------------------------------------------------
+
+
+def _write(
+    source: Path,
+    target: Path | None,
+    tracked: TrackedVideo,
+    summary: dict[str, Any],
+) -> tuple[Path, Path]:
+    """Write the bag beside its place, then put it there; returns where it and the old one are."""
+    source = source.resolve()
+    place = source if target is None else target
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+    except OSError as err:
+        raise BagError(f"cannot write beside {place}: {err.strerror or err}; give another --out") from err
+    try:
+        draft = folder / place.name
+        with Bag(source) as bag, BagWriter(draft, namespace=bag.namespace) as writer:
+            _copy_with_video(bag, writer, tracked, summary)
+        kept = source
+        if target is None:
+            kept = _free_name(source)
+            source.rename(kept)
+            try:
+                draft.rename(source)
+            except OSError:
+                kept.rename(source)
+                raise
+        else:
+            draft.rename(place)
+    except OSError as err:
+        if isinstance(err, BagError):
+            raise
+        raise BagError(f"cannot write {place}: {err.strerror or err}; the old bag is whole") from err
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return place, kept
+
+
+def _free_name(path: Path) -> Path:
+    """First free name for the bag as it was: ``<bag>_untracked``, then with a number."""
+    resolved = path.resolve()
+    for number in range(1, 1000):
+        name = f"{resolved.name}_untracked{'' if number == 1 else number}"
+        if not resolved.with_name(name).exists():
+            return resolved.with_name(name)
+    raise UsageError(f"{path} has been kept a thousand times as {resolved.name}_untracked..; remove some")
+
+
+def _copy_with_video(
+    bag: Bag,
+    writer: BagWriter,
+    tracked: TrackedVideo,
+    summary: dict[str, Any],
+) -> None:
+    """Copy what the bag holds and put the video's messages between, each at its own time."""
+    made_anew = {bag.full_name(topic) for topic in _MADE_ANEW}
+    of_table = {bag.full_name(name): name for name in graph.TOPICS}
+    for row in bag.topics:
+        if row.name not in made_anew:
+            writer.add_topic(of_table.get(row.name, row.name), row.type_name)
+    types = BagTypes()
+    pending = _video_messages(types, tracked)
+    upcoming = next(pending, None)
+    writer.add_topic(VIDEO_TOPIC, graph.STRING, (graph.QualityOfService(depth=1, is_latched=True),))
+    writer.write_message(VIDEO_TOPIC, bag.start_ns, messages.json_text(types, summary))
+    for message in bag.raw_messages():
+        while upcoming is not None and upcoming[1] <= message.receive_ns:
+            writer.write_message(*upcoming)
+            upcoming = next(pending, None)
+        if message.topic not in made_anew:
+            writer.write(of_table.get(message.topic, message.topic), message.receive_ns, message.data)
+    while upcoming is not None:
+        writer.write_message(*upcoming)
+        upcoming = next(pending, None)
+
+
+def _video_messages(types: BagTypes, tracked: TrackedVideo) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time and message of every frame, in the order of time."""
+    for k, (frame_ns, stamps) in enumerate(
+        zip(tracked.frame_times_ns.tolist(), tracked.times_ns.tolist(), strict=True)
+    ):
+        for stamp_ns, message in displacement_messages(types, tracked.names, stamps, tracked.x_m[k]):
+            yield "beam/displacement", stamp_ns, message
+        message = markers_message(
+            types,
+            frame_ns,
+            tracked.heights,
+            tracked.x_m[k],
+            tracked.sigma_m[k],
+            tracked.u_px[k],
+            tracked.v_px[k],
+        )
+        yield "beam/markers", max(stamps), message

@@ -1,0 +1,1 @@
+"""Processes of the suite: executables, environment, folders and progress."""

@@ -1,0 +1,185 @@
+"""The executables: each makes the environment safe first and only then imports what it runs.
+
+``pip`` and ``colcon`` make a script of each function here; ``command`` gives the same as an argument list that
+works under both. What is missing on the machine (ROS 2, a camera or a serial library) ends in one line and
+status 2.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+from beam_ros.process import environment
+
+MODULES = {
+    "beam": "beam_ros.cli.main",
+    "simulator": "beam_ros.nodes.simulator",
+    "hub_driver": "beam_ros.nodes.hub_driver",
+    "vision_tracker": "beam_ros.nodes.vision_tracker",
+    "excitation_generator": "beam_ros.nodes.excitation_generator",
+    "identifier": "beam_ros.nodes.identifier",
+    "bag_recorder": "beam_ros.nodes.bag_recorder",
+    "bag_player": "beam_ros.nodes.bag_player",
+    "firmware_emulator": "beam_ros.nodes.firmware_emulator",
+}
+"""Executables and the modules whose ``main`` they run; all but ``beam`` are nodes."""
+
+_PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
+    "cv2": ("opencv-python-headless", "python3-opencv"),
+    "serial": ("pyserial", "python3-serial"),
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "numpy": ("numpy", "python3-numpy"),
+    "scipy": ("scipy", "python3-scipy"),
+    "tqdm": ("tqdm", "python3-tqdm"),
+    "ruamel": ("ruamel.yaml", "python3-ruamel.yaml"),
+    "rosbags": ("rosbags", None),
+    "mcap": ("mcap", None),
+}
+
+
+def beam() -> int:
+    """Run the command ``beam``."""
+    return run_executable("beam")
+
+
+def simulator() -> int:
+    """Run the node that integrates and films the beam."""
+    return run_executable("simulator")
+
+
+def hub_driver() -> int:
+    """Run the node of the motion controller behind a serial port."""
+    return run_executable("hub_driver")
+
+
+def vision_tracker() -> int:
+    """Run the node that measures the markers in the camera's frames."""
+    return run_executable("vision_tracker")
+
+
+def excitation_generator() -> int:
+    """Run the node that hands excitations to the hub."""
+    return run_executable("excitation_generator")
+
+
+def identifier() -> int:
+    """Run the node that identifies a model from a bag."""
+    return run_executable("identifier")
+
+
+def bag_recorder() -> int:
+    """Run the node that records the rig's topics."""
+    return run_executable("bag_recorder")
+
+
+def bag_player() -> int:
+    """Run the node that plays a bag back."""
+    return run_executable("bag_player")
+
+
+def firmware_emulator() -> int:
+    """Run the motion controller on a pseudo-terminal."""
+    return run_executable("firmware_emulator")
+
+
+def command(executable: str) -> list[str]:
+    """Argument list that starts an executable of the suite with this process's own Python.
+
+    Parameters
+    ----------
+    executable : str -- a key of MODULES
+
+    Returns
+    -------
+    list of str -- to be followed by the executable's own arguments; goes with ``environment.child_environment``
+    """
+    safe_path = ["-P"] if sys.version_info >= (3, 11) else []
+    return [sys.executable, *safe_path, "-m", __name__, executable]
+
+
+def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run an executable in this process.
+
+    Parameters
+    ----------
+    name : str -- a key of MODULES
+    arguments : sequence of str, optional -- its arguments without its name; by default the process's own
+
+    Returns
+    -------
+    int -- exit status; 2 with one line on stderr when a package it needs is missing
+    """
+    is_node = name != "beam"
+    try:
+        with _interruption_ends_with(0 if is_node else 130):
+            environment.enter()
+            if is_node:
+                importlib.import_module("rclpy")
+            module = importlib.import_module(MODULES[name])
+        status: int = module.main(None if arguments is None else list(arguments))
+    except ImportError as error:
+        refusal = _refusal(error)
+        if refusal is None:
+            raise
+        print(f"{name}: {refusal}", file=sys.stderr)  # noqa: T201 - no logger exists without rclpy
+        return 2
+    return status
+
+
+@contextmanager
+def _interruption_ends_with(status: int) -> Iterator[None]:
+    """End the process at once on a signal: while modules are imported there is nothing to stop yet.
+
+    A parent may have blocked the signals so that none meets an interpreter that only starts; they are let in.
+    """
+
+    def leave(_signal: int, _frame: FrameType | None) -> None:
+        os._exit(status)
+
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number, handler in previous.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, leave)
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, previous)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _refusal(error: ImportError) -> str | None:
+    """One line for a package that is missing on this machine; None for a fault of the suite's own."""
+    module = (error.name or "").partition(".")[0]
+    if module == "rclpy" or module.endswith(("_msgs", "_srvs", "_interfaces")):
+        reason = str(error).partition("\n")[0]
+        return (
+            f"ROS 2 cannot be used by {sys.executable} ({reason}); expected rclpy 7.1 of ROS 2 Jazzy; run "
+            "`make setup` in the source tree, or `source /opt/ros/jazzy/setup.bash` where it is installed"
+        )
+    if module not in _PACKAGES or not isinstance(error, ModuleNotFoundError):
+        return None
+    on_pypi, in_ubuntu = _PACKAGES[module]
+    remedy = f"{sys.executable} -m pip install {on_pypi}"
+    if sys.prefix == sys.base_prefix:
+        remedy = f"sudo apt install {in_ubuntu}" if in_ubuntu else "python3 bootstrap.py"
+    return f"{sys.executable} has no module {module!r}; expected the package {on_pypi}; run `{remedy}`"
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in MODULES:
+        print(  # noqa: T201
+            f"beam_ros.process.executables: {' '.join(sys.argv[1:]) or 'nothing'} asked for; expected one of "
+            f"{', '.join(MODULES)}",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    del sys.argv[0]
+    sys.exit(run_executable(sys.argv[0]))

@@ -1,0 +1,1 @@
+"""The rig as one object, and the camera that films it."""

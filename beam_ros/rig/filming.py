@@ -1,0 +1,126 @@
+"""The simulated camera: when a frame is due, where beam and markers are then, and what the frame shows.
+
+Works on whatever can say where hub and beam were at exact instants, so that the simulator, the firmware
+emulator and the offline simulation film the same plant in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_model import BeamModel
+from beam_ros.arrays import FloatArray
+from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.hub.simulated.beam_points import BeamPoints
+from beam_ros.rig.rig import Rig
+from beam_ros.vision.parameters import CameraParameters
+from beam_ros.vision.timing import FrameTiming, exposure_weights
+
+_STRIP_POINTS = 25
+_MAX_BACKLOG_FRAMES = 50
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What the camera was exposed to in one frame.
+
+    Attributes
+    ----------
+    stamp_ns : int -- the frame's stamp, in the camera's meaning [ns, UNIX]
+    markers : ndarray, shape (n_instants, n_markers) -- displacement u during the exposure [m]
+    strip : ndarray, shape (n_strip,) -- mean displacement of the strip over the exposure of its rows [m]
+    """
+
+    stamp_ns: int
+    markers: FloatArray
+    strip: FloatArray
+
+
+class Film:
+    """Frames of one beam at the camera's rate.
+
+    Parameters
+    ----------
+    rig : Rig
+    model : BeamModel
+    snapshots : callable -- from stamps [ns, UNIX] to ``Snapshots``
+    start_ns : int -- when the first exposure begins [ns, UNIX]
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        model: BeamModel,
+        snapshots: Callable[[Sequence[int]], Snapshots],
+        start_ns: int,
+    ) -> None:
+        self.camera: CameraParameters = rig.camera_parameters()
+        self.strip_heights = np.linspace(0.0, rig.number("beam.length"), _STRIP_POINTS)
+        self.timing = FrameTiming(self.camera)
+        self.dropped_frames = 0
+        self._heights = rig.numbers("markers.heights")
+        self._markers = BeamPoints(model, self._heights)
+        self._strip = BeamPoints(model, self.strip_heights.tolist())
+        self._between_markers = _interpolation(self.strip_heights, np.array(self._heights))
+        self._snapshots = snapshots
+        self._period_ns = round(1e9 / self.camera.rate_hz)
+        self._start_ns = start_ns
+        self._next = 0
+
+    def due(self, reached_ns: int) -> Iterator[Exposure]:
+        """Yield the exposures that have ended by ``reached_ns`` [ns, UNIX] and were not yielded before.
+
+        A camera whose reader falls behind by more than half a second loses frames, as a real one does.
+        """
+        stamp_ns = self.timing.stamp(self._start_ns)
+        finished = (
+            reached_ns - self._start_ns - (self.timing.end(stamp_ns) - self._start_ns)
+        ) // self._period_ns
+        if finished - self._next > _MAX_BACKLOG_FRAMES:
+            self.dropped_frames += finished - self._next
+            self._next = finished
+        while self._next <= finished:
+            start_ns = self._start_ns + self._next * self._period_ns
+            self._next += 1
+            yield self._expose(self.timing.stamp(start_ns))
+
+    def _expose(self, stamp_ns: int) -> Exposure:
+        instants = self.timing.exposure_instants(stamp_ns, self._heights)
+        n_instants, n_markers = instants.shape
+        weights = exposure_weights(n_instants)
+        if self.camera.readout_s == 0.0:
+            snapshots = self._snapshots(instants[:, 0].tolist())
+            markers = self._markers.displacements(snapshots)
+            return Exposure(stamp_ns, markers, weights @ self._strip.displacements(snapshots))
+        snapshots = self._snapshots(instants.ravel().tolist())
+        columns = np.arange(n_markers)
+        u = self._markers.displacements(snapshots).reshape(n_instants, n_markers, n_markers)
+        # Rows between the markers' are exposed between the markers' times.
+        strip = self._strip.displacements(snapshots).reshape(n_instants, n_markers, -1)
+        means = np.einsum("i,imk->km", weights, strip)
+        return Exposure(stamp_ns, u[:, columns, columns], np.sum(self._between_markers * means, axis=1))
+
+    def marker_stamps(self, exposure: Exposure) -> tuple[int, ...]:
+        """Return the middle of each marker's exposure [ns, UNIX], shape (n_markers,)."""
+        return tuple(
+            self.timing.row_middle(exposure.stamp_ns, float(row)) for row in self.camera.rows(self._heights)
+        )
+
+    def mean_displacement(self, exposure: Exposure) -> FloatArray:
+        """Return the mean of u over each marker's exposure, shape (n_markers,) [m]."""
+        return np.asarray(exposure_weights(len(exposure.markers)) @ exposure.markers)
+
+
+def _interpolation(heights: FloatArray, nodes: FloatArray) -> FloatArray:
+    """Weights of values at nodes for piecewise straight lines through them, shape (n_heights, n_nodes)."""
+    weights = np.zeros((len(heights), len(nodes)))
+    if len(nodes) == 1:
+        return weights + 1.0
+    lower = np.clip(np.searchsorted(nodes, heights) - 1, 0, len(nodes) - 2)
+    share = (heights - nodes[lower]) / (nodes[lower + 1] - nodes[lower])
+    every = np.arange(len(heights))
+    weights[every, lower], weights[every, lower + 1] = 1.0 - share, share
+    return weights

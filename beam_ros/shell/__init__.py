@@ -1,0 +1,1 @@
+"""The ROS shell that nodes share: parameters, topics, frame sources."""

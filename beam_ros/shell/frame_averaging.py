@@ -1,0 +1,97 @@
+"""Averages over the frames to come, for services that wait for them without keeping anything else waiting."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+from beam_ros.shell.frame_sources import WAITING_FRAMES
+from beam_ros.shell.node import RigNode
+from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.measurement.measuring_chain import Measurement
+
+_PATIENCE_S = 5.0
+_PATIENCE_PERIODS = 3.0
+
+
+@dataclass
+class FrameAverage:
+    """Frames that a service waits for.
+
+    Attributes
+    ----------
+    columns, sigmas : list of list of float -- a row per frame, a column per marker: position without the lens's
+        distortion and its standard deviation; NaN where a marker was not seen [px]
+    """
+
+    deadline: float
+    future: Future
+    to_skip: int = WAITING_FRAMES
+    columns: list[list[float]] = field(default_factory=list)
+    sigmas: list[list[float]] = field(default_factory=list)
+
+
+class FrameAveraging:
+    """Hands the frames from now on to whoever waits for them.
+
+    Parameters
+    ----------
+    node : RigNode -- whose executor runs the services
+
+    Attributes
+    ----------
+    group : ReentrantCallbackGroup -- for the services that wait
+    """
+
+    def __init__(self, node: RigNode) -> None:
+        self._node = node
+        self._averages: list[FrameAverage] = []
+        self.group = ReentrantCallbackGroup()
+        node.create_timer(0.1, self._end_overdue)
+
+    async def next_frames(self) -> FrameAverage:
+        """Wait for the frames from now on, so that an average never reaches back to another position.
+
+        As many frames as may have waited for this process when it was asked are left out first.
+
+        Raises
+        ------
+        CalibrationError
+            They do not come.
+        """
+        wanted = int(self._node.rig.number("tracker.averaged_frames"))
+        due_s = (WAITING_FRAMES + wanted) / self._node.rig.number("camera.rate")
+        patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS * due_s)
+        average = FrameAverage(time.monotonic() + patience_s, Future())
+        self._averages.append(average)
+        await average.future
+        if len(average.columns) < wanted:
+            raise CalibrationError(
+                f"{len(average.columns)} frames in {patience_s:g} s; expected {wanted}: is a camera giving frames? "
+                "See /diagnostics"
+            )
+        return average
+
+    def add(self, measurement: Measurement) -> None:
+        """Hand a frame to those who wait."""
+        wanted = int(self._node.rig.number("tracker.averaged_frames"))
+        for average in list(self._averages):
+            if average.to_skip > 0:
+                average.to_skip -= 1
+                continue
+            average.columns.append(measurement.corrected_px.tolist())
+            average.sigmas.append(measurement.sigma_px.tolist())
+            if len(average.columns) >= wanted:
+                self._end(average)
+
+    def _end(self, average: FrameAverage) -> None:
+        self._averages.remove(average)
+        average.future.set_result(None)
+
+    def _end_overdue(self) -> None:
+        now = time.monotonic()
+        for average in [average for average in self._averages if now > average.deadline]:
+            self._end(average)

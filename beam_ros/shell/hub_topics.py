@@ -1,0 +1,163 @@
+"""The node ``hub``: one shell for the simulated hub and for the one behind a serial port.
+
+Everything that can differ between the two is behind the ``Hub`` protocol; names, types, qualities of service,
+services and shared parameters are the same because they are written here once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+from beam_ros import messages
+from beam_ros.bags.batches import decode_chunk, encode_batch
+from beam_ros.bags.errors import BagError
+from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, RequestKind, SequenceReport
+from beam_ros.messages import MessageContentError
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.node import RigNode
+
+_POLL_S = 0.01
+
+
+def host_time() -> HostTime:
+    """Read the host's two clocks together."""
+    return HostTime(time.monotonic_ns(), time.time_ns())
+
+
+class HubNode(RigNode):
+    """A hub on the graph.
+
+    Parameters
+    ----------
+    executable : str -- ``simulator`` or ``hub_driver``
+    build : callable -- makes the hub from the rig's parameters
+    """
+
+    def __init__(self, executable: str, build: Callable[[Rig], Hub]) -> None:
+        super().__init__(executable)
+        self._hub = build(self.rig)
+        self._status = HubStatus()
+        self._refused_setpoints = 0
+        self._waiting: dict[int, Future] = {}
+        self._mode = self.rig.text("hub.command_mode")
+        self._period_ns = self.rig.hub_parameters().period_ns
+        self._applied = self.offer("hub/applied")
+        self._measured = self.offer("hub/measured")
+        self._state = self.offer("hub/state")
+        self._clock_sync = self.offer("hub/clock_sync")
+        self._sequence_state = self.offer("hub/sequence_state")
+        self.listen("hub/setpoint", self._on_setpoint)
+        # 500 points cost rclpy milliseconds to unpack, the suite's own codec microseconds.
+        self.listen("hub/sequence", self._on_chunk, raw=True)
+        services = {"hub/home": "home", "hub/stop": "stop", "hub/clear_fault": "clear_fault"}
+        # A service waits for the device's answer; in a group of its own it keeps nothing else from running.
+        group = ReentrantCallbackGroup()
+        for name, kind in services.items():
+            self.serve(name, self._answer(kind), callback_group=group)  # type: ignore[arg-type]
+        self.serve("hub/enable", self._on_enable, callback_group=group)
+        self.create_timer(_POLL_S, self._poll)
+
+    def _answer(self, kind: RequestKind) -> Callable[[Any, Any], Any]:
+        async def answer(_request: Any, response: Any) -> Any:
+            return await self._ask(kind, response)
+
+        return answer
+
+    async def _on_enable(self, request: Any, response: Any) -> Any:
+        return await self._ask("enable" if request.data else "disable", response)
+
+    async def _ask(self, kind: RequestKind, response: Any) -> Any:
+        future = Future()
+        self._waiting[self._hub.request(kind)] = future
+        outcome = await future
+        response.success, response.message = outcome.success, outcome.message
+        return response
+
+    def _on_setpoint(self, message: Any) -> None:
+        try:
+            point = messages.read_setpoint(message)
+        except MessageContentError as err:
+            self._refuse_setpoint(str(err))
+            return
+        if point.mode != self._mode:
+            self._refuse_setpoint(f"set-point in {point.mode}: the hub is commanded in {self._mode}")
+            return
+        outcome = self._hub.setpoint(point.stamp_ns, point.value, host_time())
+        if not outcome.success:
+            self._refuse_setpoint(outcome.message)
+
+    def _refuse_setpoint(self, reason: str) -> None:
+        self._refused_setpoints += 1
+        self.get_logger().warning(reason, throttle_duration_sec=1.0)
+
+    def _on_chunk(self, data: bytes) -> None:
+        try:
+            mode, chunk = decode_chunk(data, self._period_ns)
+        except (MessageContentError, BagError) as err:
+            self.get_logger().warning(f"sequence chunk refused: {err}", throttle_duration_sec=1.0)
+            return
+        if mode != self._mode:
+            reason = f"samples in {mode}: the hub is commanded in {self._mode}"
+            report = SequenceReport(chunk.sequence_id, "refused", len(chunk.values), reason)
+            self._sequence_state.publish(messages.sequence_state(self.types, report))
+            return
+        self._hub.load(chunk, host_time())
+
+    def _poll(self) -> None:
+        self.publish_report(self._hub.poll(host_time()))
+
+    def publish_report(self, report: HubReport) -> None:
+        """Publish what a poll brought and answer the services that it completes."""
+        for publisher, batches in ((self._applied, report.applied), (self._measured, report.measured)):
+            for batch in batches:
+                publisher.publish(encode_batch(batch))
+        for sync in report.clock:
+            self._clock_sync.publish(messages.clock_sync(self.types, sync))
+        for sequence in report.sequences:
+            self._sequence_state.publish(messages.sequence_state(self.types, sequence))
+        if report.measured:
+            self._state.publish(messages.hub_state(self.types, _newest_sample(report.measured[-1])))
+        for number, outcome in report.completed:
+            if number in self._waiting:
+                self._waiting.pop(number).set_result(outcome)
+        for event in report.events:
+            self._log(event)
+        self._status = report.status
+
+    def _log(self, event: HubEvent) -> None:
+        # rclpy ties a line of code to one severity, hence a line for each.
+        logger = self.get_logger()
+        if event.level == "error":
+            logger.error(event.text)
+        elif event.level == "warning":
+            logger.warning(event.text)
+        else:
+            logger.info(event.text)
+
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report the axis's state and what was lost or refused."""
+        status = self._status
+        level = {"disconnected": "ERROR", "fault": "ERROR"}.get(status.state, "OK")
+        sentence = f"{status.state}: {status.fault}" if status.fault else status.state
+        jumps = status.counters.get("real_time_jumps", 0)
+        if jumps:
+            # Recorded with the bag, so that whoever reads it later knows.
+            level, sentence = "ERROR", f"the computer's real-time clock jumped {jumps} times; {sentence}"
+        return level, sentence, {**status.counters, "refused set-points": self._refused_setpoints}
+
+    def close(self) -> None:
+        """Leave the axis stopped."""
+        self._hub.close()
+
+
+def _newest_sample(batch: Any) -> messages.HubSample:
+    def last(values: Any) -> float:
+        return float("nan") if values is None else float(values[-1])
+
+    stamp_ns = batch.stamp_ns + (len(batch) - 1) * batch.period_ns
+    return messages.HubSample(stamp_ns, last(batch.positions), last(batch.velocities), last(batch.efforts))

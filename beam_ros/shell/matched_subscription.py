@@ -1,0 +1,118 @@
+"""A subscription that takes what its publishers offer, whoever they are and whatever they become."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from beam_ros.interfaces.graph import QualityOfService, Topic
+from beam_ros.shell.node import RigNode, qos_profile
+
+
+class MatchedSubscription:
+    """Subscribes to a topic whose publishers need not be ours.
+
+    A reliable subscription never hears a best-effort publisher, a latched one never a volatile publisher. So both are
+    asked for only while all publishers offer them, and a camera that starts anew with another quality of service is
+    followed.
+
+    Parameters
+    ----------
+    node : RigNode -- owns the subscription
+    topic : Topic -- row of the table
+    callback : callable
+    depth : int -- messages that may wait
+    raw : bool -- hand over the wire's bytes
+    is_early : bool -- subscribe before there is a publisher, as the table says, to miss nothing of its beginning
+
+    Attributes
+    ----------
+    publishers : int -- how many there were when ``follow`` last looked
+    """
+
+    def __init__(
+        self,
+        node: RigNode,
+        topic: Topic,
+        callback: Callable[..., None],
+        *,
+        depth: int,
+        raw: bool = False,
+        is_early: bool = False,
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self._callback = callback
+        self._raw = raw
+        self._qos = replace(topic.qos, depth=depth)
+        self._known: frozenset[bytes] = frozenset()
+        self._subscription: Subscription | None = None
+        self.publishers = 0
+        if is_early:
+            self._subscribe()
+
+    def _subscribe(self) -> None:
+        self._subscription = self._node.create_subscription(
+            self._node.types.message_class(self._topic.type_name),
+            self._topic.name,
+            self._callback,
+            qos_profile(self._qos),
+            raw=self._raw,
+        )
+
+    def close(self) -> None:
+        """Give the subscription up."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _endpoints(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic.name)))
+
+    def offers(self) -> tuple[QualityOfService, ...]:
+        """Return what each publisher offers now."""
+        return tuple(_offer(endpoint) for endpoint in self._endpoints())
+
+    def follow(self, *, is_wanted: bool = True) -> bool:
+        """Look who publishes, and listen to them as they offer.
+
+        Parameters
+        ----------
+        is_wanted : bool -- False gives the subscription up
+
+        Returns
+        -------
+        bool -- True when a publisher has come that was not there before
+        """
+        endpoints = self._endpoints()
+        self.publishers = len(endpoints)
+        found = frozenset(bytes(endpoint.endpoint_gid) for endpoint in endpoints)
+        is_new = bool(found - self._known)
+        self._known = found
+        if not endpoints:
+            return False
+        offers = [_offer(endpoint) for endpoint in endpoints]
+        qos = replace(
+            self._qos,
+            is_reliable=all(offer.is_reliable for offer in offers),
+            is_latched=all(offer.is_latched for offer in offers),
+        )
+        if not is_wanted or qos != self._qos:
+            self.close()
+        self._qos = qos
+        if self._subscription is None and is_wanted:
+            self._subscribe()
+        return is_new
+
+
+def _offer(endpoint: Any) -> QualityOfService:
+    profile = endpoint.qos_profile
+    return QualityOfService(
+        profile.depth,
+        profile.reliability == ReliabilityPolicy.RELIABLE,
+        profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )

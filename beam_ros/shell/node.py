@@ -1,0 +1,236 @@
+"""What every node of the rig shares: its start and end, its parameters, its topics and its diagnostics.
+
+A node file adds wiring and callbacks of a few lines to ``RigNode`` and hands its class to ``run_node``.
+Parameters come from the one schema, topics and services from the one table, so that no node can spell either
+differently.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args
+
+from beam_ros import messages
+from beam_ros.errors import ParameterFileError, RigError, UsageError, faults_of_the_user
+from beam_ros.interfaces import graph, schema
+from beam_ros.messages import RosTypes
+from beam_ros.rig.rig import Rig
+
+FAULT_OF_THE_USER = 2
+_GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
+"""What rclpy raises in a callback when a signal shuts the graph down between two of its lines."""
+
+
+def qos_profile(qos: graph.QualityOfService) -> QoSProfile:
+    """Turn a row of the table into rclpy's profile."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.is_latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _descriptor(parameter: schema.Parameter) -> ParameterDescriptor:
+    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    descriptor = ParameterDescriptor(
+        name=parameter.name,
+        description=f"{parameter.description}{unit}",
+        additional_constraints=parameter.expectation(),
+        read_only=not parameter.is_live,
+        dynamic_typing=True,
+    )
+    if parameter.minimum is not None and parameter.maximum is not None:
+        if parameter.kind == "float":
+            limits = FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)
+            descriptor.floating_point_range = [limits]
+        elif parameter.kind == "int":
+            limits = IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))
+            descriptor.integer_range = [limits]
+    return descriptor
+
+
+class RigNode(Node):  # type: ignore[misc]
+    """A node of the rig with its checked parameters, its topics from the table and its diagnostics.
+
+    Parameters
+    ----------
+    executable : str -- key of ``beam_ros.interfaces.graph.NODES``
+
+    Attributes
+    ----------
+    rig : Rig -- the parameters this node was started with, checked
+    types : RosTypes -- rclpy's message classes, as the message builders want them
+
+    Raises
+    ------
+    ParameterFileError
+        A parameter given to the node is unknown or has a wrong type, word or range.
+    """
+
+    def __init__(self, executable: str) -> None:
+        self.row = graph.NODES[executable]
+        super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True)
+        self.types = RosTypes()
+        self.rig = Rig(self._declare_parameters())
+        self.add_on_set_parameters_callback(self._check_new_values)
+        self._diagnostics = self.offer("/diagnostics")
+        self.create_timer(1.0, self._publish_diagnostics)
+
+    def _declare_parameters(self) -> dict[str, schema.Value]:
+        given = {
+            name: parameter.value
+            for name, parameter in self.get_parameters_by_prefix("").items()
+            if name not in ("use_sim_time", "start_type_description_service")
+            and not name.startswith("qos_overrides.")
+        }
+        checked = schema.check_parameters({name: _plain(value) for name, value in given.items()})
+        values = {**schema.packaged_defaults(), **checked}
+        schema.check_relations(values)
+        for name, value in values.items():
+            descriptor = _descriptor(schema.RIG_PARAMETERS[name])
+            if name in given:
+                self.set_descriptor(name, descriptor)
+            else:
+                self.declare_parameter(name, value, descriptor)
+        return values
+
+    def _check_new_values(self, parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            changed = schema.check_parameters({p.name: _plain(p.value) for p in parameters})
+            values = {**self.rig.values, **changed}
+            schema.check_relations(values)
+        except ParameterFileError as err:
+            return SetParametersResult(successful=False, reason=str(err))
+        self.rig = Rig(values)
+        return SetParametersResult(successful=True)
+
+    def offer(self, topic: str) -> Publisher:
+        """Create the publisher of a topic of the table that this node may publish."""
+        if topic not in self.row.publishes:
+            raise ValueError(f"{self.row.executable} publishes {self.row.publishes}, not {topic}")
+        row = graph.TOPICS[topic]
+        return self.create_publisher(self.types.message_class(row.type_name), topic, qos_profile(row.qos))
+
+    def listen(self, topic: str, callback: Callable[..., None], **options: Any) -> Subscription:
+        """Create the subscription of a topic of the table; ``raw=True`` hands over the wire's bytes."""
+        row = graph.TOPICS[topic]
+        return self.create_subscription(
+            self.types.message_class(row.type_name), topic, callback, qos_profile(row.qos), **options
+        )
+
+    def serve(self, service: str, callback: Callable[..., Any], **options: Any) -> Service:
+        """Create a service of the table that this node may serve."""
+        if service not in self.row.serves:
+            raise ValueError(f"{self.row.executable} serves {self.row.serves}, not {service}")
+        row = graph.SERVICES[service]
+        return self.create_service(self.types.service_class(row.type_name), service, callback, **options)
+
+    def now_ns(self) -> int:
+        """Now by the node's clock [ns, UNIX unless simulated time is in use]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def health(self) -> tuple[str, str, Mapping[str, object]]:
+        """Report this node's health: level (OK, WARN or ERROR), a sentence, and counters."""
+        return "OK", "running", {}
+
+    def close(self) -> None:
+        """Release what the node holds; called once, also after a failure."""
+
+    def _publish_diagnostics(self) -> None:
+        level, sentence, counters = self.health()
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.row.executable}"
+        status = messages.Health(name, level, sentence, self.row.name, counters)
+        self._diagnostics.publish(messages.diagnostics(self.types, self.now_ns(), [status]))
+
+
+def _plain(value: Any) -> object:
+    """Turn rclpy's array types into lists, which the schema knows."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
+
+
+def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int:
+    """Run a node until SIGINT, SIGTERM or a shutdown of its context, and end it cleanly.
+
+    The node ends with status 0 on a signal, also when it comes twice, and with 2 and one line on a fault of
+    the user's.
+
+    Parameters
+    ----------
+    build : callable -- makes the node, after rclpy is initialised
+    argv : list of str, optional -- arguments with ``--ros-args``; by default the process's own
+
+    Returns
+    -------
+    int -- exit status
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # rclpy's own handler ends the spin and then calls this one, in whose place Python would raise.
+        signal.signal(number, _leave_it_to_rclpy)
+    arguments = sys.argv if argv is None else ["node", *argv]
+    status = 0
+    node: RigNode | None = None
+    executor: SingleThreadedExecutor | None = None
+    try:
+        _initialise(arguments)
+        node = build()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except ExternalShutdownException:
+        pass
+    except Exception as err:
+        if isinstance(err, faults_of_the_user()):
+            print(f"{build.__module__.rpartition('.')[2]}: {err}", file=sys.stderr)  # noqa: T201
+            status = FAULT_OF_THE_USER
+        elif rclpy.ok() or type(err).__name__ not in _GRAPH_IS_GONE:
+            raise
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        if node is not None:
+            node.close()
+        if executor is not None:
+            executor.shutdown(timeout_sec=0.0)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return status
+
+
+def _leave_it_to_rclpy(_number: int, _frame: object) -> None:
+    """Take a signal without raising; rclpy's handler has already asked the spin to end."""
+
+
+def _initialise(arguments: list[str]) -> None:
+    files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
+    for path in files:
+        schema.read_yaml(Path(path))
+    surplus = remove_ros_args(arguments)[1:]
+    if surplus:
+        raise UsageError(
+            f"unknown arguments {' '.join(surplus)}: expected --ros-args [-p name:=value] [--params-file FILE] "
+            "[-r from:=to]"
+        )
+    try:
+        rclpy.init(args=arguments)
+    except Exception as err:
+        reason = str(err).splitlines()[0] if str(err) else type(err).__name__
+        raise RigError(
+            f"ROS refuses the arguments {' '.join(arguments[1:])}: {reason}; expected "
+            "--ros-args [-p name:=value] [--params-file FILE] [-r from:=to]"
+        ) from err

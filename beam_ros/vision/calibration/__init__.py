@@ -1,0 +1,1 @@
+"""Pixels to metres: scale, lens, boards and their files."""

@@ -1,0 +1,59 @@
+"""Calibrations in YAML files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from ruamel.yaml import YAML
+
+from beam_ros.errors import ParameterFileError
+from beam_ros.interfaces.schema import read_yaml
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.errors import CalibrationError
+
+
+def load_calibration(path: Path) -> LinearCalibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing, no YAML, or no calibration.
+    """
+    try:
+        document = read_yaml(path)
+    except ParameterFileError as err:
+        raise CalibrationError(f"calibration file {err}") from err
+    if not isinstance(document, dict):
+        raise CalibrationError(
+            f"{path}: holds no calibration; expected one written by `beam calibrate --save`"
+        )
+    try:
+        return LinearCalibration.from_dict(document)
+    except CalibrationError as err:
+        raise CalibrationError(f"{path}: {err}") from err
+
+
+def save_calibration(calibration: LinearCalibration, path: Path) -> None:
+    """Write a calibration file whole or not at all.
+
+    Raises
+    ------
+    CalibrationError
+        The file cannot be written.
+    """
+    yaml = YAML(typ="safe", pure=True)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with partial.open("w", encoding="utf-8") as stream:
+            yaml.dump(calibration.to_dict(), stream)
+        os.replace(partial, path)
+    except OSError as err:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise CalibrationError(
+            f"{path}: cannot be written ({err.strerror}); give a path of a file that can (--save, or "
+            "tracker.save_calibration)"
+        ) from err

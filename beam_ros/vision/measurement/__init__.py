@@ -1,0 +1,1 @@
+"""From frames to displacements: the measuring chain, its continuity and its diagnosis."""

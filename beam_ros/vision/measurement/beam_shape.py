@@ -1,0 +1,118 @@
+"""The deflected shape between the markers: mode shapes fitted to what the camera sees.
+
+    u(z) = alpha + sum_i phi_i(z) q_i
+
+A few markers cannot determine many modes. Each modal coordinate therefore has a prior of zero with a stated
+standard deviation, how far that mode may plausibly deflect the beam, and the hub's position has one too where
+it is known. The fit is then linear, always solvable, and its covariance says where it knows nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from beam_ros.arrays import FloatArray
+from beam_ros.vision.errors import VisionParameterError
+
+_UNKNOWN_HUB_SD_M = 1.0
+"""Prior standard deviation of a hub position that nobody states [m]: farther than any rig travels."""
+
+
+@dataclass(frozen=True)
+class BeamShape:
+    """A fitted shape.
+
+    Attributes
+    ----------
+    hub_m : float -- alpha [m]
+    coordinates : ndarray, shape (n_modes,) -- q, in the units of the mode shapes
+    covariance : ndarray, shape (1 + n_modes, 1 + n_modes) -- of (alpha, q)
+    """
+
+    hub_m: float
+    coordinates: FloatArray
+    covariance: FloatArray
+
+    def displacement(self, mode_shapes: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Absolute displacement at other heights.
+
+        Parameters
+        ----------
+        mode_shapes : array_like, shape (n_heights, n_modes) -- phi_i(z) there
+
+        Returns
+        -------
+        u, sigma : ndarray, shape (n_heights,) -- displacement and its standard deviation [m]
+        """
+        shapes = np.atleast_2d(np.asarray(mode_shapes, dtype=np.float64))
+        design = np.hstack([np.ones((shapes.shape[0], 1)), shapes])
+        u = self.hub_m + shapes @ self.coordinates
+        variance = np.einsum("ij,jk,ik->i", design, self.covariance, design)
+        return np.asarray(u), np.sqrt(np.maximum(variance, 0.0))
+
+
+class BeamShapeFitter:
+    """Fits mode shapes to marker displacements.
+
+    Parameters
+    ----------
+    mode_shapes : array_like, shape (n_markers, n_modes) -- phi_i at the markers' heights
+    coordinate_sd : array_like, shape (n_modes,) -- prior standard deviations of q, in units of the mode shapes
+    """
+
+    def __init__(self, mode_shapes: npt.ArrayLike, coordinate_sd: npt.ArrayLike) -> None:
+        self._shapes = np.atleast_2d(np.asarray(mode_shapes, dtype=np.float64))
+        prior = np.atleast_1d(np.asarray(coordinate_sd, dtype=np.float64))
+        if not np.all(np.isfinite(self._shapes)):
+            raise VisionParameterError("mode_shapes are not all finite; expected phi_i(z) at every marker")
+        if prior.shape != (self._shapes.shape[1],) or not np.all(np.isfinite(prior) & (prior > 0)):
+            raise VisionParameterError(
+                f"coordinate_sd is {prior.tolist()}; expected {self._shapes.shape[1]} positive numbers, "
+                "one per mode"
+            )
+        self._coordinate_sd = prior
+
+    def fit(
+        self,
+        x_m: npt.ArrayLike,
+        sigma_m: npt.ArrayLike,
+        *,
+        hub_m: float | None = None,
+        hub_sd_m: float = 0.0,
+    ) -> BeamShape:
+        """Fit one frame.
+
+        Parameters
+        ----------
+        x_m, sigma_m : array_like, shape (n_markers,) -- displacements and standard deviations; NaN where not
+            seen [m]
+        hub_m, hub_sd_m : float -- the hub's position, where it is known, and its standard deviation [m]
+
+        Returns
+        -------
+        BeamShape
+        """
+        x, sigma = np.asarray(x_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
+        n_markers, n_modes = self._shapes.shape
+        if x.shape != (n_markers,) or sigma.shape != (n_markers,):
+            raise VisionParameterError(
+                f"displacements have shape {x.shape} and {sigma.shape}; expected ({n_markers},), one per "
+                "marker"
+            )
+        seen = np.isfinite(x) & np.isfinite(sigma) & (sigma > 0)
+        hub_prior = (0.0, _UNKNOWN_HUB_SD_M) if hub_m is None else (hub_m, max(hub_sd_m, 1e-9))
+        # Deviations from the prior in units of its standard deviations: well scaled rows of a least squares.
+        scale = np.concatenate([[hub_prior[1]], self._coordinate_sd])
+        design = np.hstack([np.ones((n_markers, 1)), self._shapes])[seen] * scale / sigma[seen, None]
+        target = (x[seen] - hub_prior[0]) / sigma[seen]
+        rows = np.vstack([design, np.eye(1 + n_modes)])
+        values = np.concatenate([target, np.zeros(1 + n_modes)])
+        orthogonal, triangular = np.linalg.qr(rows)
+        estimate = np.linalg.solve(triangular, orthogonal.T @ values) * scale
+        inverse = np.linalg.inv(triangular) * scale[:, None]
+        return BeamShape(
+            float(estimate[0] + hub_prior[0]), np.asarray(estimate[1:]), np.asarray(inverse @ inverse.T)
+        )

@@ -1,0 +1,222 @@
+"""A camera that only leaves a file is synchronised with the hub by the low marker.
+
+Ten millimetres above the clamp the beam moves almost as the hub does. The marker's record is laid over the
+hub's: first coarsely, by the lag of the largest normalised correlation, then by least squares,
+
+    x_low(t) = gain * alpha((1 + drift) t + offset) + zero
+
+in which slow, large motion decides, and there the marker follows the hub without lag. What the beam's own
+deflection leaves in the residuals counts as noise that is correlated over the correlation time given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from beam_ros.arrays import FloatArray
+from beam_ros.vision.errors import SynchronisationError
+
+_MAX_ITERATIONS = 30
+_CONVERGED_S = 1e-7
+_MINIMUM_FRAMES = 20
+_LEAST_CORRELATION = 0.8
+_LEAST_OVERLAP = 0.5
+_LEAST_MOTION = 1e-3
+"""A marker that moves by less than this share of the hub's way stands still."""
+
+
+@dataclass(frozen=True)
+class Synchronisation:
+    """How the camera's time relates to the hub's.
+
+    Attributes
+    ----------
+    offset_s, offset_sd_s : float -- hub time = (1 + drift) * camera time + offset [s]
+    drift, drift_sd : float -- relative difference of the two clocks' rates; 0 where it was not fitted
+    gain : float -- displacement of the marker per displacement of the hub: 1 for a right scale
+    zero_m : float -- the marker's displacement where the hub is at zero [m]
+    correlation : float -- of the two records at the coarse lag
+    residual_rms_m : float -- [m]
+    n_frames : int -- frames used
+    """
+
+    offset_s: float
+    offset_sd_s: float
+    drift: float
+    drift_sd: float
+    gain: float
+    zero_m: float
+    correlation: float
+    residual_rms_m: float
+    n_frames: int
+
+    def hub_times(self, camera_times_s: npt.ArrayLike) -> FloatArray:
+        """Times of the hub's clock at times of the camera's [s]."""
+        return np.asarray((1 + self.drift) * np.asarray(camera_times_s, dtype=np.float64) + self.offset_s)
+
+
+def synchronise(
+    hub_times_s: npt.ArrayLike,
+    hub_positions_m: npt.ArrayLike,
+    camera_times_s: npt.ArrayLike,
+    low_marker_m: npt.ArrayLike,
+    *,
+    fits_drift: bool = False,
+    correlation_time_s: float = 0.5,
+) -> Synchronisation:
+    """Find the camera's time in the hub's.
+
+    Parameters
+    ----------
+    hub_times_s, hub_positions_m : array_like, shape (n_hub,) -- rising times and positions
+    camera_times_s, low_marker_m : array_like, shape (n_frames,) -- rising times of mid-exposure by the camera's
+        clock, and displacement of the lowest marker; NaN where it was not seen
+    fits_drift : bool -- also fit the ratio of the clocks' rates
+    correlation_time_s : float -- how long residuals remember; enters the standard deviations [s]
+
+    Returns
+    -------
+    Synchronisation
+
+    Raises
+    ------
+    SynchronisationError -- too few frames, no motion, or records that do not resemble each other
+    """
+    hub_t, hub_x = np.asarray(hub_times_s, dtype=np.float64), np.asarray(hub_positions_m, dtype=np.float64)
+    t, x = np.asarray(camera_times_s, dtype=np.float64), np.asarray(low_marker_m, dtype=np.float64)
+    for name, times, values in (("hub", hub_t, hub_x), ("camera", t, x)):
+        if times.ndim != 1 or times.shape != values.shape or np.any(np.diff(times) <= 0):
+            raise SynchronisationError(
+                f"{name} record has times of shape {times.shape} and values of shape {values.shape}; expected one "
+                "value for each of strictly rising times"
+            )
+    seen = np.isfinite(x)
+    if int(seen.sum()) < _MINIMUM_FRAMES or hub_t.size < _MINIMUM_FRAMES:
+        raise SynchronisationError(
+            f"the low marker was seen in {int(seen.sum())} frames and the hub has {hub_t.size} samples; expected at "
+            f"least {_MINIMUM_FRAMES} of each"
+        )
+    t, x = t[seen], x[seen]
+    if np.ptp(hub_x) == 0 or np.ptp(x) <= _LEAST_MOTION * np.ptp(hub_x):
+        raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
+    offset, correlation = _coarse_offset(hub_t, hub_x, t, x)
+    if correlation < _LEAST_CORRELATION:
+        raise SynchronisationError(
+            f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
+            f"{_LEAST_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
+        )
+    return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, correlation_time_s)
+
+
+def _coarse_offset(hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """Lag of the largest normalised correlation, on a common grid."""
+    period = float(np.median(np.diff(t)))
+    hub = np.interp(np.arange(hub_t[0], hub_t[-1], period), hub_t, hub_x)
+    marker = np.interp(np.arange(t[0], t[-1], period), t, x)
+    hub, marker = hub - hub.mean(), marker - marker.mean()
+    size = 1 << int(hub.size + marker.size - 1).bit_length()
+
+    def correlate(a: FloatArray, b: FloatArray) -> FloatArray:
+        """Sum of a[k + lag] b[k] for every lag from -(len b - 1) to len a - 1."""
+        product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+        return np.concatenate([product[size - (b.size - 1) :], product[: a.size]])
+
+    ones_hub, ones_marker = np.ones_like(hub), np.ones_like(marker)
+    count = np.maximum(correlate(ones_hub, ones_marker), 1.0)
+    sum_h, sum_m = correlate(hub, ones_marker), correlate(ones_hub, marker)
+    power_h, power_m = correlate(hub**2, ones_marker), correlate(ones_hub, marker**2)
+    variance = (power_h - sum_h**2 / count) * (power_m - sum_m**2 / count)
+    total = float(np.sum(hub**2) * np.sum(marker**2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normalised = (correlate(hub, marker) - sum_h * sum_m / count) / np.sqrt(variance)
+    # Little overlap, or an overlap in which next to nothing moved, correlates by chance.
+    is_fair = (count >= _LEAST_OVERLAP * min(hub.size, marker.size)) & (variance > 1e-3 * total)
+    normalised = np.where(is_fair & np.isfinite(normalised), normalised, -1.0)
+    best = int(np.argmax(normalised))
+    lag = best - (marker.size - 1)
+    return float(hub_t[0] - t[0] + lag * period), float(normalised[best])
+
+
+def _refined(
+    hub_t: FloatArray,
+    hub_x: FloatArray,
+    t: FloatArray,
+    x: FloatArray,
+    offset: float,
+    correlation: float,
+    fits_drift: bool,
+    correlation_time_s: float,
+) -> Synchronisation:
+    """Gauss-Newton for offset, gain, zero and drift."""
+    slopes = np.gradient(hub_x, hub_t)
+    # Drift and offset are nearly uncorrelated about the middle of the record.
+    middle = float(np.mean(t))
+    shift, drift = offset + middle, 0.0
+    for _ in range(_MAX_ITERATIONS):
+        at = (1 + drift) * (t - middle) + shift
+        inside = (at >= hub_t[0]) & (at <= hub_t[-1])
+        if int(inside.sum()) < _MINIMUM_FRAMES:
+            raise SynchronisationError(
+                f"{int(inside.sum())} frames lie within the hub's record; expected at least {_MINIMUM_FRAMES}"
+            )
+        position, velocity = _hermite(hub_t, hub_x, slopes, at[inside])
+        linear = np.stack([position, np.ones_like(position)], axis=1)
+        (gain, zero), *_ = np.linalg.lstsq(linear, x[inside], rcond=None)
+        columns = [gain * velocity, position, np.ones_like(position)]
+        if fits_drift:
+            columns.append(gain * velocity * (t[inside] - middle))
+        design = np.stack(columns, axis=1)
+        residual = x[inside] - gain * position - zero
+        step, *_ = np.linalg.lstsq(design, residual, rcond=None)
+        shift += float(step[0])
+        drift += float(step[3]) if fits_drift else 0.0
+        if abs(step[0]) < _CONVERGED_S:
+            break
+    covariance = _robust_covariance(design, residual, t[inside], correlation_time_s)
+    back = np.array([1.0, -middle]) if fits_drift else np.array([1.0])
+    chosen = np.array([0, 3]) if fits_drift else np.array([0])
+    offset_variance = float(back @ covariance[np.ix_(chosen, chosen)] @ back)
+    return Synchronisation(
+        offset_s=shift - (1 + drift) * middle,
+        offset_sd_s=math.sqrt(max(offset_variance, 0.0)),
+        drift=drift,
+        drift_sd=math.sqrt(float(covariance[3, 3])) if fits_drift else 0.0,
+        gain=float(gain),
+        zero_m=float(zero),
+        correlation=correlation,
+        residual_rms_m=float(np.sqrt(np.mean(residual**2))),
+        n_frames=int(inside.sum()),
+    )
+
+
+def _hermite(
+    times: FloatArray, values: FloatArray, slopes: FloatArray, at: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Cubic interpolation and its derivative."""
+    k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, times.size - 2)
+    width = times[k + 1] - times[k]
+    s = (at - times[k]) / width
+    rise = values[k + 1] - values[k]
+    left, right = slopes[k] * width, slopes[k + 1] * width
+    second, third = 3 * rise - 2 * left - right, left + right - 2 * rise
+    value = values[k] + s * (left + s * (second + s * third))
+    slope = (left + s * (2 * second + 3 * s * third)) / width
+    return np.asarray(value), np.asarray(slope)
+
+
+def _robust_covariance(
+    design: FloatArray, residual: FloatArray, t: FloatArray, correlation_time_s: float
+) -> FloatArray:
+    """Covariance of least squares whose residuals are correlated over a while (Newey and West 1987)."""
+    inverse = np.linalg.pinv(design.T @ design)
+    scores = design * residual[:, None]
+    meat = scores.T @ scores
+    n_lags = min(int(correlation_time_s / float(np.median(np.diff(t)))), residual.size // 4)
+    for lag in range(1, n_lags + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        meat += (1 - lag / (n_lags + 1)) * (cross + cross.T)
+    return np.asarray(inverse @ meat @ inverse)

@@ -1,0 +1,1 @@
+"""Markers in a frame: acquisition, sub-pixel positions, and which is which."""

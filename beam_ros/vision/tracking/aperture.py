@@ -1,0 +1,162 @@
+"""The centre of gravity in a smooth aperture: linear in the grey levels and free of a bias by the pixel grid.
+
+A level that is subtracted with saturation bends the marker's rim where it meets the level; sampled by pixels,
+that bend pulls the centre of gravity back and forth once per pixel, by some thousandths of one. Here nothing
+is bent. Every pixel counts with a weight that depends on its distance from a point close to the centre,
+
+    u = c + sum w(p - c) (p_u - c) (I(p) - B) / (k sum w(p - c) (I(p) - B))
+
+with w = 1 over the marker and its blurred rim and a fall so soft that the pixel grid cannot see it. The point c
+lies on a grid of 1/32 px, for which the weights are tabulated; k, a little below 1, is how far the aperture lets
+the centre follow, and what it is wrong by acts on the distance from c only, which is below 1/64 px. The
+aperture is as long as the smear, so that the centre is the mean position over the exposure.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from beam_ros.arrays import FloatArray
+from beam_ros.vision.tracking.refinement import cumulative_normal
+
+_PHASES_U = 32
+"""Positions of the aperture per pixel along u, along which the marker moves."""
+_PHASES_V = 8
+"""The same along v, where a marker stays in its row."""
+_SMEAR_STEP_PX = 1.5
+"""Steps in which the aperture's length follows the smear [px]."""
+_SLACK = 1.1
+"""The aperture is this much longer than the smear, because a marker that turns during the exposure has its mean
+position off the middle of its way."""
+_RADIUS_STEP_PX = 0.25
+_EDGE_STEP_PX = 0.125
+"""Steps of the marker's radius and edge for which weights are tabulated [px]."""
+_RIM = 2.0
+"""The weight falls to one half at so many standard deviations of the rim's blur beyond the radius, ..."""
+_LEAST_RIM_PX = 1.25
+"""... or at least so far beyond it [px]."""
+_SOFTNESS_PX = 0.8
+"""Standard deviation of the weight's fall [px]: less lets the pixel grid through, more lets noise in."""
+_REACH = 2.5
+"""Weights end at so many of these standard deviations beyond their half."""
+
+
+class Aperture(NamedTuple):
+    """Tabulated weights about one point.
+
+    Attributes
+    ----------
+    left, top, width, height : int -- the pixels that carry weight, relative to the whole pixel of the point [px]
+    weights : ndarray of float32, shape (3, height * width) -- w, w (p_u - c_u) and w (p_v - c_v)
+    sums : tuple of 3 float -- of the weights
+    gain_u, gain_v : float -- k
+    noise : float -- square root of sum (w (p_u - c_u))^2, over k
+    """
+
+    left: int
+    top: int
+    width: int
+    height: int
+    weights: npt.NDArray[np.float32]
+    sums: tuple[float, float, float]
+    gain_u: float
+    gain_v: float
+    noise: float
+
+
+def disc_steps(radius: float, edge: float, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
+    """Return the tabulated size nearest to a disc's radius and the standard deviation of its rim's blur [px].
+
+    Where it lies within three quarters of a step of the size ``before``, that is kept: an average that wavers
+    between two sizes would tabulate both.
+    """
+    steps = radius / _RADIUS_STEP_PX, edge / _EDGE_STEP_PX
+    if max(abs(steps[0] - before[0]), abs(steps[1] - before[1])) < 0.75:
+        return before
+    return round(steps[0]), max(2, round(steps[1]))
+
+
+def aperture_at(
+    u: float, v: float, disc: tuple[int, int], smear: float
+) -> tuple[Aperture, int, int, float, float]:
+    """Return the aperture for a marker near a point.
+
+    Parameters
+    ----------
+    u, v : float -- where the marker is, to a few hundredths [px]
+    disc : tuple of int -- its ``disc_steps``
+    smear : float -- length of its motion during the exposure, along u [px]
+
+    Returns
+    -------
+    aperture : Aperture
+    column, row : int -- the whole pixel that ``aperture.left`` and ``top`` count from [px]
+    u, v : float -- the aperture's centre [px]
+    """
+    at_u, at_v = round(u * _PHASES_U), round(v * _PHASES_V)
+    column, row = at_u // _PHASES_U, at_v // _PHASES_V
+    smear_steps = round(smear / _SMEAR_STEP_PX) if smear > 0.0 else 0
+    aperture = _tabulated(at_u % _PHASES_U, at_v % _PHASES_V, disc[0], disc[1], smear_steps)
+    return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
+
+
+@lru_cache(maxsize=4096)
+def _tabulated(phase_u: int, phase_v: int, radius_steps: int, edge_steps: int, smear_steps: int) -> Aperture:
+    """Compute the weights about one point."""
+    left, top, x, y, weight = _weights(
+        phase_u / _PHASES_U, phase_v / _PHASES_V, radius_steps, edge_steps, smear_steps
+    )
+    gain_u, gain_v = _gains(radius_steps, edge_steps, smear_steps)
+    along_u, along_v = weight * x, weight * y
+    return Aperture(
+        left,
+        top,
+        x.size,
+        y.size,
+        np.stack([weight.ravel(), along_u.ravel(), along_v.ravel()]).astype(np.float32),
+        (float(weight.sum()), float(along_u.sum()), float(along_v.sum())),
+        gain_u,
+        gain_v,
+        math.sqrt(float(np.sum(along_u**2))) / gain_u,
+    )
+
+
+def _weights(
+    u: float, v: float, radius_steps: int, edge_steps: int, smear_steps: int
+) -> tuple[int, int, FloatArray, FloatArray, FloatArray]:
+    """First column and row, distances (1, width) and (height, 1) from the point, weights (height, width)."""
+    half_weight = radius_steps * _RADIUS_STEP_PX + max(_RIM * edge_steps * _EDGE_STEP_PX, _LEAST_RIM_PX)
+    reach = half_weight + _REACH * _SOFTNESS_PX
+    half_length = _SLACK * smear_steps * _SMEAR_STEP_PX / 2
+    left, right = math.ceil(u - half_length - reach), math.floor(u + half_length + reach)
+    top, bottom = math.ceil(v - reach), math.floor(v + reach)
+    x = np.arange(left, right + 1, dtype=np.float64)[None, :] - u
+    y = np.arange(top, bottom + 1, dtype=np.float64)[:, None] - v
+    beyond = np.hypot(np.maximum(np.abs(x) - half_length, 0.0), y)
+    weight = np.where(beyond < reach, cumulative_normal((half_weight - beyond) / _SOFTNESS_PX), 0.0)
+    return left, top, x, y, weight
+
+
+@lru_cache(maxsize=256)
+def _gains(radius_steps: int, edge_steps: int, smear_steps: int) -> tuple[float, float]:
+    """How far the aperture lets the centre of a blurred, smeared disc follow when that is moved a little."""
+    radius, edge = radius_steps * _RADIUS_STEP_PX, edge_steps * _EDGE_STEP_PX
+    _, _, x, y, weight = _weights(0.0, 0.0, radius_steps, edge_steps, smear_steps)
+    count = 2 * smear_steps + 1
+    shifts = ((np.arange(count) + 0.5) / count - 0.5) * smear_steps * _SMEAR_STEP_PX
+
+    def centre(move_u: float, move_v: float) -> tuple[float, float]:
+        disc = np.zeros_like(weight)
+        for shift in shifts:
+            disc += cumulative_normal((radius - np.hypot(x - move_u - shift, y - move_v)) / edge)
+        disc *= weight
+        return float(np.sum(disc * x) / np.sum(disc)), float(np.sum(disc * y) / np.sum(disc))
+
+    # By symmetry the centre of a disc at the point itself is the point.
+    step = 1.0 / _PHASES_U
+    return centre(step, 0.0)[0] / step, centre(0.0, step)[1] / step

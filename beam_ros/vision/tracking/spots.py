@@ -1,0 +1,497 @@
+"""One spot in a small region: whether it still looks as it did, then its centre and its uncertainty.
+
+The background plus a twentieth of the contrast (more where the noise asks for it) is subtracted with
+saturation, which silences the background without the error of a hard threshold. Zeroth to third moments of
+what remains give place, area, second moments and asymmetry: a spot that is partly covered, merged with another
+one or lit from beside changes them long before its centre has moved far. Tolerances are a floor for what real
+markers do plus five standard deviations of what the image noise does. Where a spot that passes is centred is
+then measured in an aperture (``vision.tracking.aperture``), which has no bias by the pixel grid and gives the mean
+position over the exposure however far the marker moved.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from beam_ros.arrays import ImageArray
+from beam_ros.vision.parameters import TrackerParameters
+from beam_ros.vision.tracking.aperture import aperture_at
+from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
+from beam_ros.vision.tracking.moments import beyond, central_moments, raw_moments
+from beam_ros.vision.tracking.refinement import fit_disc, radial_symmetry_centre
+
+Reason = Literal[
+    "ok",
+    "not_acquired",
+    "no_contrast",
+    "hidden",
+    "ambiguous",
+    "area",
+    "shape",
+    "asymmetry",
+    "brightness",
+    "jump",
+    "border",
+]
+"""Why a measurement is not valid; "ok" where it is.
+
+not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
+spot where the marker should be; ambiguous: it cannot be told from another spot; area, shape, asymmetry,
+brightness: the spot differs from the marker as acquired (covered, merged with another spot, glare, out of
+focus); jump: too far from the prediction or from the marker's row; border: cut by the edge of the image.
+"""
+
+_MAX_PASSES = 4
+"""The region is centred anew on what it shows at most this often."""
+_CENTRED_PX = 1.5
+"""A spot this close to its region's centre needs no further pass [px]."""
+_REFINED_PX = 4
+"""A refinement uses the pixels up to this far beyond a marker's radius [px]."""
+_SIDE_PX = 2
+"""Width of the columns at either side of the region in which the background is measured [px]."""
+_CLEAR_PX = 3
+"""Room between the longest smear of a marker and these columns [px]."""
+_SIGNIFICANT = 5.0
+"""Standard deviations of the image noise that a gate leaves room for."""
+_EVEN = 0.1
+"""A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
+
+
+class Spot(NamedTuple):
+    """What a region shows.
+
+    Attributes
+    ----------
+    u, v : float -- centre of gravity [px]
+    mass : float -- sum of the grey levels beyond the subtracted level
+    area : float -- mass over the height of the plateau [px^2]
+    variance_u, variance_v, covariance : float -- second central moments over the mass [px^2]
+    skew_u, skew_v : float -- third central moments over the cube of the radius of gyration
+    plateau : float -- mean of the five pixels at the centre [grey levels]
+    region : tuple of int -- left, top, right, bottom of the region, the last two exclusive [px]
+    """
+
+    u: float
+    v: float
+    mass: float
+    area: float
+    variance_u: float
+    variance_v: float
+    covariance: float
+    skew_u: float
+    skew_v: float
+    plateau: float
+    region: tuple[int, int, int, int]
+
+
+class Sides(NamedTuple):
+    """The background at either side of a spot: mean grey levels, and the mean of the two variances."""
+
+    left: float
+    right: float
+    variance: float
+
+
+Bounds = tuple[float, float]
+
+
+class Gates(NamedTuple):
+    """Bounds between which a spot passes for the marker, in the units of ``Spot``.
+
+    Attributes
+    ----------
+    row, brightness, area, variance_v, variance_u, skew_u, skew_v : (float, float)
+    correlation : float -- largest covariance over the geometric mean of the variances
+    unsmeared : float -- second moment along u without smear [px^2]
+    submersion : float -- area that sinks below the level with every pixel of smear [px]
+    """
+
+    row: Bounds
+    brightness: Bounds
+    area: Bounds
+    variance_v: Bounds
+    variance_u: Bounds
+    correlation: float
+    skew_u: Bounds
+    skew_v: Bounds
+    unsmeared: float
+    submersion: float
+
+
+class SpotMeter:
+    """Measures spots of a marker's size.
+
+    Parameters
+    ----------
+    parameters : TrackerParameters
+    """
+
+    def __init__(self, parameters: TrackerParameters) -> None:
+        self.parameters = parameters
+        self.radius = parameters.marker_diameter_px / 2
+        self.half = math.ceil(self.radius + parameters.max_smear_px / 2 + _CLEAR_PX)
+        self.narrow_half = math.ceil(self.radius + _CLEAR_PX)
+        self.smear_variance = parameters.max_smear_px**2 / 12
+        self._is_dark = parameters.polarity == "dark"
+        self._least_area = 0.25 * math.pi * self.radius**2
+
+    # -- moments -------------------------------------------------------------------------------------------
+
+    def measure(
+        self, image: ImageArray, u: float, v: float, light: Light, *, is_narrow: bool = False
+    ) -> tuple[Spot | None, Reason]:
+        """Measure the spot near (u, v).
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width), uint8 or uint16
+        u, v : float -- where to look [px]
+        light : Light -- background, contrast and noise there
+        is_narrow : bool -- leave no room for smear, because another spot is near
+
+        Returns
+        -------
+        Spot or None, Reason -- "ok", or "hidden" or "border" with None
+        """
+        half = self.narrow_half if is_narrow else self.half
+        height, width = image.shape
+        level, speck = light.level, light.speck
+        least = self._least_area * light.contrast
+        for _ in range(_MAX_PASSES):
+            column, row = round(u), round(v)
+            left, top = max(column - half, 0), max(row - half, 0)
+            right, bottom = min(column + half + 1, width), min(row + half + 1, height)
+            if right - left <= half or bottom - top <= half:
+                return None, "border"
+            region = image[top:bottom, left:right]
+            moments = raw_moments(beyond(region, level, is_dark=self._is_dark))
+            mass, first_u, first_v = moments[:3]
+            if mass < least:
+                return None, "hidden"
+            if speck > 0.0:
+                # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
+                grey = speck * region.size
+                mass -= grey
+                first_u -= grey * (right - left - 1) / 2
+                first_v -= grey * (bottom - top - 1) / 2
+                if mass < least:
+                    return None, "hidden"
+            u, v = left + first_u / mass, top + first_v / mass
+            if -_CENTRED_PX <= u - column <= _CENTRED_PX and -_CENTRED_PX <= v - row <= _CENTRED_PX:
+                break
+        reach = self.radius + 1.0
+        if u - reach < 0 or v - reach < 0 or u + reach > width - 1 or v + reach > height - 1:
+            return None, "border"
+        x, y = round(u) - left, round(v) - top
+        pixel = region.item
+        plateau = 0.2 * (pixel(y, x) + pixel(y - 1, x) + pixel(y + 1, x) + pixel(y, x - 1) + pixel(y, x + 1))
+        mu20, mu11, mu02, mu30, mu03 = central_moments(moments)
+        variance_u = max(mu20 / mass, 1e-3)
+        variance_v = max(mu02 / mass, 1e-3)
+        above_plateau = level - plateau if self._is_dark else plateau - level
+        spot = Spot(
+            u,
+            v,
+            mass,
+            mass / max(above_plateau, 1.0),
+            variance_u,
+            variance_v,
+            mu11 / mass,
+            mu30 / (mass * variance_u * math.sqrt(variance_u)),
+            mu03 / (mass * variance_v * math.sqrt(variance_v)),
+            plateau,
+            (left, top, right, bottom),
+        )
+        return spot, "ok"
+
+    def sides(self, image: ImageArray, spot: Spot) -> Sides:
+        """Measure the outermost columns of a spot's region."""
+        left, top, right, bottom = spot.region
+        mean_left, at_left = cv2.meanStdDev(image[top:bottom, left : left + _SIDE_PX])
+        mean_right, at_right = cv2.meanStdDev(image[top:bottom, right - _SIDE_PX : right])
+        count = _SIDE_PX * (bottom - top)
+        variance = 0.5 * (float(at_left.item()) ** 2 + float(at_right.item()) ** 2) * count / (count - 1)
+        return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, QUANTISATION_VARIANCE))
+
+    def centre(
+        self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
+    ) -> tuple[float, float, float] | None:
+        """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
+
+        Returns
+        -------
+        u, v, sigma_u : float -- [px]; or None where the edge of the image cuts the aperture
+        """
+        excess = spot.variance_u - appearance.variance_v
+        smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
+        aperture, column, row, u, v = aperture_at(spot.u, spot.v, appearance.disc, smear)
+        left, top = column + aperture.left, row + aperture.top
+        right, bottom = left + aperture.width, top + aperture.height
+        if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+            return None
+        grey = beyond(image[top:bottom, left:right], light.floor, is_dark=self._is_dark)
+        mass, first_u, first_v = aperture.weights.dot(grey.ravel().astype(np.float32)).tolist()
+        base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
+        mass -= base * sum_w
+        if mass < self._least_area * light.contrast:
+            return None
+        floor = self.parameters.sigma_floor_px
+        return (
+            u + (first_u - base * sum_u) / (mass * aperture.gain_u),
+            v + (first_v - base * sum_v) / (mass * aperture.gain_v),
+            math.sqrt((light.noise * aperture.noise / mass) ** 2 + floor * floor),
+        )
+
+    def refine(
+        self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
+    ) -> tuple[float, float, float] | None:
+        """Centre and standard deviation by the refinement that the parameters ask for.
+
+        Returns
+        -------
+        u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or None as there
+        """
+        centre = self.centre(image, spot, light, appearance)
+        if centre is None:
+            return None
+        smear = math.sqrt(12.0 * max(0.0, spot.variance_u - appearance.variance_u))
+        reach = self.radius + _REFINED_PX
+        left = max(math.floor(spot.u - reach - smear / 2), spot.region[0])
+        right = min(math.ceil(spot.u + reach + smear / 2) + 1, spot.region[2])
+        top = max(math.floor(spot.v - reach), spot.region[1])
+        bottom = min(math.ceil(spot.v + reach) + 1, spot.region[3])
+        region = image[top:bottom, left:right]
+        u, v = spot.u - left, spot.v - top
+        if self.parameters.refinement == "radial_symmetry":
+            crossing = radial_symmetry_centre(region, u, v, reach + smear / 2, light.noise)
+            return centre if crossing is None else (left + crossing[0], top + crossing[1], centre[2])
+        disc = fit_disc(
+            region,
+            u,
+            v,
+            radius=appearance.radius,
+            edge=appearance.edge,
+            background=light.background,
+            contrast=-light.contrast if self._is_dark else light.contrast,
+            noise=light.noise,
+            smear=smear,
+        )
+        if disc is None:
+            return centre
+        floor = self.parameters.sigma_floor_px
+        return left + disc.u, top + disc.v, math.sqrt(disc.sigma_u**2 + floor * floor)
+
+    # -- gates ---------------------------------------------------------------------------------------------
+
+    def gates(self, light: Light, appearance: Appearance) -> Gates:
+        """Bounds for a spot that is to pass for the marker in this light."""
+        parameters = self.parameters
+        contrast, noise = light.contrast, light.noise
+        height = max(contrast - light.above, 1.0)
+        # Standard deviations of area, second moments and asymmetry of a disc by white noise: this number
+        # times 1, 1.6 and 2.2; specks add to the asymmetry with the region's size.
+        scatter = noise / (height * math.sqrt(appearance.area))
+        area = parameters.area_tolerance + _SIGNIFICANT * (scatter + 0.4 * noise / contrast)
+        shape = parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter
+        asymmetry = parameters.shape_tolerance + _SIGNIFICANT * 2.2 * scatter
+        if light.speck_variance > 0.0:
+            half = float(self.half)
+            specks = math.sqrt(light.speck_variance * 4 * half * half / 7) * half**3
+            asymmetry += _SIGNIFICANT * specks / (height * appearance.area * appearance.variance_v**1.5)
+        dimming = parameters.brightness_tolerance * contrast + 2.0 * noise
+        low, high = contrast - dimming, contrast + dimming
+        if self._is_dark:
+            low, high = -high, -low
+        return Gates(
+            row=(appearance.row - parameters.row_gate_px, appearance.row + parameters.row_gate_px),
+            brightness=(light.background + low, light.background + high),
+            area=(appearance.area * (1 - area), appearance.area * (1 + area)),
+            variance_v=(appearance.variance_v * (1 - shape), appearance.variance_v * (1 + shape)),
+            variance_u=(
+                appearance.variance_u * (1 - shape),
+                appearance.variance_u * (1 + shape) + self.smear_variance,
+            ),
+            correlation=shape,
+            skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
+            skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
+            unsmeared=appearance.variance_u,
+            submersion=self._submersion(light),
+        )
+
+    def _submersion(self, light: Light) -> float:
+        """Area that sinks below the level with every pixel of smear [px]."""
+        return light.above / max(light.contrast - light.above, 1.0) * (2 * self.radius + 2.5)
+
+    def _whole_area(self, spot: Spot, unsmeared: float, submersion: float) -> float:
+        """Area of a spot without its smear, which lengthens it along u and sinks more below the level."""
+        excess = min(spot.variance_u - unsmeared, self.smear_variance)
+        return spot.area + submersion * math.sqrt(12.0 * excess) if excess > 0.0 else spot.area
+
+    def judge(self, spot: Spot, gates: Gates) -> Reason:
+        """Name the first gate that a spot fails."""
+        if not gates.row[0] <= spot.v <= gates.row[1]:
+            return "jump"
+        if not gates.brightness[0] <= spot.plateau <= gates.brightness[1]:
+            return "brightness"
+        area = self._whole_area(spot, gates.unsmeared, gates.submersion)
+        if not gates.area[0] <= area <= gates.area[1]:
+            return "area"
+        if not (
+            gates.variance_v[0] <= spot.variance_v <= gates.variance_v[1]
+            and gates.variance_u[0] <= spot.variance_u <= gates.variance_u[1]
+            and abs(spot.covariance) <= gates.correlation * math.sqrt(spot.variance_u * spot.variance_v)
+        ):
+            return "shape"
+        if not (
+            gates.skew_u[0] <= spot.skew_u <= gates.skew_u[1]
+            and gates.skew_v[0] <= spot.skew_v <= gates.skew_v[1]
+        ):
+            return "asymmetry"
+        return "ok"
+
+    def settle(self, spot: Spot, light: Light, appearance: Appearance) -> None:
+        """Average a marker's appearance over the first frames that show it."""
+        appearance.frames += 1
+        share = 1.0 / appearance.frames
+        area = self._whole_area(spot, appearance.variance_u, self._submersion(light))
+        appearance.area += share * (area - appearance.area)
+        appearance.variance_v += share * (spot.variance_v - appearance.variance_v)
+        appearance.variance_u = min(appearance.variance_u, spot.variance_u)
+        appearance.skew_u += share * (spot.skew_u - appearance.skew_u)
+        appearance.skew_v += share * (spot.skew_v - appearance.skew_v)
+        appearance.row += share * (spot.v - appearance.row)
+        appearance.level += share * (light.above / light.contrast - appearance.level)
+        appearance.derive()
+
+    # -- whole images --------------------------------------------------------------------------------------
+
+    def centres(
+        self, region: ImageArray, background: float, height: float
+    ) -> list[tuple[float, float, bool]]:
+        """Find spots of about a marker's size by threshold and contours.
+
+        Parameters
+        ----------
+        region : ndarray, shape (height, width)
+        background : float -- [grey levels]
+        height : float -- distance of the threshold from the background [grey levels]
+
+        Returns
+        -------
+        list of (float, float, bool) -- centres of their bounding boxes [px of the region], and whether
+            another spot reaches into the surroundings of this one
+        """
+        threshold = background - height if self._is_dark else background + height
+        mode = cv2.THRESH_BINARY_INV if self._is_dark else cv2.THRESH_BINARY
+        _, mask = cv2.threshold(region, math.floor(threshold), 255, mode)
+        if mask.dtype != np.uint8:
+            mask = mask.astype(np.uint8)
+        contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+        parameters = self.parameters
+        diameter = parameters.marker_diameter_px
+        smallest = (1 - parameters.diameter_tolerance) * diameter - 2
+        tallest = (1 + parameters.diameter_tolerance) * diameter + 2
+        widest = tallest + parameters.max_smear_px
+        boxes = [cv2.boundingRect(contour) for contour in contours]
+        boxes = [(x + (w - 1) / 2, y + (h - 1) / 2, w, h) for x, y, w, h in boxes if w >= 3 and h >= 3]
+        near = self.half + 2
+        return [
+            (
+                u,
+                v,
+                any(
+                    (u, v) != (other_u, other_v)
+                    and abs(u - other_u) < near + other_w / 2
+                    and abs(v - other_v) < near + other_h / 2
+                    for other_u, other_v, other_w, other_h in boxes
+                ),
+            )
+            for u, v, w, h in boxes
+            if smallest <= w <= widest and smallest <= h <= tallest
+        ]
+
+    def levels(self, image: ImageArray) -> tuple[float, float]:
+        """Background of a whole image and the extreme of the markers' polarity, lone pixels aside."""
+        background = float(np.median(image[::8, ::8]))
+        lowest, highest, _, _ = cv2.minMaxLoc(cv2.blur(image, (3, 3)))
+        return background, float(lowest if self._is_dark else highest)
+
+    def candidate(
+        self,
+        image: ImageArray,
+        u: float,
+        v: float,
+        background: float,
+        *,
+        known_noise: float = math.inf,
+        is_narrow: bool = False,
+    ) -> tuple[Spot, Light] | None:
+        """Measure a spot with its own light; None when it is no marker.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width)
+        u, v : float -- where to look [px]
+        background : float -- to begin with [grey levels]
+        known_noise : float -- noise that is known from before: what is beside the spot may not hide it
+            [grey levels]
+        is_narrow : bool -- another spot is near
+
+        Returns
+        -------
+        (Spot, Light) or None
+        """
+        parameters = self.parameters
+        height, width = image.shape
+        column, row = round(u), round(v)
+        if not (1 <= column < width - 1 and 1 <= row < height - 1):
+            return None
+        plateau = float(image[row - 1 : row + 2, column - 1 : column + 2].mean())
+        noise = 0.0
+        light: Light | None = None
+        spot: Spot | None = None
+        sides = Sides(background, background, 0.0)
+        for _ in range(2):
+            contrast = background - plateau if self._is_dark else plateau - background
+            if contrast < parameters.min_contrast_grey:
+                return None
+            light = Light(parameters, background, contrast, noise)
+            spot, _ = self.measure(image, u, v, light, is_narrow=is_narrow)
+            if spot is None:
+                return None
+            sides = self.sides(image, spot)
+            background, noise = 0.5 * (sides.left + sides.right), min(math.sqrt(sides.variance), known_noise)
+            plateau, u, v = spot.plateau, spot.u, spot.v
+        if spot is None or light is None:
+            return None
+        nominal = math.pi * self.radius**2
+        low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
+        roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
+        is_marker = (
+            low * nominal <= spot.area <= high * nominal
+            and spot.variance_u >= spot.variance_v * (1 - roundness)
+            and spot.variance_u <= spot.variance_v * (1 + roundness) + self.smear_variance
+            and abs(spot.covariance) <= roundness * spot.variance_v
+            # A uniform disc of this area has a second moment of area / (4 pi); blur adds to it.
+            and spot.variance_v <= (spot.area / (4 * math.pi) + 2.0) * (1 + roundness)
+            and abs(spot.skew_u) <= roundness
+            and abs(spot.skew_v) <= roundness
+            and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
+        )
+        return (spot, light) if is_marker else None
+
+    def appearance(self, spot: Spot, light: Light) -> Appearance:
+        """Appearance of a marker that has just been acquired."""
+        return Appearance(
+            area=self._whole_area(spot, spot.variance_v, self._submersion(light)),
+            variance_u=min(spot.variance_u, spot.variance_v),
+            variance_v=spot.variance_v,
+            skew_u=spot.skew_u,
+            skew_v=spot.skew_v,
+            row=spot.v,
+            level=light.above / light.contrast,
+        )

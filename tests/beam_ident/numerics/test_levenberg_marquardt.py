@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.numerics.levenberg_marquardt import HOPELESS, minimise
+
+LOWEST = 10.0
+
+
+@dataclass(frozen=True)
+class Point:
+    theta: np.ndarray
+    cost: float
+
+
+class Valley:
+    """Rosenbrock's valley as a least-squares problem, lifted by a constant."""
+
+    def state(self, theta: np.ndarray) -> Point:
+        return Point(theta, LOWEST + 0.5 * float(np.sum(self.residuals(theta) ** 2)))
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        return np.array([10.0 * (theta[1] - theta[0] ** 2), 1.0 - theta[0]])
+
+    def slope(self, state: Point) -> tuple[np.ndarray, np.ndarray]:
+        jacobian = np.array([[-20.0 * state.theta[0], 10.0], [-1.0, 0.0]])
+        return jacobian.T @ jacobian, -jacobian.T @ self.residuals(state.theta)
+
+    def limited(self, theta: np.ndarray, step: np.ndarray) -> np.ndarray:
+        return theta + step
+
+
+def found(target: float = np.inf, max_iterations: int = 60):
+    valley = Valley()
+    return minimise(valley, valley.state(np.array([-1.2, 1.0])), max_iterations, target)
+
+
+def test_a_curved_valley_is_followed_to_its_end():
+    minimum = found()
+    assert minimum.converged
+    np.testing.assert_allclose(
+        minimum.state.theta, 1.0, atol=1e-2
+    )  # a thousandth of the standard deviation of 10
+
+
+def test_a_target_in_reach_changes_nothing():
+    np.testing.assert_array_equal(found(LOWEST + 0.1).state.theta, found().state.theta)
+
+
+def test_a_target_out_of_reach_ends_the_iteration_early():
+    minimum = found(LOWEST - 60.0)
+    assert not minimum.converged
+    assert minimum.reason == HOPELESS
+    assert minimum.iterations < found().iterations
+
+
+def test_iterations_are_bounded_and_never_end_higher_than_they_began():
+    minimum = found(max_iterations=3)
+    assert not minimum.converged
+    assert minimum.iterations == 3
+    assert minimum.state.cost < Valley().state(np.array([-1.2, 1.0])).cost
+
+
+def test_a_start_that_is_not_allowed_is_said_to_be_one():
+    minimum = minimise(Valley(), Point(np.zeros(2), np.inf), 10)
+    assert not minimum.converged
+    assert minimum.reason == "the starting point is not allowed"
+    assert minimum.iterations == 0

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident.numerics.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial
+from beam_ident.responses.periodic_averaging import hold_gain
+
+PERIOD_S = 1e-3
+
+
+def tone(share: float, hold: str, jitter: float = 0.0) -> tuple[PiecewisePolynomial, float]:
+    """Return a sine at a share of the sampling rate, sampled and held, and its angular frequency."""
+    times = PERIOD_S * np.arange(400)
+    times[1:-1] += PERIOD_S * np.random.default_rng(0).uniform(-jitter, jitter, 398)
+    omega = 2.0 * np.pi * share / PERIOD_S
+    return PiecewisePolynomial.from_samples(times, np.sin(omega * times + 0.3), hold), omega
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.333])
+@pytest.mark.parametrize(("hold", "degree"), [("cubic", 3), ("band_limited", BAND_LIMITED_DEGREE)])
+def test_splines_miss_a_tone_by_no_more_than_is_stated(hold, degree, share):
+    signal, omega = tone(share, hold)
+    inside = np.linspace(0.1, 0.3, 3001)
+    truth = np.sin(omega * inside + 0.3)
+    ratio = share / (1.0 - share)
+    assert np.max(np.abs(signal(inside) - truth)) < 3.0 * ratio ** (degree + 1)
+    assert np.max(np.abs(signal(inside, 2) / omega**2 + truth)) < 3.0 * ratio ** (degree - 1)
+
+
+def test_a_band_limited_hold_is_a_polynomial_that_passes_smoothly_through_every_sample():
+    signal, omega = tone(0.2, "band_limited", jitter=0.1)
+    assert signal.degree == BAND_LIMITED_DEGREE
+    assert signal.period is None
+    before = signal.evaluate(np.arange(100, 300), np.diff(signal.knots)[100:300], 3)
+    after = signal.evaluate(np.arange(101, 301), np.zeros(200), 3)
+    np.testing.assert_allclose(before, after, atol=1e-6 * omega**3)
+    np.testing.assert_allclose(signal(signal.knots), np.sin(omega * signal.knots + 0.3), atol=1e-12)
+
+
+def test_few_samples_are_joined_by_a_cubic():
+    times = np.arange(6.0)
+    few = PiecewisePolynomial.from_samples(times, times**2, "band_limited")
+    np.testing.assert_allclose(few(np.array([2.5])), 6.25)
+
+
+@pytest.mark.parametrize("hold", ["cubic", "band_limited"])
+def test_the_fourier_gain_of_a_spline_is_that_of_the_signal(hold):
+    n = 64
+    for line in (5, 20, 5 + n, n - 20):
+        times = np.arange(40 * n + 1.0)
+        omega = 2.0 * np.pi * (line % n) / n
+        signal = PiecewisePolynomial.from_samples(times, np.cos(omega * times), hold)
+        fine = 20.0 * n + np.arange(16 * n) / 16.0
+        found = 2.0 * np.mean(signal(fine) * np.exp(-2j * np.pi * line / n * fine))
+        assert found == pytest.approx(hold_gain(hold, 2.0 * np.pi * line / n, 1.0), abs=1e-5)

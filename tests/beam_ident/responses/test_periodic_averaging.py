@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
+from beam_ident.responses.periodic_averaging import periodic_response
+from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, PLANT, siso_record
+
+
+def predicted(record, omegas):
+    """Return what the plant shows at the lines, by the record's own folding."""
+
+    def at(values):
+        return np.polyval(PLANT.numerator, 1j * values) / np.polyval(PLANT.denominator, 1j * values)
+
+    folding = record.folding
+    # 900 / (s^2 + 3 s + 900) = 900 / s^2 - 2700 / s^3 ..
+    return at(omegas) + np.sum(folding.weights * at(folding.omegas), axis=1) + 900.0 * folding.tails[:, 4]
+
+
+@pytest.mark.parametrize("hold", ["zoh", "linear", "cubic", "band_limited"])
+@pytest.mark.parametrize(("step", "offset", "exposure"), [(1, 0.0, 0.0), (2, 0.003, 0.006), (4, 0.0, 0.0)])
+def test_hold_exposure_and_folding_are_accounted_for_exactly(hold, step, offset, exposure):
+    # With four ticks a sample the outputs' half rate is 12.5 Hz, and lines up to 37.3 Hz fold onto bins of their own.
+    found = periodic_response(
+        siso_record(hold=hold, step=step, offset=offset, exposure=exposure), LINE_PERIOD_S, LINES_HZ
+    ).response
+    model = predicted(found, found.omegas)
+    # Beyond the images kept, the third term of the plant's expansion is left: 1e-6 at the worst line.
+    error = np.abs(found.response[:, 0, 0] - model) / np.max(np.abs(model))
+    assert np.max(error) < 2e-6
+    assert found.frequencies_hz[-1] > 37.0
+
+
+def test_lines_are_found_from_the_input_and_reported_where_they_were_excited():
+    found = periodic_response(siso_record(step=4), LINE_PERIOD_S)
+    assert set(np.round(found.response.frequencies_hz, 6)) <= set(np.round(LINES_HZ, 6))
+    assert np.max(found.response.frequencies_hz) > 2.9 * 12.5
+
+
+def test_a_noisy_measured_input_leaves_the_response_unbiased_and_its_variance_true():
+    scores, naive = [], []
+    for seed in range(12):
+        record = siso_record(noise=0.01, input_noise=0.05, step=2, seed=seed)
+        found = periodic_response(record, LINE_PERIOD_S, LINES_HZ).response
+        model = predicted(found, found.omegas)
+        error = found.response[:, 0, 0] - model
+        scores.append(np.mean(np.abs(error) ** 2 / found.variance[:, 0, 0]))
+        quiet = periodic_response(
+            siso_record(noise=0.01, step=2, seed=seed), LINE_PERIOD_S, LINES_HZ
+        ).response
+        naive.append(np.mean(np.abs(error) ** 2 / quiet.variance[:, 0, 0]))
+    # 12 runs of about 110 lines: the mean square of |complex z| is 1 +- 0.03, 1.03 for variances of 40 freedoms.
+    assert 0.9 < np.mean(scores) < 1.18
+    assert np.mean(naive) > 2.0  # the output's noise alone would not explain the errors
+
+
+def test_errors_of_two_outputs_under_one_noisy_input_depend_on_each_other():
+    record = siso_record(input_noise=0.05, noise=1e-3)
+    twin = dataclasses.replace(record.outputs[0], name="twin", values=2.0 * record.outputs[0].values)
+    both = TimeRecord(record.inputs, (record.outputs[0], twin))
+    covariance = periodic_response(both, LINE_PERIOD_S, LINES_HZ).response.covariance
+    correlation = covariance[:, 0, 1].real / np.sqrt(covariance[:, 0, 0].real * covariance[:, 1, 1].real)
+    np.testing.assert_allclose(correlation, 1.0, atol=1e-9)
+
+
+def test_a_straight_drift_does_not_leak_into_the_lines():
+    record = siso_record()
+    output = record.outputs[0]
+    drifting = dataclasses.replace(output, values=output.values + 0.3 * output.times_s - 2.0)
+    still = periodic_response(record, LINE_PERIOD_S, LINES_HZ).response
+    moved = periodic_response(TimeRecord(record.inputs, (drifting,)), LINE_PERIOD_S, LINES_HZ).response
+    np.testing.assert_allclose(moved.response, still.response, atol=1e-10)
+
+
+def test_a_transient_shows_as_drift():
+    steady = periodic_response(siso_record(noise=1e-3, n_periods=8), LINE_PERIOD_S, LINES_HZ)
+    assert steady.drift[0] < 1.3
+    record = siso_record(noise=1e-3, n_periods=8)
+    output = record.outputs[0]
+    ringing = 0.02 * np.exp(-0.05 * (output.times_s - output.times_s[0])) * np.cos(30.0 * output.times_s)
+    unsteady = TimeRecord(record.inputs, (dataclasses.replace(output, values=output.values + ringing),))
+    assert periodic_response(unsteady, LINE_PERIOD_S, LINES_HZ).drift[0] > 2.0
+
+
+def test_what_is_not_periodic_is_refused_with_the_remedy():
+    record = siso_record()
+    output = record.outputs[0]
+    with pytest.raises(EstimationError, match="expected a whole number"):
+        periodic_response(record, 3.333, LINES_HZ)
+    with pytest.raises(EstimationError, match="1 whole periods"):
+        periodic_response(record, LINE_PERIOD_S, LINES_HZ, start_s=20.0, end_s=35.0)
+    with pytest.raises(EstimationError, match=r"multiples of 0\.1 Hz"):
+        periodic_response(record, LINE_PERIOD_S, np.array([0.55]))
+    holes = output.values.copy()
+    holes[::10] = np.nan
+    with pytest.raises(EstimationError, match=r"10\.0% of the samples are missing"):
+        periodic_response(
+            TimeRecord(record.inputs, (dataclasses.replace(output, values=holes),)), LINE_PERIOD_S
+        )
+    late = output.times_s + np.random.default_rng(0).uniform(0.0, 1e-3, len(output.times_s))
+    with pytest.raises(EstimationError, match="irregular"):
+        periodic_response(
+            TimeRecord(record.inputs, (dataclasses.replace(output, times_s=late),)), LINE_PERIOD_S
+        )
+    drive = record.inputs[0]
+    uneven = InputSignal("u", "", np.append(drive.times_s[:-1], drive.times_s[-1] + 0.004), drive.values)
+    with pytest.raises(EstimationError, match="needs a regular input"):
+        periodic_response(TimeRecord((uneven,), record.outputs), LINE_PERIOD_S)
+    other = OutputSignal("z", "", output.times_s, output.values, exposure_s=2e-3)
+    with pytest.raises(EstimationError, match="different exposures"):
+        periodic_response(TimeRecord(record.inputs, (output, other)), LINE_PERIOD_S)

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from beam_ident import (
+    FrequencyRecord,
+    Multisine,
+    OutputSignal,
+    TimeRecord,
+    fit_frequency_modes,
+    fit_frequency_transfer_function,
+    periodic_response,
+)
+from beam_ident.data.frequency_record import beside
+from beam_ident.responses.steady_periods import drift_of_periods, input_changes
+from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, modal_plant, siso_record
+
+RECIPE = Multisine(low_hz=2.0, high_hz=20.0, line_period_s=5.0, n_periods=7)
+
+
+@functools.cache
+def played() -> TimeRecord:
+    """Return the recipe, fades included, on the two-mode plant."""
+    drive = RECIPE.sample(2e-3).input_signal("position", "hub")
+    stamps = 0.01 * np.arange(1, 3500)
+    values = modal_plant().simulate(drive, stamps)[:, 0]
+    values = values + 1e-7 * np.random.default_rng(1).standard_normal(len(stamps))
+    return TimeRecord((drive,), (OutputSignal("tip", "m", stamps, values),))
+
+
+def steady(n_periods: int, end_s: float):
+    start_s = end_s - 5.0 * n_periods
+    return periodic_response(played(), 5.0, RECIPE.lines_hz, start_s, end_s - 0.005).response
+
+
+def test_a_recipe_says_between_which_times_it_repeats():
+    start_s, end_s = RECIPE.steady_window_s
+    times = np.linspace(start_s, start_s + 5.0, 400)
+    for last in (end_s - 5.0, end_s - 10.0):
+        turns = np.floor((last - start_s) / 5.0) * 5.0
+        np.testing.assert_allclose(RECIPE.displacement(times + turns), RECIPE.displacement(times), atol=1e-12)
+    assert RECIPE.displacement(np.array([end_s + 0.3])) != pytest.approx(
+        RECIPE.displacement(np.array([end_s + 0.3 - 5.0])), rel=1e-2
+    )
+
+
+@pytest.mark.parametrize("n_periods", [2, 3, 4])
+def test_periods_that_reach_into_a_fade_are_said_by_every_fit(n_periods):
+    end_s = RECIPE.steady_window_s[1]
+    good, faded = steady(n_periods, end_s), steady(n_periods, end_s + 0.45)
+    assert good.warnings == ()
+    assert len(faded.warnings) == 1
+    assert "the input is not the same in every period" in faded.warnings[0]
+    assert "start_s and end_s" in faded.warnings[0]
+    modes = fit_frequency_modes(faded, "base_motion", n_modes=1)
+    assert faded.warnings[0] in modes.warnings
+    assert faded.warnings[0] in fit_frequency_transfer_function(faded, 2, 2).warnings
+
+
+def test_a_transient_of_the_structure_is_said_too():
+    record = siso_record(noise=1e-3, n_periods=8)
+    output = record.outputs[0]
+    elapsed = output.times_s - output.times_s[0]
+    ringing = output.values + 0.02 * np.exp(-0.05 * elapsed) * np.cos(30.0 * elapsed)
+    unsteady = TimeRecord(record.inputs, (OutputSignal("y", "", output.times_s, ringing),))
+    said = periodic_response(unsteady, LINE_PERIOD_S, LINES_HZ).response.warnings
+    assert len(said) == 1
+    assert "the periods still change (drift" in said[0]
+
+
+@pytest.mark.parametrize("n_periods", [2, 4, 8])
+@pytest.mark.parametrize("input_noise", [0.0, 0.05])
+def test_noise_and_rounding_are_no_transient(n_periods, input_noise):
+    for seed, noise in enumerate((0.0, 1e-3, 0.3, 0.3, 0.3)):
+        record = siso_record(noise=noise, input_noise=input_noise, n_periods=n_periods, seed=seed)
+        assert periodic_response(record, LINE_PERIOD_S, LINES_HZ).response.warnings == ()
+
+
+def test_coloured_noise_is_called_a_drift_as_rarely_as_white():
+    # Four complex lines of twenty carry the noise: of 400 draws for each number of periods one in 10^4 may stand out.
+    rng = np.random.default_rng(3)
+    colour = np.where(np.arange(20) < 4, 1.0, 0.01)
+    for n_periods in (4, 6):
+        shape = (400, n_periods, 20)
+        noise = colour * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+        drift, is_unsteady = drift_of_periods(5.0 + noise)
+        assert np.count_nonzero(is_unsteady) <= 1
+        assert np.median(drift) == pytest.approx(1.0, abs=0.25)
+
+
+def test_quiet_input_noise_is_no_change_and_one_stumble_is():
+    rng = np.random.default_rng(5)
+    ticks = np.tile(np.sin(0.02 * np.pi * np.arange(1000)), (3, 1)) + 0.01 * rng.standard_normal((3, 1000))
+    assert not input_changes(ticks)
+    ticks[1, 400:420] += 0.2
+    assert input_changes(ticks)
+
+
+def test_warnings_are_stored_and_kept_by_whatever_is_made_of_the_record():
+    values = np.ones(5)
+    record = FrequencyRecord(np.arange(1.0, 6.0), values, warnings=["look out"])
+    assert record.warnings == ("look out",)
+    assert FrequencyRecord.from_dict(json.loads(json.dumps(record.to_dict()))).warnings == ("look out",)
+    assert record.between(0.2, 0.5).warnings == ("look out",)
+    other = FrequencyRecord(
+        np.arange(1.0, 6.0), values, input_names=("u2",), warnings=("look out", "and here")
+    )
+    assert beside([record, other]).warnings == ("look out", "and here")

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
+from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function_estimation.common_poles import estimate_common_poles
+from tests.beam_ident.rao_garnier import PARAMETERS, PERIOD_S, prbs
+
+DENOMINATOR = np.concatenate([[1.0], PARAMETERS[:4]])
+NUMERATORS = (PARAMETERS[4:], np.array([30.0, -50.0, 900.0]))
+
+
+def record(seed: int, snr_db: float = 10.0) -> TimeRecord:
+    rng = np.random.default_rng(seed)
+    drive = InputSignal("u", "", (0.0, PERIOD_S), prbs(2000))
+    outputs = []
+    for name, numerator, n in zip(("fast", "slow"), NUMERATORS, (1900, 1200), strict=True):
+        stamps = np.sort(rng.uniform(0.01, 19.9, n))  # each on a clock of its own
+        size = 5 + len(numerator)
+        model = TransferFunctionModel(numerator, DENOMINATOR, 0.0, np.zeros((size, size)), 0.0)
+        clean = model.simulate(drive, stamps)
+        noise = np.std(clean) / 10 ** (snr_db / 20) * rng.standard_normal(n)
+        outputs.append(OutputSignal(name, "", stamps, clean + noise))
+    return TimeRecord((drive,), tuple(outputs))
+
+
+def test_two_outputs_know_their_poles_better_than_either():
+    both = record(0)
+    joint = estimate_common_poles(both, 4, (1, 2))
+    assert joint.converged
+    alone = [
+        estimate_transfer_function(both, 4, m, output_name=name).model
+        for name, m in (("fast", 1), ("slow", 2))
+    ]
+    precision = [1.0 / model.standard_deviations[:4] ** 2 for model in alone]
+    sd = joint.models[0].standard_deviations[:4]
+    assert np.all(sd < np.min([model.standard_deviations[:4] for model in alone], axis=0))
+    assert np.all(1.0 / sd**2 > 0.8 * np.sum(precision, axis=0))  # information adds up, and correlations help
+    np.testing.assert_array_equal(joint.models[0].denominator, joint.models[1].denominator)
+    np.testing.assert_allclose(joint.models[1].standard_deviations[:4], sd, rtol=0.01)
+
+
+def test_intervals_of_both_outputs_cover_the_truth():
+    scores = []
+    for seed in range(6):
+        joint = estimate_common_poles(record(seed, 15.0), 4, (1, 2))
+        for model, numerator in zip(joint.models, NUMERATORS, strict=True):
+            truth = np.concatenate([DENOMINATOR[1:], numerator])
+            k = len(truth)
+            scores.append((model.parameters[:k] - truth) / model.standard_deviations[:k])
+        assert all(w.is_white for w in joint.whiteness)
+    z = np.concatenate(scores)
+    assert np.max(np.abs(z)) < 4.0
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.4
+
+
+def test_one_output_is_the_fit_of_that_output():
+    single = record(1).select(["fast"])
+    result = estimate_common_poles(single, 4, 1)
+    with pytest.raises(EstimationError, match="no output 'slow'"):
+        result.model("slow")
+    joint = result.model("fast")
+    alone = estimate_transfer_function(single, 4, 1).model
+    np.testing.assert_allclose(joint.parameters, alone.parameters, rtol=1e-3)
+    np.testing.assert_allclose(joint.standard_deviations, alone.standard_deviations, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((0, 0), "expected 1 to 20 poles"),
+        ((2, 3), "no more zeros than both"),
+        ((2, (1, 1, 1)), "3 entries for 2 outputs"),
+    ],
+)
+def test_impossible_requests_are_refused(arguments, says):
+    with pytest.raises(EstimationError, match=says):
+        estimate_common_poles(record(0), *arguments)

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, Prior
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.responses.periodic_averaging import periodic_response
+from beam_ident.transfer_function_estimation.frequency_domain import fit_frequency_transfer_function
+from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, PLANT, siso_record
+
+
+@pytest.mark.parametrize(("hold", "step"), [("zoh", 1), ("zoh", 4), ("linear", 2), ("cubic", 1)])
+def test_a_held_and_folded_response_gives_the_continuous_plant(hold, step):
+    record = siso_record(noise=1e-8, hold=hold, step=step)
+    found = fit_frequency_transfer_function(periodic_response(record, LINE_PERIOD_S, LINES_HZ).response, 2, 0)
+    np.testing.assert_allclose(found.model.parameters[:3], PLANT.parameters[:3], rtol=1e-6)
+
+
+def test_intervals_cover():
+    scores = []
+    for seed in range(40):
+        response = periodic_response(
+            siso_record(noise=0.05, seed=seed, step=2), LINE_PERIOD_S, LINES_HZ
+        ).response
+        model = fit_frequency_transfer_function(response, 2, 0).model
+        scores.append((model.parameters[:3] - PLANT.parameters[:3]) / model.standard_deviations[:3])
+    scores = np.array(scores)
+    assert 0.89 < np.mean(np.abs(scores) < 1.96) <= 1.0  # 120 scores: 95 +- 2 %
+    assert 0.75 < np.sqrt(np.mean(scores**2)) < 1.25
+
+
+def given(numerator, denominator, delay=0.0, noise=1e-4, seed=0):
+    rng = np.random.default_rng(seed)
+    omegas = np.geomspace(0.05, 100.0, 300)
+    s = 1j * omegas
+    clean = np.polyval(numerator, s) / np.polyval(denominator, s) * np.exp(-s * delay)
+    error = noise * np.abs(clean) / np.sqrt(2) * (rng.standard_normal(300) + 1j * rng.standard_normal(300))
+    return FrequencyRecord(omegas, clean + error, (noise * np.abs(clean)) ** 2)
+
+
+def test_the_rao_garnier_plant_is_found_over_three_decades():
+    numerator, denominator = [-6400.0, 1600.0], [1.0, 5.0, 408.0, 416.0, 1600.0]
+    found = fit_frequency_transfer_function(given(numerator, denominator), 4, 1)
+    truth = np.concatenate([denominator[1:], numerator])
+    assert found.converged
+    assert np.max(np.abs(found.model.parameters[:6] - truth) / found.model.standard_deviations[:6]) < 3.6
+    assert found.misfit.is_noise
+
+
+def test_an_unknown_delay_is_found_and_a_known_one_is_kept():
+    record = given([12.0], [1.0, 4.0, 4.0], delay=0.06, noise=1e-2)
+    free = fit_frequency_transfer_function(record, 2, 0, Prior(0.0, np.inf)).model
+    assert abs(free.delay - 0.06) < 3.3 * free.standard_deviations[-1]
+    known = fit_frequency_transfer_function(record, 2, 0, 0.06).model
+    assert known.delay == pytest.approx(0.06, abs=1e-15)
+    assert known.standard_deviations[-1] == 0.0
+    assert known.standard_deviations[0] <= free.standard_deviations[0]
+
+
+def test_an_order_too_low_is_reported():
+    record = given([-6400.0, 1600.0], [1.0, 5.0, 408.0, 416.0, 1600.0])
+    found = fit_frequency_transfer_function(record, 2, 1)
+    assert not found.misfit.is_noise
+    assert found.warnings
+
+
+def test_what_cannot_be_fitted_is_refused():
+    record = given([12.0], [1.0, 4.0, 4.0])
+    with pytest.raises(EstimationError, match="expected 1 to 30 poles"):
+        fit_frequency_transfer_function(record, 0, 0)
+    with pytest.raises(EstimationError, match="no more zeros"):
+        fit_frequency_transfer_function(record, 2, 3)
+    short = dataclasses.replace(record, omegas=record.omegas[:3], response=record.response[:3], variance=None)
+    with pytest.raises(EstimationError, match="Ask for fewer poles"):
+        fit_frequency_transfer_function(short, 4, 1)
+    with pytest.raises(EstimationError, match="takes one of each"):
+        fit_frequency_transfer_function(FrequencyRecord(record.omegas, np.ones((300, 2))), 1, 0)

@@ -1,0 +1,163 @@
+"""Known poles at zero: a hub under force, an axis under velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    OutputSignal,
+    TimeRecord,
+    estimate_transfer_function,
+    validate,
+)
+from beam_ident.transfer_function.model import TransferFunctionModel
+from tests.beam_ident.rao_garnier import prbs
+
+PERIOD_S = 0.01
+RESONANCE = np.array([1.0, 1.2, 225.0])
+NUMERATORS = {1: np.array([4.0, 300.0]), 2: np.array([1.3, 1.0, 150.0])}
+
+
+def truth(k: int) -> TransferFunctionModel:
+    denominator = np.concatenate([RESONANCE, np.zeros(k)])
+    size = len(denominator) + len(NUMERATORS[k])
+    return TransferFunctionModel(NUMERATORS[k], denominator, 0.0, np.zeros((size, size)), 0.0)
+
+
+def record(k: int, hold: str = "zoh") -> TimeRecord:
+    snr_db = {1: 30.0, 2: 60.0}[k]  # of the whole output, most of which is the drift of the integrators
+    rng = np.random.default_rng(4)
+    values = prbs(2000, width=4)
+    drive = InputSignal("force", "N", (0.0, PERIOD_S), values - np.mean(values), hold)
+    stamps = PERIOD_S * (np.arange(1, 1990) + rng.uniform(-0.3, 0.3, 1989))
+    clean = truth(k).simulate(drive, stamps)
+    return TimeRecord(
+        (drive,),
+        (
+            OutputSignal(
+                "x", "m", stamps, clean + np.std(clean) / 10 ** (snr_db / 20) * rng.standard_normal(1989)
+            ),
+        ),
+    )
+
+
+def z(model: TransferFunctionModel, k: int) -> np.ndarray:
+    free = np.concatenate([[0, 1], np.arange(2 + k, len(model.parameters) - 1)])
+    return ((model.parameters - truth(k).parameters) / np.maximum(model.standard_deviations, 1e-300))[free]
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_the_response_behind_integrators_is_exact(k):
+    times = np.linspace(0.0, 5.0, 60)
+    model = truth(k)
+    matrix, entry, row, direct = model.state_space()
+    from scipy.linalg import expm
+
+    size = len(matrix)
+    augmented = np.zeros((size + 1, size + 1))
+    augmented[:size, :size], augmented[:size, size:] = matrix, entry
+    expected = [float((row @ expm(augmented * t)[:size, size:] + direct)[0, 0]) for t in times]
+    np.testing.assert_allclose(model.step_response(times), expected, atol=1e-10)
+    assert model.n_integrators == k
+
+
+@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("hold", ["zoh", "cubic"])
+def test_the_estimated_part_is_found_beside_known_integrators(k, hold):
+    model = estimate_transfer_function(record(k, hold), 2, k, n_integrators=k).model
+    assert np.max(np.abs(z(model, k))) < 4.0
+    np.testing.assert_array_equal(model.denominator[3:], 0.0)
+    assert np.sum(model.poles == 0.0) == k
+    assert np.all(model.standard_deviations[2 : 2 + k] == 0.0)
+    omega, _, omega_sd, _ = model.modes()
+    assert abs(omega[0] - 15.0) < 4.0 * omega_sd[0]
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_a_record_that_begins_in_motion_leaves_what_integrators_remember(k):
+    found = estimate_transfer_function(
+        record(k).between(6.0, 20.0), 2, k, n_integrators=k, has_free_response=True
+    )
+    assert np.max(np.abs(z(found.model, k))) < 4.0
+    assert found.offset != 0.0
+    assert (found.ramp != 0.0) == (k == 2)
+    prediction = found.model.predict(record(k).between(8.0, 20.0))
+    measured = record(k).between(8.0, 20.0).outputs[0].values
+    assert np.std(prediction - measured) < 1.2 * found.model.noise_sd
+
+
+def test_offset_and_ramp_stand_beside_an_integrator():
+    plain = record(1)
+    output = plain.outputs[0]
+    shifted = OutputSignal("x", "m", output.times_s, output.values + 2.0 - 0.3 * output.times_s)
+    found = estimate_transfer_function(
+        TimeRecord(plain.inputs, (shifted,)), 2, 1, n_integrators=1, has_offset=True, has_ramp=True
+    )
+    assert np.max(np.abs(z(found.model, 1))) < 4.0
+    length = output.times_s[-1] - output.times_s[0]
+    assert found.ramp == pytest.approx(-0.3 * length, rel=0.1)
+
+
+def test_numbers_of_integrators_that_make_no_sense_are_refused():
+    with pytest.raises(EstimationError, match="n_integrators is 3"):
+        estimate_transfer_function(record(1), 2, 1, n_integrators=3)
+    with pytest.raises(EstimationError, match="no more zeros than poles"):
+        estimate_transfer_function(record(1), 2, 4, n_integrators=1)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, 4e-3])
+def test_integrators_alone_are_simulated_and_compared(exposure_s):
+    rng = np.random.default_rng(5)
+    values = rng.choice([-1.0, 1.0], 300)
+    drive = InputSignal("volt", "V", (0.0, PERIOD_S), values, "zoh")
+    # Exposures that stay inside one sample, where the position is a straight line.
+    stamps = PERIOD_S * (np.arange(1, 299) + rng.uniform(0.25, 0.75, 298))
+    position = np.interp(stamps, PERIOD_S * np.arange(301), PERIOD_S * np.append(0.0, np.cumsum(values)))
+    axis = TransferFunctionModel(
+        np.array([3.0]), np.array([1.0, 0.0]), 0.0, np.zeros((3, 3)), 0.0, "volt", "x"
+    )
+    np.testing.assert_allclose(axis.simulate(drive, stamps, exposure_s), 3.0 * position, atol=1e-12)
+    np.testing.assert_array_equal(axis.simulation_sd(drive, stamps, exposure_s), 0.0)
+    output = OutputSignal("x", "m", stamps, 3.0 * position + 1.0, exposure_s)
+    (found,) = validate(axis, TimeRecord((drive,), (output,))).outputs
+    assert found.scores.fit_percent > 99.999
+    assert np.isnan(found.noise_ratio)
+    assert "times those of the estimation" not in found.verdict
+
+
+def test_a_small_output_that_is_predicted_down_to_its_noise_is_not_called_poor():
+    rng = np.random.default_rng(6)
+    drive = InputSignal("force", "N", (0.0, PERIOD_S), prbs(2000, width=4), "zoh")
+    stamps = PERIOD_S * np.arange(1, 1990)
+    small = TransferFunctionModel(
+        np.array([225.0]), RESONANCE, 0.0, np.zeros((4, 4)), 2.0, "force", "x"
+    )  # an output below its noise of 2 m
+    seen = small.simulate(drive, stamps) + 2.0 * rng.standard_normal(len(stamps))
+    record = TimeRecord((drive,), (OutputSignal("x", "m", stamps, seen),))
+    assert validate(small, record).outputs[0].verdict.startswith("noise-limited")
+    other = TransferFunctionModel(np.array([-225.0]), RESONANCE, 0.0, np.zeros((4, 4)), 2.0, "force", "x")
+    assert validate(other, record).outputs[0].verdict.startswith("poor")
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_integrators_alone_are_refused_with_what_finds_them(k):
+    with pytest.raises(
+        EstimationError, match=r"n_poles of at least 1.*slope of the output over the input's integral"
+    ):
+        estimate_transfer_function(record(1), 0, 0, n_integrators=k)
+
+
+def test_what_the_refusal_advises_finds_an_integrators_gain():
+    own = record(1)
+    drive, stamps = own.inputs[0], own.outputs[0].times_s
+    integral = drive.signal().antiderivative()(stamps)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(stamps))
+    axis = TimeRecord((drive,), (OutputSignal("x", "m", stamps, 3.0 + 2.0 * integral + noise),))
+    model = estimate_transfer_function(axis, 1, 0, has_offset=True).model
+    pole_sd, gain_sd = model.standard_deviations[:2]
+    assert abs(model.denominator[1]) < 4.0 * pole_sd
+    assert abs(model.numerator[0] - 2.0) < 4.0 * gain_sd
+    assert np.polyfit(integral, axis.outputs[0].values, 1)[0] == pytest.approx(2.0, rel=0.01)

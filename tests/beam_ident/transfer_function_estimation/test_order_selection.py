@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
+from beam_ident.transfer_function_estimation.order_selection import select_transfer_function
+from tests.beam_ident.rao_garnier import benchmark_record
+
+
+def degrees(selection):
+    return selection.chosen.model.n_poles, len(selection.chosen.model.numerator) - 1
+
+
+@pytest.mark.parametrize("snr_db", [20.0, 5.0])
+def test_the_true_degrees_are_chosen_and_the_table_says_why_others_were_not(snr_db):
+    seen = []
+    selection = select_transfer_function(
+        benchmark_record(0, snr_db), range(3, 6), [1, 2], progress=lambda phrase, share: seen.append(share)
+    )
+    assert degrees(selection) == (4, 1)
+    assert len(selection.table) == 6
+    assert [e.is_chosen for e in selection.table].count(True) == 1
+    assert seen[-1] == 1.0
+    bics = [e.bic for e in selection.table]
+    assert bics == sorted(bics)
+    lines = str(selection).splitlines()
+    assert lines[0].split()[:7] == ["poles", "zeros", "R_T^2", "YIC", "FIT", "%", "AIC"]
+    assert [line.split()[1:3] for line in lines if line.startswith("->")] == [["4", "1"]]
+
+
+def test_processes_give_the_same_table():
+    record = benchmark_record(1, 10.0)
+    alone = select_transfer_function(record, [3, 4], [1])
+    shared = select_transfer_function(record, [3, 4], [1], n_workers=2)
+    assert degrees(alone) == degrees(shared)
+    np.testing.assert_allclose([e.bic for e in alone.table], [e.bic for e in shared.table], rtol=1e-12)
+
+
+def test_one_start_for_each_structure_leaves_none_in_a_local_optimum_that_matters():
+    record = benchmark_record(3, 5.0)
+    selection = select_transfer_function(record, [4, 5], [1, 2])
+    for entry in selection.table:
+        thorough = estimate_transfer_function(record, entry.n_poles, entry.n_zeros)
+        assert entry.bic < thorough.bic + 1.0
+
+
+def test_noise_alone_passes_no_gate():
+    rng = np.random.default_rng(0)
+    drive = InputSignal("u", "", (0.0, 0.01), rng.standard_normal(600))
+    record = TimeRecord((drive,), (OutputSignal("y", "", (0.0, 0.01), rng.standard_normal(600)),))
+    with pytest.raises(EstimationError, match="passes the gates"):
+        select_transfer_function(record, [3, 4], [2])
+    with pytest.raises(EstimationError, match="no structure to try"):
+        select_transfer_function(record, [])
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("snr_db", [20.0, 5.0])
+def test_the_true_degrees_are_chosen_in_nearly_every_record(snr_db):
+    right = sum(degrees(select_transfer_function(benchmark_record(k, snr_db))) == (4, 1) for k in range(30))
+    assert right >= 28

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, InputSignal, OutputSignal, Prior
+from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances, Path, usable_samples
+from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
+
+RNG = np.random.default_rng(3)
+DRIVES = (
+    InputSignal("held", "", (0.0, 0.05), RNG.standard_normal(200), "zoh"),
+    InputSignal("joined", "", np.sort(RNG.uniform(-1.0, 11.0, 90)), RNG.standard_normal(90), "cubic"),
+)
+STAMPS = np.sort(RNG.uniform(0.4, 9.6, 150))
+
+
+def problem(
+    own_poles: bool = True,
+    exposure_s: float = 0.0,
+    n_integrators: int = 0,
+    delay: Prior | None = None,
+    several: bool = False,
+) -> OutputErrorProblem:
+    nuisances = Nuisances(True, True, True)
+    delay = delay or Prior(0.0, np.inf)
+    paths = tuple(
+        Path.of(drive, m, block if own_poles else 0, delay, n_integrators, 0.2)
+        for block, (drive, m) in enumerate(zip(DRIVES, (1, 2), strict=True))
+    )
+    values = np.sin(3.0 * STAMPS) + 0.3 * STAMPS + RNG.standard_normal(len(STAMPS))
+    experiments = [Experiment("record", paths, STAMPS, values, exposure_s)]
+    if several:  # the same inputs, another clock
+        later = np.sort(np.random.default_rng(7).uniform(0.4, 9.6, 80))
+        experiments.append(Experiment("second", paths, later, np.cos(2.0 * later) + 1.0, exposure_s))
+    return OutputErrorProblem(experiments, (2, 3) if own_poles else (3,), nuisances)
+
+
+def a_point(case: OutputErrorProblem) -> np.ndarray:
+    case.scale = 4.0
+    polynomials = [np.poly([-0.3 + 1j, -0.3 - 1j])[1:], np.poly([-0.2 + 2j, -0.2 - 2j, -0.8])[1:]]
+    chosen = polynomials if len(case.orders) == 2 else polynomials[1:]
+    return np.concatenate([*(np.real(a) for a in chosen), [0.123, 0.31]])
+
+
+@pytest.mark.parametrize("own_poles", [True, False])
+@pytest.mark.parametrize("exposure_s", [0.0, 0.03])
+@pytest.mark.parametrize("n_integrators", [0, 1, 2])
+def test_the_gradient_is_that_of_the_model_in_every_denominator_and_delay(
+    own_poles, exposure_s, n_integrators
+):
+    case = problem(own_poles, exposure_s, n_integrators)
+    theta = a_point(case)
+    state = case.state(theta)
+    found = case.jacobian(state)
+    for i in range(len(theta)):
+        step = np.zeros_like(theta)
+        step[i] = 1e-6
+        ahead, behind = case.point(theta + step).matrix, case.point(theta - step).matrix
+        expected = (ahead - behind) @ state.coefficients / 2e-6
+        if (
+            i == case.n_a and exposure_s == 0.0
+        ):  # a held input jumps where a stamp crosses its knot: leave those out
+            odd = np.abs((STAMPS - theta[i]) / 0.05 - np.round((STAMPS - theta[i]) / 0.05)) < 1e-3
+            expected, column = expected[~odd], found[~odd, i]
+        else:
+            column = found[:, i]
+        np.testing.assert_allclose(column, expected, atol=2e-6 * max(np.max(np.abs(expected)), 1.0))
+
+
+def test_the_slope_is_the_gradient_of_the_cost_priors_included():
+    case = problem(own_poles=False, delay=Prior(0.1, 0.05))
+    theta = a_point(case)
+    _, direction = case.slope(case.state(theta))
+    for i in range(len(theta)):
+        step = np.zeros_like(theta)
+        step[i] = 1e-6
+        numeric = (case.state(theta + step).cost - case.state(theta - step).cost) / 2e-6
+        assert -direction[i] == pytest.approx(numeric, rel=2e-3, abs=1e-2)
+
+
+def test_points_that_are_not_allowed_have_infinite_cost():
+    case = problem(own_poles=False)
+    theta = a_point(case)
+    for bad in (-theta, np.full_like(theta, np.nan), theta * np.array([1, 1, 1, -10.0, 1])):
+        assert case.state(bad).cost == np.inf
+
+
+def test_a_step_moves_a_delay_by_one_sample_at_most():
+    case = problem()
+    theta = a_point(case)
+    moved = case.limited(theta, np.full_like(theta, 10.0))
+    np.testing.assert_allclose(moved[case.n_a :] - theta[case.n_a :], case.period)
+
+
+def test_samples_count_where_every_input_is_known():
+    output = OutputSignal(
+        "y", "", np.array([-0.5, 0.0, 5.0, 9.99, 10.5]), np.array([1.0, 2, np.nan, 4, 5]), 0.01
+    )
+    np.testing.assert_array_equal(usable_samples(output, list(DRIVES)), [False, False, False, True, False])
+
+
+def test_too_few_samples_are_refused_with_their_number():
+    case = problem()
+    with pytest.raises(EstimationError, match="15 usable samples"):
+        OutputErrorProblem(
+            [Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)], (2, 3), Nuisances()
+        )
+    long, short = case.experiments[0], Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)
+    with pytest.raises(EstimationError, match="15 usable samples in record 'short'"):
+        OutputErrorProblem([long, short], (2, 3), Nuisances())

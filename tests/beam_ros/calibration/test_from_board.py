@@ -1,0 +1,88 @@
+"""`beam calibrate --board`: scale and lens from pictures of a checkerboard, as files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+cv2 = pytest.importorskip("cv2")
+
+import numpy as np  # noqa: E402
+
+from beam_ros.cli.main import main  # noqa: E402
+from beam_ros.vision.calibration.lens import Lens  # noqa: E402
+from beam_ros.vision.calibration.storage import load_calibration  # noqa: E402
+from tests.beam_ros.vision.calibration.test_checkerboard import POSES, picture  # noqa: E402
+
+PERFECT = Lens((900.0, 900.0), (320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0))
+BENT = Lens((900.0, 900.0), (322.0, 238.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
+BOARD = ["--board", "8x6", "--square", "0.02"]
+
+
+def write(path: Path, image: np.ndarray) -> Path:
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+def test_a_picture_in_the_beams_plane_gives_the_scale(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plane = write(tmp_path / "plane.png", picture(*POSES[0], lens=PERFECT))
+    file = tmp_path / "scale.yaml"
+    words = ["calibrate", str(plane), *BOARD, "--square-sd", "2e-5", "--save", str(file)]
+    assert main([*words, "-p", "camera.focus:=0.35 m"]) == 0
+    shown = capsys.readouterr().out
+    assert "px/m" in shown
+    assert "no tilted pictures" in shown
+    calibration = load_calibration(file)
+    assert calibration.pixels_per_metre == pytest.approx([900 / 0.35] * 3, rel=5e-4)
+    # The ruler's 0.1 % is nearly all of it.
+    assert np.sqrt(calibration.covariance[0][0][0]) == pytest.approx(900 / 0.35 * 1e-3, rel=0.1)
+    assert (calibration.focus, calibration.image_size) == ("0.35 m", (640, 480))
+    assert calibration.provenance["square_m"] == 0.02
+
+
+def test_tilted_pictures_give_the_lens_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [
+        str(write(tmp_path / f"{k}.png", picture(*pose, lens=BENT, seed=k))) for k, pose in enumerate(POSES)
+    ]
+    assert main(["calibrate", *files, *BOARD, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["calibration"]["pixels_per_metre"][0] == pytest.approx(900 / 0.35, rel=3e-3)
+    lens = result["calibration"]["provenance"]["lens"]
+    assert lens["focal_px"] == pytest.approx([900.0, 900.0], rel=3e-3)
+    assert lens["distortion"][0] == pytest.approx(-0.21, abs=0.02)
+
+
+def test_a_video_of_the_board_will_do(tmp_path: Path) -> None:
+    frame = picture(*POSES[0], lens=PERFECT)
+    video = tmp_path / "board.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, (640, 480), False)
+    for _ in range(3):
+        writer.write(frame)
+    writer.release()
+    assert main(["calibrate", str(video), *BOARD, "--save", str(tmp_path / "c.yaml")]) == 0
+    assert load_calibration(tmp_path / "c.yaml").pixels_per_metre[0] == pytest.approx(900 / 0.35, rel=5e-4)
+
+
+def test_what_shows_no_board_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = write(tmp_path / "empty.png", np.full((480, 640), 90, np.uint8))
+    small = write(tmp_path / "small.png", np.full((240, 320), 90, np.uint8))
+    text = tmp_path / "text.png"
+    text.write_text("no picture", encoding="utf-8")
+    for words, message in (
+        ([str(empty), *BOARD], "no checkerboard of 8 x 6"),
+        ([str(small), *BOARD], "is 320 x 240; expected 640 x 480"),
+        ([str(text), *BOARD], "text.png"),
+        ([str(tmp_path / "absent.png"), *BOARD], "no such picture or video"),
+        ([str(empty), "--board", "8by6", "--square", "0.02"], "as 8x6"),
+        ([str(empty), "--board", "8x6"], "needs --square"),
+        ([str(empty), "--board", "2x6", "--square", "0.02"], "at least 3 x 3"),
+        ([str(empty), "--board", "8x6", "--square", "-1"], "expected metres > 0"),
+    ):
+        status = main(["calibrate", *words])
+        error = capsys.readouterr().err.strip().splitlines()
+        assert (status, len(error)) == (2, 1), (words, error)
+        assert message in error[0]

@@ -1,0 +1,170 @@
+"""The excitation against the hub's limits and the beam's predicted motion."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+
+from beam_ident import Recipe
+from beam_ros.cli.offline import design as design_verb
+from beam_ros.cli.offline.design import describe_design
+from beam_ros.errors import UsageError
+from beam_ros.excitation.plan import plan_excitation, tip_guard
+from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.interfaces.schema import RIG_PARAMETERS
+from beam_ros.rig.rig import Rig
+
+
+def test_the_default_chirp_keeps_the_tip_within_linear_theory() -> None:
+    plan = plan_excitation(Rig.from_file())
+    # 18.5 mm in mode 1 by the one-mode estimate for 0.7 m/s^2 over 20 s without gravity; upright a little more.
+    assert 0.018 < plan.prediction.tip_deflection < 0.022
+    assert np.max(np.abs(plan.sampled.positions)) <= 0.005
+    assert np.max(np.abs(plan.sampled.accelerations)) <= 0.7 * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"excitation.acceleration": 2.0}, "hub.max_tip_deflection"),
+        ({"excitation.acceleration": 12.0, "excitation.start_frequency": 90.0}, "peak acceleration"),
+        ({"hub.travel": 0.005}, "peak travel"),
+        ({"hub.max_speed": 0.01}, "peak speed"),
+        ({"hub.max_effort": 0.1}, "hub.max_effort"),
+        ({"beam.max_root_strain": 1e-4}, "beam.max_root_strain"),
+    ],
+)
+def test_what_leaves_a_limit_is_refused_with_the_limit_named(change: dict[str, object], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        plan_excitation(Rig.from_file().with_values(change))
+
+
+@pytest.mark.parametrize("kind", ["chirp", "multisine", "step"])
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
+def test_every_signal_in_every_mode_passes_the_hubs_own_guard(kind: str, mode: str) -> None:
+    rig = Rig.from_file().with_values(
+        {
+            "excitation.kind": kind,
+            "hub.command_mode": mode,
+            "excitation.duration": 4.0,
+            "excitation.still": 1.0,
+            "excitation.acceleration": 0.2,
+        }
+    )
+    plan = plan_excitation(rig)
+    assert tip_guard(rig)(plan.values) is None
+    assert np.all(np.isfinite(plan.values))
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
+def test_the_guard_refuses_a_resonant_sequence_in_every_mode(mode: str) -> None:
+    rig = Rig.from_file().with_values({"hub.command_mode": mode})
+    t = np.arange(8000) * 1e-3
+    omega = rig.beam_model().natural_frequencies[0]
+    x = 1e-3 * np.sin(omega * t)
+    values = {"position": x, "velocity": np.gradient(x, t), "acceleration": -(omega**2) * x}[mode]
+    assert "predicted tip" in str(tip_guard(rig)(values))
+
+
+@pytest.mark.parametrize("kind", RIG_PARAMETERS["excitation.kind"].choices)
+def test_every_kind_of_the_schema_makes_a_plan_with_the_packaged_values(kind: str) -> None:
+    rig = Rig.from_file().with_values(
+        {"excitation.kind": kind, "excitation.acceleration": 0.2, "excitation.duration": 5.0}
+    )
+    plan = plan_excitation(rig)
+    assert tip_guard(rig)(plan.values) is None
+    assert Recipe.from_dict(plan.info(rig)["recipe"]) == plan.recipe
+    assert abs(plan.sampled.positions[-1]) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (
+            {"kind": "multisine", "lines": "random_odd", "detection_group": 5, "line_period": 4.0, "seed": 9},
+            {"odd_only": True, "detection_group": 5, "line_period_s": 4.0, "n_periods": 5, "seed": 9},
+        ),
+        (
+            {"kind": "multisine", "lines": "odd", "phases": "schroeder"},
+            {"odd_only": True, "detection_group": 0, "phases": "schroeder", "n_periods": 2},
+        ),
+        ({"kind": "linear_chirp", "max_velocity": 0.01}, {"velocity_ceiling": 0.01, "sweep_s": 20.0}),
+        ({"kind": "chirp"}, {"velocity_ceiling": None}),
+        (
+            {"kind": "prbs", "drive": "velocity", "order": 9, "clock_period": 0.01, "edge_time": 0.01},
+            {"drive": "velocity", "amplitude": 0.05, "order": 9, "rise_s": 0.01, "n_periods": 4},
+        ),
+        (
+            {"kind": "prbs", "inverse_repeat": True, "order": 10, "high_pass": 2.0},
+            {"inverse_repeat": True, "n_periods": 2, "high_pass_hz": 2.0, "amplitude": 0.7},
+        ),
+        (
+            {"kind": "pulse", "drive": "position", "step_size": -1e-4, "width": 0.3},
+            {"amplitude": -1e-4, "width_s": 0.3},
+        ),
+        ({"kind": "sine", "start_frequency": 3.0, "duration": 10.0}, {"frequency_hz": 3.0, "n_cycles": 30.0}),
+        (
+            {"kind": "stepped_sine", "frequencies": [3.0, 5.0], "measure_cycles": 7},
+            {"frequencies_hz": (3.0, 5.0), "measure_cycles": 7},
+        ),
+        (
+            {"kind": "moves", "waypoints": [0.01, 0.0], "profile": "quintic", "jerk": 5.0},
+            {"waypoints": (0.01, 0.0), "profile": "quintic", "jerk": 5.0, "acceleration": 0.7},
+        ),
+    ],
+)
+def test_parameters_reach_their_recipe(values: dict[str, object], expected: dict[str, object]) -> None:
+    rig = Rig.from_file().with_values({f"excitation.{name}": value for name, value in values.items()})
+    recipe = recipe_of_rig(rig)
+    assert {name: getattr(recipe, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"kind": "prbs", "clock_period": 0.0015}, "a whole number of periods of 0.001 s"),
+        ({"kind": "moves", "waypoints": [0.001]}, "at least two displacements"),
+        ({"kind": "noise", "end_frequency": 600.0}, "half the rate of hub.period"),
+        ({"kind": "pulse", "edge_time": 1.0}, "at most width_s"),
+        ({"max_jerk": 100.0}, "peak jerk"),
+    ],
+)
+def test_parameters_that_make_no_signal_are_refused(values: dict[str, object], words: str) -> None:
+    rig = Rig.from_file().with_values({f"excitation.{name}": value for name, value in values.items()})
+    with pytest.raises(UsageError, match=words):
+        plan_excitation(rig)
+
+
+def test_a_design_tells_crest_factors_band_and_unresolved_modes() -> None:
+    design = describe_design(Rig.from_file())
+    assert [level["quantity"] for level in design["levels"]] == ["acceleration", "velocity", "position"]
+    low, high = design["band_hz"]
+    assert low < 1.5
+    assert 85.0 < high < 100.0
+    assert [mode["is_in_band"] for mode in design["modes"]] == [True, True, True, False, False]
+    # 30 s tell 0.033 Hz apart, the first mode's band is 0.044 Hz wide.
+    assert len(design["warnings"]) == 1
+    assert "mode at 4.38" in design["warnings"][0]
+    json.dumps(design)
+
+
+def test_a_design_is_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    design_verb.add_arguments(parser)
+    assert design_verb.run(parser.parse_args(["-p", "excitation.kind:=multisine"])) == 0
+    text = capsys.readouterr().out
+    assert "e-0" not in text.partition("predicted tip [mm]")[2]  # no lengths of a few nanometres
+    assert "< 0.001" in text
+    (warning,) = [line for line in text.splitlines() if "half-power bands of" in line]
+    assert warning.startswith("modes at 4.384 and 28.26 Hz: 0.44 and 2.8 lines")
+
+
+def test_a_plan_describes_itself_completely() -> None:
+    rig = Rig.from_file()
+    info = plan_excitation(rig).info(rig)
+    assert info["recipe"]["kind"] == "log_chirp"
+    assert info["hold"] == "zoh"
+    assert Rig.from_nested(info["rig"]) == rig

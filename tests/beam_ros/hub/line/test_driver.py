@@ -1,0 +1,308 @@
+"""The driver against the emulated controller on a real pseudo-terminal, in real time."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_model import BeamModel, BeamParameters
+from beam_ros.hub.contract import SequenceChunk
+from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.line.driver import DriverHub
+from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.simulated.plant import BeamPlant
+from tests.beam_ros.hub.hub_scenes import DriverRig, Rig, SimulatedRig, chunks_of, rest_to_rest
+
+ROOT = Path(__file__).parents[4]
+ACCELERATION = HubParameters(clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=0.001)
+VELOCITY = dataclasses.replace(ACCELERATION, command_mode="velocity")
+# For what is not about watchdogs: a busy computer that stands still for half a second changes nothing.
+PATIENT = dataclasses.replace(ACCELERATION, watchdog_s=1.0, buffer_samples=4096)
+
+
+@pytest.fixture
+def start(tmp_path):
+    rigs = []
+
+    def start_rig(parameters: HubParameters, plant: object = None) -> DriverRig:
+        rigs.append(DriverRig(parameters, tmp_path, plant))
+        rigs[-1].connect()
+        return rigs[-1]
+
+    yield start_rig
+    for rig in rigs:
+        rig.close()
+
+
+def states(reports):
+    return [s.state for r in reports for s in r.sequences]
+
+
+def load(rig: Rig, values: np.ndarray, lead_ns: int = 300_000_000) -> None:
+    for chunk in chunks_of(values, rig.now.unix_ns + lead_ns):
+        rig.hub.load(chunk, rig.now)
+
+
+def hold_velocity(rig: Rig, value: float, seconds: float) -> None:
+    for _ in range(round(seconds / 0.05)):
+        assert rig.hub.setpoint(rig.now.unix_ns, value, rig.now).success
+        rig.run(0.05)
+
+
+def script(rig: Rig) -> list[object]:
+    """Do what a session does, right and wrong, and return all answers."""
+    answers: list[object] = []
+
+    def note(*things: object) -> None:
+        answers.extend(things)
+
+    note(rig.ask("enable"), rig.hub.setpoint(rig.now.unix_ns, 0.1, rig.now))
+    note(rig.ask("home"), rig.ask("clear_fault"), rig.ask("enable"), rig.ask("home"), rig.ask("enable"))
+    note(rig.hub.setpoint(0, 0.1, rig.now), rig.hub.setpoint(rig.now.unix_ns, 99.0, rig.now))
+    note(rig.hub.setpoint(rig.now.unix_ns - 10**9, 0.1, rig.now).success)
+
+    rig.hub.load(SequenceChunk("old", 1, 1, rig.now.unix_ns - 10**9, 1_000_000, 0, np.ones(9)), rig.now)
+    rig.hub.load(SequenceChunk("nan", 1, 1, rig.now.unix_ns + 10**9, 1_000_000, 0, np.ones(9)), rig.now)
+    note(states(rig.run(0.05)))
+
+    load(rig, rest_to_rest(700))
+    note(rig.hub.setpoint(rig.now.unix_ns, 0.1, rig.now))
+    reports = rig.until(lambda r: "done" in states([r]))
+    note([s for r in reports for s in r.sequences], reports[-1].status.state)
+
+    load(rig, rest_to_rest(1500))
+    rig.until(lambda r: "running" in states([r]))
+    note(rig.ask("stop"), rig.reports[-1].status.state, rig.reports[-1].status.fault)
+    note([s for r in rig.reports[-30:] for s in r.sequences][-1], rig.ask("stop"), rig.ask("enable"))
+
+    # Away at 1 m/s^2: refused by the axis itself 45 mm later.
+    note(rig.hub.setpoint(rig.now.unix_ns, 1.0, rig.now).success)
+    for _ in range(40):
+        if rig.run(0.05)[-1].status.state == "fault":
+            break
+        rig.hub.setpoint(rig.now.unix_ns, 1.0, rig.now)
+    note(rig.reports[-1].status.state, rig.reports[-1].status.fault.split(":")[0])
+    rig.run(0.2)
+    note(rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state)
+    note(rig.ask("enable"))
+    note(rig.hub.setpoint(rig.now.unix_ns, -0.2, rig.now))
+    rig.until(lambda r: r.status.state != "enabled")
+    rig.run(0.1)
+    note(rig.reports[-1].status.state, rig.reports[-1].status.fault, rig.reports[-1].status.velocity)
+    note(
+        [e.text for r in rig.reports for e in r.events if e.text.startswith("axis") and "limit" not in e.text]
+    )
+    return answers
+
+
+def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
+    simulated = script(SimulatedRig(PATIENT))
+    real = script(start(PATIENT))
+    # The simulated device was identified before anyone listened.
+    real[-1].remove("axis identified")
+    assert real == simulated
+
+
+def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
+    rig_parameters = BeamParameters.from_section(0.3, 0.025, 0.0005, 7850.0, 200e9, hub_mass=0.8)
+    values = rest_to_rest(1800, 0.7)
+
+    def record(rig: Rig) -> dict[str, np.ndarray]:
+        rig.enable()
+        load(rig, values)
+        reports = rig.until(lambda r: "done" in states([r])) + rig.run(0.1)
+        applied = np.concatenate([b.accelerations for r in reports for b in r.applied])
+        begin = np.flatnonzero(applied == values[1])[0] - 1
+        part = slice(begin, begin + 1820)
+        return {
+            "applied": applied[part],
+            "x": np.concatenate([b.positions for r in reports for b in r.measured])[part],
+            "v": np.concatenate([b.velocities for r in reports for b in r.measured])[part],
+            "f": np.concatenate([b.efforts for r in reports for b in r.measured])[part],
+        }
+
+    parameters = dataclasses.replace(PATIENT, initial_position=0.0)
+    simulated = record(SimulatedRig(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
+    real = record(start(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
+    assert np.array_equal(simulated["applied"][:1800], values)
+    for name, array in simulated.items():
+        assert np.array_equal(real[name], array), name
+
+
+def test_stamps_are_the_true_times_to_a_tenth_of_a_millisecond(start):
+    rig = start(ACCELERATION)
+    reports = rig.run(1.5)
+    batches = [b for r in reports for b in r.measured]
+    stamps = np.array([b.stamp_ns for b in batches])
+    assert len(stamps) >= 72
+    assert np.all(np.diff(stamps) > 0)
+    assert np.all(np.abs(np.diff(stamps) - 20_000_000) < 20_000_000 * 6e-4)
+    true_ns = []
+    for stamp in stamps:
+        device_ns = rig.emulator._device_ns_of(int(stamp))
+        true_ns.append(device_ns - round(device_ns / 1e6) * 1_000_000)
+    assert np.max(np.abs(true_ns)) < 100_000
+    counters = reports[-1].status.counters
+    assert counters["lost_ticks"] == counters["bad_frames"] == counters["unknown_messages"] == 0
+
+
+def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(start):
+    rig = start(ACCELERATION)
+    rig.enable()
+    load(rig, rest_to_rest(3000))
+    rig.until(lambda r: "running" in states([r]))
+    rig.run(0.3)
+    rig.emulator.unplug()
+    reports = [*rig.until(lambda r: "aborted" in states([r])), *rig.run(0.6)]
+    assert states(reports) == ["aborted"]
+    assert reports[-1].status.state == "disconnected"
+    (event,) = [e for r in reports for e in r.events]
+    assert event.level == "error"
+    assert "was lost" in event.text
+    assert rig.emulator.axis.state == "homed"
+    assert rig.emulator.axis.velocity == 0.0
+    rig.emulator.plug()
+    reports = rig.until(lambda r: r.status.state == "homed")
+    rig.run(0.3)
+    stamps = [b.stamp_ns for r in rig.reports for b in r.measured]
+    assert np.all(np.diff(stamps) > 0)
+    assert np.max(np.diff(stamps)) > 500_000_000
+    assert rig.ask("enable").success
+
+
+def test_garbage_on_the_line_does_not_disturb_a_sequence(start):
+    rig = start(PATIENT)
+    rig.enable()
+    load(rig, rest_to_rest(800))
+    rng = random.Random(5)
+    for _ in range(26):
+        rig.emulator.inject(rng.randbytes(rng.randint(1, 300)))
+        rig.run(0.05)
+    assert states(rig.reports)[-1] == "done"
+    assert rig.reports[-1].status.counters["bad_frames"] > 0
+    assert rig.reports[-1].status.state == "enabled"
+
+
+def test_a_frozen_host_finds_the_axis_stopped_by_its_own_watchdog(start):
+    rig = start(VELOCITY)
+    rig.enable()
+    hold_velocity(rig, 0.05, 0.3)
+    assert rig.emulator.axis.velocity == pytest.approx(0.05, abs=1e-3)
+    frozen_at = time.monotonic()
+    while rig.emulator.axis.velocity != 0.0 or rig.emulator.axis.state != "homed":
+        assert time.monotonic() - frozen_at < 1.0
+        time.sleep(0.005)
+    assert time.monotonic() - frozen_at > 0.15
+    rig.run(0.5)
+    assert rig.reports[-1].status.state == "homed"
+    assert "0.25 s" in rig.reports[-1].status.fault
+
+
+def test_close_leaves_a_moving_axis_at_rest(start):
+    rig = start(VELOCITY)
+    rig.enable()
+    hold_velocity(rig, 0.1, 0.2)
+    begin = time.monotonic()
+    rig.hub.close()
+    assert time.monotonic() - begin < 0.5
+    assert rig.emulator.axis.velocity == 0.0
+    assert rig.emulator.axis.state == "homed"
+    assert threading.active_count() <= 3
+
+
+def test_a_power_cut_of_the_controller_is_a_new_epoch(start):
+    rig = start(ACCELERATION)
+    rig.enable()
+    rig.run(0.2)
+    rig.emulator.restart()
+    reports = rig.until(lambda r: r.status.state == "identified")
+    reports += rig.until(lambda r: bool(r.measured))
+    assert any("restarted" in e.text for r in reports for e in r.events)
+    batches = [b for r in rig.reports for b in r.measured]
+    assert {b.epoch for b in batches} == {1, 2}
+    assert np.all(np.diff([b.stamp_ns for b in batches]) > 0)
+
+
+CHILD = """
+import sys, time
+from beam_ros.hub.contract import HostTime
+from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.line.driver import DriverHub
+
+hub = DriverHub(HubParameters(command_mode="velocity", serial_port=sys.argv[1]))
+wanted = ["home", "enable"]
+state = "disconnected"
+while True:
+    now = HostTime(time.monotonic_ns(), time.time_ns())
+    report = hub.poll(now)
+    if report.status.state == "identified" and state != "identified":
+        hub.request("home")
+    elif report.status.state == "homed" and state != "homed":
+        hub.request("enable")
+    elif report.status.state == "enabled":
+        hub.setpoint(now.unix_ns, 0.05, now)
+    state = report.status.state
+    time.sleep(0.02)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_killed_or_stopped_process_leaves_the_axis_stopped(tmp_path, number):
+    emulator = EmulatedController(VELOCITY, BeamPlant(_beam(), 1e-3), link=tmp_path / "hub")
+    child = subprocess.Popen([sys.executable, "-c", CHILD, emulator.port], cwd=ROOT)
+    try:
+        end = time.monotonic() + 8.0
+        while abs(emulator.axis.velocity - 0.05) > 1e-3:
+            assert time.monotonic() < end
+            assert child.poll() is None
+            time.sleep(0.01)
+        os.kill(child.pid, number)
+        time.sleep(0.6)
+        assert emulator.axis.velocity == 0.0
+        assert emulator.axis.state == "homed"
+        assert "0.25 s" in emulator.axis.reason
+    finally:
+        child.kill()
+        child.wait()
+        emulator.close()
+
+
+def _beam() -> BeamModel:
+    return BeamModel(BeamParameters.from_section(0.3, 0.025, 0.0005, 7850.0, 200e9, hub_mass=0.8))
+
+
+def test_a_missing_port_is_one_clear_error():
+    with pytest.raises(OSError, match="/dev/no-such-port") as caught:
+        DriverHub(HubParameters(serial_port="/dev/no-such-port"))
+    text = str(caught.value)
+    assert "expected an existing port" in text
+    assert "correct serial.port" in text
+    assert "\n" not in text
+
+
+def test_an_unnamed_port_is_one_clear_error():
+    with pytest.raises(OSError, match=r"set serial\.port"):
+        DriverHub(HubParameters())
+
+
+def test_a_file_is_no_port(tmp_path):
+    (tmp_path / "file").write_text("not a port")
+    with pytest.raises(OSError, match="cannot be opened"):
+        DriverHub(HubParameters(serial_port=str(tmp_path / "file")))
+
+
+def test_a_port_in_use_is_not_shared(start):
+    rig = start(ACCELERATION)
+    with pytest.raises(OSError, match="no other program"):
+        DriverHub(dataclasses.replace(ACCELERATION, serial_port=rig.emulator.port))
+    assert rig.run(0.1)[-1].status.state == "identified"

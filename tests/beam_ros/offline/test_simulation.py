@@ -1,0 +1,139 @@
+"""The experiment without ROS: into a bag, back out of it, and to the model that it was made from."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ident import ModalModel
+from beam_ros.bags.errors import BagError, BagExistsError, MissingTopicsError
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.writing import BagWriter
+from beam_ros.errors import UsageError
+from beam_ros.offline.identification import format_table, identify_bag, load_experiment
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.rig import Rig
+
+SHORT = {"excitation.duration": 6.0, "excitation.still": 2.0, "excitation.end_frequency": 45.0}
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig.from_file().with_values(SHORT)
+
+
+@pytest.fixture(scope="module")
+def bag(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("simulated") / "bag"
+    simulate(rig, path)
+    return path
+
+
+def test_the_identified_poles_are_the_models_own(rig: Rig, bag: Path) -> None:
+    result = identify_bag(bag)
+    truth = rig.beam_model().natural_frequencies / (2 * math.pi)
+    assert result["converged"]
+    assert len(result["modes"]) == 2
+    for k, mode in enumerate(result["modes"]):
+        assert mode["frequency_hz"] == pytest.approx(truth[k], rel=3e-3)
+        assert mode["damping_ratio"] == pytest.approx(0.005, rel=0.15)
+        assert abs(mode["frequency_z"]) < 4
+        assert abs(mode["damping_ratio_z"]) < 4
+
+
+def test_the_same_seed_gives_the_same_messages_and_another_one_other_noise(
+    rig: Rig, bag: Path, tmp_path: Path
+) -> None:
+    simulate(rig, tmp_path / "again")
+    simulate(rig.with_values({"simulation.seed": 2}), tmp_path / "other")
+    positions = []
+    for path in (bag, tmp_path / "again", tmp_path / "other"):
+        with Bag(path) as opened:
+            positions.append(opened.displacements().positions)
+    assert np.array_equal(positions[0], positions[1])
+    assert np.std(positions[0] - positions[2]) == pytest.approx(5e-6 * math.sqrt(2), rel=0.1)
+
+
+def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    short = rig.with_values({"excitation.duration": 2.0, "excitation.still": 0.2})
+    simulate(short, tmp_path / "camera", with_camera=True)
+    simulate(short.with_values({"simulation.displacement_noise": 0.0}), tmp_path / "truth")
+    with Bag(tmp_path / "camera") as camera, Bag(tmp_path / "truth") as truth:
+        error = camera.displacements().positions - truth.displacements().positions
+        # 0.006 px (the tracker's figure at this noise) at 1500 px/m is 4 um.
+        # A calibration is made from what the markers' topic says beside the displacements.
+        assert camera.count("beam/markers") == camera.count("beam/displacement")
+        assert truth.count("beam/markers") == 0
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.5e-6)
+
+
+def test_model_and_report_are_written_whole_and_the_model_reads_back(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    result = identify_bag(bag, folder=tmp_path / "out", n_modes=2)
+    document = json.loads((tmp_path / "out" / "model.json").read_text())
+    model = ModalModel.from_dict(document["model"])
+    assert model.frequencies_hz == pytest.approx([m["frequency_hz"] for m in result["modes"]], rel=1e-15)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("<svg") >= 4
+    assert 'src="http' not in page
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["model.json", "report.html"]
+    assert "4.38" in format_table(result)
+
+
+def test_a_model_is_scored_on_data_that_it_has_not_seen(rig: Rig, bag: Path, tmp_path: Path) -> None:
+    simulate(rig.with_values({"simulation.seed": 5}), tmp_path / "unseen")
+    result = identify_bag(bag, validation=tmp_path / "unseen")
+    for name, score in result["validation"]["scores"].items():
+        fitted = result["scores"][name]["fit_percent"]
+        assert score["fit_percent"] == pytest.approx(fitted, abs=0.1)
+        assert score["residual_over_noise"] == pytest.approx(1.0, abs=0.1)
+        assert "prediction" in score["verdict"]
+
+
+def test_the_hubs_device_clock_is_put_on_the_hosts_by_one_line(bag: Path) -> None:
+    experiment = load_experiment(bag)
+    times = experiment.record.inputs[0].times_s
+    assert np.diff(times) == pytest.approx(1e-3, rel=1e-6)
+    assert experiment.clock_rate.sd == 0.0  # one process, one clock
+    assert experiment.notes == ()
+
+
+def test_a_force_driven_hub_shows_the_free_hubs_poles(tmp_path: Path) -> None:
+    rig = Rig.from_file().with_values({**SHORT, "hub.command_mode": "effort", "excitation.acceleration": 0.2})
+    simulate(rig, tmp_path / "force")
+    result = identify_bag(tmp_path / "force")
+    truth = rig.beam_model().free_hub_natural_frequencies / (2 * math.pi)
+    assert result["structure"] == "force"
+    for mode in result["modes"]:
+        assert mode["frequency_hz"] == pytest.approx(truth[mode["theory_mode"] - 1], rel=3e-3)
+
+
+def test_nothing_half_written_is_left_behind(rig: Rig, bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError):
+        simulate(rig.with_values({"excitation.acceleration": 9.0}), tmp_path / "refused")
+    with pytest.raises(BagExistsError):
+        simulate(rig, bag)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_without_the_needed_topics_is_refused_with_what_is_there(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "poor") as writer:
+        writer.add_topic("hub/state")
+    with pytest.raises(MissingTopicsError, match="beam/displacement"):
+        identify_bag(tmp_path / "poor")
+    with pytest.raises(BagError):
+        identify_bag(tmp_path / "nowhere")
+
+
+def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_it_is_not_enough(
+    rig: Rig, tmp_path: Path
+) -> None:
+    simulate(rig.with_values({"simulation.realistic": True}), tmp_path / "realistic")
+    result = identify_bag(tmp_path / "realistic", n_modes=1)
+    assert result["modes"][0]["damping_ratio"] > 0.0055
+    assert any("not white" in warning for warning in result["warnings"])

@@ -1,0 +1,299 @@
+"""A video and a bag of the hub alone become a bag that identifies: `beam track`, then `beam identify`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros import messages
+from beam_ros.bags.batches import decode_batch
+from beam_ros.bags.reading import Bag, Unreadable, join_batches
+from beam_ros.bags.writing import BagWriter
+from beam_ros.cli.main import main
+from beam_ros.messages import BagTypes
+from beam_ros.offline.identification import identify_bag
+from beam_ros.rig.rig import Rig
+
+cv2 = pytest.importorskip("cv2")
+
+from beam_ros.offline.video_into_bag import synchronise_with_hub, track_video  # noqa: E402
+from beam_ros.vision.calibration.linear import LinearCalibration  # noqa: E402
+from beam_ros.vision.calibration.storage import save_calibration  # noqa: E402
+from beam_ros.vision.camera.video import VideoFile  # noqa: E402
+from beam_ros.vision.timing import FrameTiming  # noqa: E402
+
+RECORDINGS = Path(__file__).parents[3] / "bags"
+VIDEO = RECORDINGS / "video_96x240" / "video.avi"
+RIG_FILE = VIDEO.with_name("rig.yaml")
+TRUTH = json.loads(VIDEO.with_name("truth.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def hub_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of the experiment without its displacements, as a rig without a camera leaves it."""
+    path = tmp_path_factory.mktemp("hub") / "bag"
+    with Bag(RECORDINGS / "chirp_6s") as whole, BagWriter(path) as writer:
+        for message in whole.raw_messages():
+            if message.topic != "/beam/displacement":
+                writer.write(message.topic.lstrip("/"), message.receive_ns, message.data)
+    return path
+
+
+@pytest.fixture
+def bag(hub_bag: Path, tmp_path: Path) -> Path:
+    shutil.copytree(hub_bag, tmp_path / "bag")
+    return tmp_path / "bag"
+
+
+def contents(path: Path) -> list[tuple[str, bytes]]:
+    with Bag(path) as opened:
+        return [(message.topic, message.data) for message in opened.raw_messages()]
+
+
+def write_video(path: Path, frames: list[np.ndarray]) -> Path:
+    height, width = frames[0].shape
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 100.0, (width, height), False)
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def test_the_committed_video_is_tracked_to_its_truth() -> None:
+    rig = Rig.from_file(RIG_FILE)
+    tracked = track_video(VideoFile(VIDEO), rig)
+    error = tracked.u_px - np.array(TRUTH["columns_px"])
+    assert all(counts == {"ok": len(error)} for counts in tracked.reasons)
+    # Markers of 6 px with hardly any noise: what is left is the rounding to grey levels.
+    assert np.sqrt(np.mean(error**2)) < 0.0015
+    assert np.abs(error.mean(axis=0)).max() < 0.0005
+    assert np.abs(error).max() < 0.008
+
+
+def test_the_video_finds_its_time_in_the_hubs() -> None:
+    rig = Rig.from_file(RIG_FILE)
+    tracked = track_video(VideoFile(VIDEO), rig)
+    with Bag(RECORDINGS / "chirp_6s") as opened:
+        hub = opened.hub_samples()
+    begun_s = (TRUTH["first_frame_ns"] - int(hub.stamps_ns[0])) * 1e-9
+    for has_exact_rate in (False, True):
+        found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
+        assert abs(found.offset_s - begun_s) < 0.2e-3
+        assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
+        assert abs(found.drift) <= 4 * found.drift_sd
+        assert found.gain == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_gap_in_the_hubs_record_does_not_move_the_time_found() -> None:
+    tracked = track_video(VideoFile(VIDEO), Rig.from_file(RIG_FILE))
+    with Bag(RECORDINGS / "chirp_6s") as opened:
+        batches = [decode_batch(message.data) for message in opened.raw_messages("hub/measured")]
+        hub = opened.hub_samples()
+    # A second and a half is lost in the middle of the motion.
+    lossy = join_batches("hub/measured", batches[:80] + batches[155:], Unreadable())
+    assert lossy.lost > 1000
+    found = synchronise_with_hub(tracked, lossy, has_exact_rate=True)
+    begun_s = (TRUTH["first_frame_ns"] - int(hub.stamps_ns[0])) * 1e-9
+    assert abs(found.offset_s - begun_s) < 0.4e-3
+    assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
+
+
+def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = contents(bag)
+    arguments = ["track", str(VIDEO), "--into", str(bag), "--rig-file", str(RIG_FILE), "--json"]
+    assert main(arguments) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["frames"] == len(TRUTH["columns_px"])
+    assert abs(result["synchronisation"]["drift"]) < 4 * result["synchronisation"]["drift_sd"]
+
+    # Nothing of the old bag is lost: it stays beside the new one, which holds all of it and the markers.
+    assert contents(Path(result["original"])) == before
+    after = contents(bag)
+    kept = set(before)
+    assert [content for content in after if content in kept] == before
+    with Bag(bag) as opened:
+        table = opened.displacements()
+        assert opened.count("beam/markers") == result["frames"]
+    assert table.names == ("z010", "z225", "z285")
+    assert not np.isnan(table.positions).any()
+
+    identified = identify_bag(bag)
+    truth = Rig.from_file(RIG_FILE).beam_model()
+    assert len(identified["modes"]) == 2
+    for mode, omega, zeta in zip(
+        identified["modes"], truth.natural_frequencies[:2], truth.damping_ratios[:2], strict=True
+    ):
+        assert mode["frequency_hz"] == pytest.approx(omega / (2 * np.pi), rel=1e-4)
+        assert mode["damping_ratio"] == pytest.approx(zeta, rel=0.01)
+        assert abs(mode["frequency_z"]) < 4
+        assert abs(mode["damping_ratio_z"]) < 4
+
+
+def test_markers_carry_the_frames_stamp_and_displacements_the_middle_of_their_rows_exposure(
+    bag: Path,
+) -> None:
+    """As the tracker's node and the simulation stamp them, whatever a stamp means."""
+    camera = {"camera.stamp": "arrival", "camera.readout": 0.004, "camera.latency": 0.001}
+    assert (
+        main(
+            ["track", str(VIDEO), "--into", str(bag), "--rig-file", str(RIG_FILE)]
+            + [word for name, value in camera.items() for word in ("-p", f"{name}:={value}")]
+        )
+        == 0
+    )
+    rig = Rig.from_file(RIG_FILE).with_values(camera)
+    timing = FrameTiming(rig.camera_parameters())
+    rows = rig.camera_parameters().rows(rig.numbers("markers.heights"))
+    types = BagTypes()
+    with Bag(bag) as opened:
+        clouds = [
+            messages.read_marker_cloud(types.deserialize(message.data, message.type_name))
+            for message in opened.raw_messages("beam/markers")
+        ]
+        stamps = opened.displacements().stamps_ns
+    expected = [timing.row_middle(cloud.stamp_ns, float(row)) for cloud in clouds for row in reversed(rows)]
+    # A row of measured height, and a clock that runs by some ppm differently over 5 ms: below 2 us.
+    assert np.abs(stamps - np.array(expected)).max() < 2000
+
+
+def test_a_new_bag_leaves_the_old_one_and_a_second_video_replaces_the_first(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = contents(bag)
+    common = ["--rig-file", str(RIG_FILE)]
+    assert main(["track", str(VIDEO), "--into", str(bag), "--out", str(tmp_path / "new"), *common]) == 0
+    shown = capsys.readouterr().out
+    assert "offset   0.37" in shown
+    assert "z225   seen in 666 of 666 frames" in shown
+    assert contents(bag) == before
+    first = len(contents(tmp_path / "new"))
+
+    again = ["track", str(VIDEO), "--into", str(tmp_path / "new"), *common]
+    assert main(again) == 2
+    assert "--replace leaves these out" in capsys.readouterr().err
+    assert main([*again, "--replace"]) == 0
+    assert len(contents(tmp_path / "new")) == first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "new", "new_untracked"]
+
+
+def test_frame_times_of_the_users_come_before_the_files(bag: Path, tmp_path: Path) -> None:
+    times = tmp_path / "times.csv"
+    period = 0.01 * (1 + 2e-3)
+    lines = [f"{1.7e9 + k * period:.9f}, {k}" for k in range(len(TRUTH["columns_px"]) + 3)]
+    times.write_text("\n".join(["time_s, frame", *lines]) + "\n", encoding="utf-8")
+    assert (
+        main(["track", str(VIDEO), "--into", str(bag), "--rig-file", str(RIG_FILE), "--times", str(times)])
+        == 0
+    )
+    with Bag(bag) as opened:
+        summary = opened.texts("tracker/video")[-1]
+    found = summary["synchronisation"]
+    assert any("669 frame times are given for 666 frames" in note for note in summary["notes"])
+    # These frame times are 0.2 % too far apart, and the low marker tells.
+    assert found["drift"] == pytest.approx(-2e-3, abs=4 * found["drift_sd"])
+    assert found["drift_sd"] < 2e-4
+
+
+def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = ["-p", "camera.pixels_per_metre:=750.0"]
+    rows = ["-p", "camera.width:=96", "-p", "camera.height:=240", "-p", "camera.origin_v:=229.0"]
+    calibration = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3)
+    path = bag.parent / "calibration.yaml"
+    document = calibration.to_dict()
+    document["pixels_per_metre"] = [700.0] * 3
+    save_calibration(LinearCalibration.from_dict(document), path)
+    command = ["track", str(VIDEO), "--into", str(bag), *wrong, *rows, "-p", "camera.origin_u:=47.3"]
+    assert main([*command, "--calibration", str(path), "-p", "camera.focus:=f8"]) == 0
+    shown = capsys.readouterr().out
+    assert "times as far as the hub: the scale is not right" in shown
+    assert "does not say for which camera and focus it was made: expected the rig's focus ('f8')" in shown
+
+
+def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [image for _, image in VideoFile(VIDEO).frames()]
+    command = ["--into", str(bag), "--rig-file", str(RIG_FILE), "--json", "--out"]
+    notes = {}
+    for name, piece in (("whole", frames), ("short", frames[300:360])):
+        video = write_video(tmp_path / f"{name}.avi", piece)
+        assert main(["track", str(video), *command, str(tmp_path / name)]) == 0
+        result = json.loads(capsys.readouterr().out)
+        notes[name] = [note for note in result["notes"] if "time in the hub's" in note]
+        assert (result["synchronisation"]["offset_sd_s"] > 0.2e-3) == (name == "short")
+    assert notes["whole"] == []
+    assert len(notes["short"]) == 1
+    assert (
+        "expected 0.2 ms or less: let the hub move more, or film it longer; --exact-rate" in notes["short"][0]
+    )
+
+
+def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = contents(bag)
+    blank = write_video(tmp_path / "blank.avi", [np.full((240, 96), 20, np.uint8)] * 30)
+    still_frame = next(VideoFile(VIDEO).frames())[1]
+    still = write_video(tmp_path / "still.avi", [still_frame] * 60)
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(VIDEO.read_bytes()[:3000])
+    (tmp_path / "times.txt").write_text("0.0\n0.01\nsoon\n", encoding="utf-8")
+    (tmp_path / "few.txt").write_text("0.0\n0.01\n", encoding="utf-8")
+    for name, time in (("far", "1e12"), ("vast", "1e999999")):
+        (tmp_path / f"{name}.txt").write_text(f"0.0\n0.01\n{time}\n", encoding="utf-8")
+    (tmp_path / "wrong.yaml").write_text("a: 1\n", encoding="utf-8")
+    other = LinearCalibration.from_camera(Rig.from_file().camera_parameters(), 3)
+    save_calibration(other, tmp_path / "other.yaml")
+    focused = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3, focus="f8")
+    save_calibration(focused, tmp_path / "focused.yaml")
+    two = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 2)
+    save_calibration(two, tmp_path / "two.yaml")
+    rig = ["--rig-file", str(RIG_FILE)]
+    for video, options, message in (
+        (tmp_path / "absent.avi", rig, "no such video file"),
+        (RIG_FILE, rig, "no video that OpenCV"),
+        (cut, rig, "cut.avi"),
+        (VIDEO, [], "is 96 x 240; expected 640 x 480"),
+        (blank, rig, "the low marker z010 is in none of 30 frames (no_contrast 30)"),
+        (still, rig, "never moved"),
+        (VIDEO, [*rig, "--rate", "25"], "frame rate?"),
+        (VIDEO, [*rig, "--rate", "-1"], "expected one > 0"),
+        (VIDEO, [*rig, "--rate", "400"], "at 400 frames/s"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "times.txt")], "line 3 is 'soon'"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "few.txt")], "2 frame times for more frames"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "far.txt")], "line 3 is '1e12'"),
+        (VIDEO, [*rig, "--times", str(tmp_path / "vast.txt")], "line 3 is '1e999999'"),
+        (
+            VIDEO,
+            [*rig, "--calibration", str(tmp_path / "wrong.yaml")],
+            "wrong.yaml: file holds no linear calib",
+        ),
+        (VIDEO, [*rig, "--calibration", str(tmp_path / "other.yaml")], "expected 640 x 480"),
+        (VIDEO, [*rig, "--calibration", str(tmp_path / "two.yaml")], "holds for 2 markers"),
+        (VIDEO, [*rig, "--calibration", str(tmp_path / "focused.yaml")], "names no focus; expected 'f8'"),
+    ):
+        status = main(["track", str(video), "--into", str(bag), *options])
+        error = capsys.readouterr().err.strip().splitlines()
+        assert (status, len(error)) == (2, 1), (video, options, error)
+        assert message in error[0]
+    assert main(["track", str(VIDEO), "--into", str(tmp_path / "no_bag"), *rig]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert contents(bag) == before
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith((".", "bag_"))]
+
+
+def test_a_video_that_is_cut_short_is_used_as_far_as_it_goes(bag: Path, tmp_path: Path) -> None:
+    data = VIDEO.read_bytes()
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(data[: int(0.7 * len(data))])
+    assert main(["track", str(cut), "--into", str(bag), "--rig-file", str(RIG_FILE)]) == 0
+    with Bag(bag) as opened:
+        result = opened.texts("tracker/video")[-1]
+    assert 300 < result["frames"] < 666
+    assert "cut short" in result["notes"][0]

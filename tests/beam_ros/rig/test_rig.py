@@ -1,0 +1,67 @@
+"""The rig object: from a file to what the rooms want, and back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from beam_ros.errors import ParameterFileError
+from beam_ros.rig.rig import Rig
+
+
+def test_the_default_rig_has_the_frequencies_that_its_theory_gives() -> None:
+    """E = 200 GPa, 0.30 m of 25 x 0.5 mm, upright: 4.384, 28.26, 79.36 Hz (closed forms with gravity)."""
+    frequencies = Rig.from_file().beam_model().natural_frequencies / (2 * math.pi)
+    assert frequencies[:3] == pytest.approx([4.384, 28.262, 79.358], abs=5e-4)
+
+
+def test_what_is_written_is_read_back_the_same(tmp_path: Path) -> None:
+    rig = Rig.from_file().with_values(
+        {"beam.gravity": "off", "hub.encoder_resolution": 1e-9, "serial.port": "x"}
+    )
+    rig.write(tmp_path / "rig.yaml")
+    assert Rig.from_file(tmp_path / "rig.yaml") == rig
+    assert Rig.from_nested(rig.to_nested()) == rig
+
+
+def test_a_file_needs_only_what_differs(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("/**: {ros__parameters: {beam: {length: 0.25}, markers: {heights: [0.01, 0.1, 0.2]}}}")
+    rig = Rig.from_file(path)
+    assert rig.number("beam.length") == 0.25
+    assert rig.number("beam.width") == Rig.from_file().number("beam.width")
+
+
+def test_parameters_from_a_command_line_are_yaml() -> None:
+    rig = Rig.from_file().with_texts(["camera.rate:=50", "markers.names:=[a, b, c]", "serial.port:="])
+    assert rig.number("camera.rate") == 50.0
+    assert rig.marker_names == ("a", "b", "c")
+
+
+@pytest.mark.parametrize("text", ["camera.rate=50", ":=3", "camera.rate:=[1", "camera.rat:=50"])
+def test_a_wrong_assignment_is_refused(text: str) -> None:
+    with pytest.raises(ParameterFileError):
+        Rig.from_file().with_texts([text])
+
+
+def test_given_rigidity_and_mass_take_precedence_over_the_section() -> None:
+    rig = Rig.from_file().with_values({"beam.flexural_rigidity": 0.06, "beam.mass_per_length": 0.1})
+    beam = rig.beam_parameters()
+    assert (beam.flexural_rigidity, beam.mass_per_length) == (0.06, 0.1)
+
+
+def test_marker_masses_lower_the_frequencies() -> None:
+    bare = Rig.from_file().with_values({"beam.gravity": "off"})
+    loaded = bare.with_values({"markers.masses": [0.0, 2e-4, 0.0]})
+    shift = loaded.beam_model().natural_frequencies / bare.beam_model().natural_frequencies - 1
+    # 0.2 g at 225 mm: -0.58, -0.02, -0.45 % by perturbation theory; second order is below 0.01 %.
+    assert shift[:3] * 100 == pytest.approx([-0.58, -0.02, -0.45], abs=0.02)
+
+
+def test_every_room_takes_the_default_parameters() -> None:
+    rig = Rig.from_file()
+    assert rig.hub_parameters(clock_drift_ppm=35.0).period_ns == 1_000_000
+    assert rig.camera_parameters().marker_diameter_px == pytest.approx(12.0)
+    assert len(rig.tracker_parameters().expected_rows_px or ()) == 3

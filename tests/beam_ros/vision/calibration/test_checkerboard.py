@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from beam_ros.vision.calibration.checkerboard import Checkerboard, find_corners, fit_lens, fit_scale
+from beam_ros.vision.calibration.lens import Lens
+from beam_ros.vision.errors import CalibrationError
+
+BOARD = Checkerboard(8, 6, 0.02)
+LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
+
+
+@lru_cache(maxsize=4)
+def rays_of(lens):
+    """Direction of every pixel."""
+    u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    x, y = lens.undistort(u, v)
+    return np.stack(
+        [
+            (x - lens.centre_px[0]) / lens.focal_px[0],
+            (y - lens.centre_px[1]) / lens.focal_px[1],
+            np.ones_like(x),
+        ]
+    )
+
+
+def soft_wave(s, pixels_per_square):
+    """A square wave of unit height with edges at the integers, blurred by 0.9 px."""
+    distance = (s - np.rint(s)) * pixels_per_square
+    return np.tanh(distance / 0.9 * 0.8) * np.where(np.rint(s) % 2 == 0, 1.0, -1.0)
+
+
+def picture(rotation, translation, lens=LENS, seed=0):
+    """A board filmed through a lens: every pixel looked up on the board."""
+    turn, _ = cv2.Rodrigues(np.array(rotation, dtype=float))
+    inverse = np.linalg.inv(np.stack([turn[:, 0], turn[:, 1], np.array(translation)], axis=1))
+    on_board = np.einsum("ij,jkl->ikl", inverse, rays_of(lens))
+    s, t = on_board[0] / on_board[2] / BOARD.square_m, on_board[1] / on_board[2] / BOARD.square_m
+    inside = (s > -1) & (s < BOARD.columns) & (t > -1) & (t < BOARD.rows)
+    size = lens.focal_px[0] * BOARD.square_m / translation[2]
+    frame = np.where(inside, 125.0 - 85.0 * soft_wave(s, size) * soft_wave(t, size), 210.0)
+    frame += np.random.default_rng(seed).normal(0, 2, frame.shape)
+    return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+
+
+POSES = [
+    ([0.0, 0.0, 0.0], [-0.07, -0.05, 0.35]),
+    ([0.35, 0.1, 0.0], [-0.09, -0.07, 0.38]),
+    ([-0.35, 0.1, 0.1], [-0.05, -0.03, 0.38]),
+    ([0.1, 0.4, -0.1], [-0.08, -0.05, 0.40]),
+    ([0.1, -0.4, 0.2], [-0.04, -0.06, 0.36]),
+    ([0.25, 0.25, 0.0], [-0.02, -0.02, 0.42]),
+    ([-0.25, -0.25, 0.0], [-0.12, -0.08, 0.42]),
+]
+
+
+def test_the_lens_is_recovered_from_tilted_boards():
+    fit = fit_lens([picture(*pose, seed=k) for k, pose in enumerate(POSES)], BOARD)
+    assert fit.n_pictures == len(POSES)
+    assert fit.residual_rms_px < 0.1
+    u, v = np.meshgrid(np.linspace(80, 560, 7), np.linspace(60, 420, 5))
+    found, true = fit.lens.undistort(u, v), LENS.undistort(u, v)
+    # Focal length and distance trade off; what must agree is the bend, the image up to a similarity.
+    design = np.stack([true[0].ravel(), true[1].ravel(), np.ones(u.size)], axis=1)
+    for axis in (0, 1):
+        rest = found[axis].ravel() - design @ np.linalg.lstsq(design, found[axis].ravel(), rcond=None)[0]
+        assert np.abs(rest).max() < 0.25
+
+
+def test_the_scale_in_the_boards_plane():
+    plain = Lens((900.0, 900.0), (320.0, 240.0))
+    fit = fit_scale(picture([0.0, 0.0, 0.05], [-0.07, -0.05, 0.36], plain), BOARD)
+    # 40 corners known to about 0.05 px over 200 px; the stated sd is smaller by their number.
+    assert fit.pixels_per_metre == pytest.approx(900.0 / 0.36, rel=3e-4)
+    assert fit.sd < 1.0
+    assert fit.tilt < 0.003
+    tilted = fit_scale(picture([0.0, 0.15, 0.0], [-0.07, -0.05, 0.36], plain), BOARD)
+    assert tilted.tilt > 5 * fit.tilt
+
+
+def test_undistortion_comes_before_the_scale():
+    lens = Lens((900.0, 900.0), (320.0, 240.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
+    frame = picture([0.0, 0.0, 0.0], [-0.07, -0.05, 0.36], lens)
+    with_lens = fit_scale(frame, BOARD, lens)
+    assert with_lens.pixels_per_metre == pytest.approx(2500.0, rel=5e-4)
+    assert with_lens.residual_rms_px < 0.3 * fit_scale(frame, BOARD).residual_rms_px
+
+
+def test_the_ruler_limits_the_scale():
+    plain = Lens((900.0, 900.0), (320.0, 240.0))
+    board = Checkerboard(8, 6, 0.02, 0.00002)
+    fit = fit_scale(picture([0.0, 0.0, 0.0], [-0.07, -0.05, 0.36], plain), board)
+    assert fit.sd == pytest.approx(2500.0 * 0.001, rel=0.05)
+
+
+def test_what_is_no_board_is_refused():
+    with pytest.raises(CalibrationError, match="no checkerboard of 8 x 6"):
+        find_corners(np.full((480, 640), 128, np.uint8), BOARD)
+    with pytest.raises(CalibrationError, match="0 of 2 pictures"):
+        fit_lens([np.zeros((480, 640), np.uint8)] * 2, BOARD)
+    with pytest.raises(CalibrationError, match="one size"):
+        fit_lens([np.zeros((480, 640), np.uint8), np.zeros((40, 64), np.uint8)], BOARD)
+    with pytest.raises(CalibrationError, match="2 x 6 inner corners"):
+        Checkerboard(2, 6, 0.02)
+    with pytest.raises(CalibrationError, match="metres > 0"):
+        Checkerboard(8, 6, 0.0)

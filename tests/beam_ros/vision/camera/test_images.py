@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import array
+
+import cv2
+import numpy as np
+import pytest
+
+from beam_ros.vision.camera.images import SUPPORTED_ENCODINGS, grey_frame, grey_image, image_view
+from beam_ros.vision.errors import ImageFormatError
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.tracker import MarkerTracker
+
+RNG = np.random.default_rng(5)
+GREY = RNG.integers(0, 256, (6, 8), dtype=np.uint8)
+WIDE = RNG.integers(0, 65536, (6, 8)).astype(np.uint16)
+
+
+def padded(rows: np.ndarray, padding: int) -> bytes:
+    """Rows of bytes with padding after each."""
+    flat = rows.reshape(rows.shape[0], -1).view(np.uint8)
+    return np.pad(flat, ((0, 0), (0, padding)), constant_values=255).tobytes()
+
+
+@pytest.mark.parametrize("padding", [0, 3])
+@pytest.mark.parametrize(
+    "kind", [bytes, bytearray, lambda b: array.array("B", b), lambda b: np.frombuffer(b, np.uint8)]
+)
+def test_mono8_is_seen_in_place_for_every_buffer_and_step(padding, kind):
+    data = kind(padded(GREY, padding))
+    image = grey_image("mono8", 6, 8, 8 + padding, data)
+    assert np.array_equal(image, GREY)
+    assert np.shares_memory(image, np.frombuffer(data, np.uint8))
+
+
+@pytest.mark.parametrize("is_bigendian", [False, True])
+@pytest.mark.parametrize("padding", [0, 1])
+def test_mono16_is_read_in_both_byte_orders_and_odd_steps(is_bigendian, padding):
+    data = padded(WIDE.astype(">u2" if is_bigendian else "<u2"), padding)
+    image = grey_image("mono16", 6, 8, 16 + padding, data, is_bigendian=is_bigendian)
+    assert image.dtype == np.uint16
+    assert np.array_equal(image, WIDE)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "padding"), [("mono8", 0), ("mono8", 7), ("mono16", 0), ("mono16", 1), ("mono16", 6)]
+)
+def test_the_tracker_works_on_the_bytes_of_a_message(encoding, padding):
+    camera, heights = CameraParameters(), (0.010, 0.225, 0.285)
+    frame = SceneRenderer(camera, heights).render([0.0, 0.0, 0.0], np.random.default_rng(0))
+    pixels = frame if encoding == "mono8" else frame.astype("<u2") * 100
+    step = 640 * pixels.itemsize + padding
+    image = grey_image(encoding, 480, 640, step, padded(pixels, padding))
+    result = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3).process(image, 0)
+    assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * 3, abs=0.03)
+
+
+@pytest.mark.parametrize(("encoding", "code"), [("bgr8", cv2.COLOR_BGR2GRAY), ("rgb8", cv2.COLOR_RGB2GRAY)])
+def test_colour_becomes_the_grey_of_its_channel_order(encoding, code):
+    colour = RNG.integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    assert np.array_equal(grey_image(encoding, 6, 8, 26, padded(colour, 2)), cv2.cvtColor(colour, code))
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns_are_named_by_the_first_row(pattern):
+    """A scene that is pure red must come out as the grey of red, whatever the pattern."""
+    mosaic = np.zeros((16, 16), np.uint8)
+    for k, colour in enumerate(pattern):
+        if colour == "r":
+            mosaic[k // 2 :: 2, k % 2 :: 2] = 200
+    grey = grey_image(f"bayer_{pattern}8", 16, 16, 16, mosaic.tobytes())
+    assert grey[4:-4, 4:-4] == pytest.approx(np.full((8, 8), 0.299 * 200), abs=1.5)
+
+
+def test_a_bayer_image_of_a_white_marker_keeps_its_position():
+    camera = CameraParameters(noise_grey=0.0)
+    frame = SceneRenderer(camera, [0.1]).render([0.0123], np.random.default_rng(0))
+    grey = grey_image("bayer_rggb8", 480, 640, 640, frame).astype(float)
+    # Older OpenCV truncates 30 to 29 in places.
+    grey = np.where(grey < 32, 0.0, grey - 30.0)
+    columns = np.arange(640)
+    # Interpolation is symmetric about each site only on average: a few thousandths remain.
+    assert (grey.sum(axis=0) @ columns) / grey.sum() == pytest.approx(camera.columns(0.0123), abs=0.01)
+
+
+def test_every_truncation_is_refused_with_the_numbers():
+    data = padded(GREY, 0)
+    for length in range(len(data)):
+        with pytest.raises(ImageFormatError, match=rf"truncated: {length} bytes of data; expected 48"):
+            image_view("mono8", 6, 8, 8, data[:length])
+
+
+def test_the_last_row_needs_no_padding():
+    data = padded(GREY, 4)[:-4]
+    assert np.array_equal(image_view("mono8", 6, 8, 12, data), GREY)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("yuv422", 6, 8, 16, bytes(96)), "'yuv422' is not supported; expected one of mono8"),
+        (("mono8", 0, 8, 8, b""), "size is 8 x 0"),
+        (("mono16", 6, 8, 8, bytes(96)), "step is 8 bytes; expected at least 16"),
+        (("mono8", 6, 8, 8, None), "NoneType without bytes"),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments, message):
+    with pytest.raises(ImageFormatError, match=message):
+        image_view(*arguments)
+
+
+def test_every_supported_encoding_gives_a_grey_image():
+    for encoding in SUPPORTED_ENCODINGS:
+        image = grey_image(encoding, 16, 16, 64, bytes(64 * 16))
+        assert image.shape == (16, 16)
+        assert image.dtype in (np.uint8, np.uint16)
+
+
+def test_a_captured_frame_of_any_layout_becomes_grey():
+    colour = np.repeat(GREY[:, :, None], 3, axis=2)
+    for frame in (
+        GREY,
+        GREY[:, :, None],
+        np.stack([GREY, GREY[::-1]], axis=2),  # YUYV as it is: luminance first
+        colour,
+        np.concatenate([colour, np.full_like(GREY, 255)[:, :, None]], axis=2),
+    ):
+        found = grey_frame(frame)
+        assert found.flags.c_contiguous
+        assert np.array_equal(found, GREY)
+    assert np.array_equal(grey_frame(WIDE), WIDE)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        np.zeros((4, 4, 3), np.float64),
+        np.zeros((4, 4, 3), np.int8),
+        np.zeros((4, 4, 5), np.uint8),
+        np.zeros(4, np.uint8),
+        np.zeros((0, 4, 3), np.uint8),
+    ],
+)
+def test_a_captured_frame_that_is_no_image_is_refused_with_its_shape(frame):
+    with pytest.raises(ImageFormatError, match=r"of shape .*expected 8 or 16 bits.*device_format"):
+        grey_frame(frame)

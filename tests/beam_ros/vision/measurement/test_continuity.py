@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.errors import VisionParameterError
+from beam_ros.vision.measurement.continuity import FrameContinuity
+
+PERIOD = 10_000_000
+
+
+def test_frames_in_line_are_next_whatever_their_jitter():
+    rng = np.random.default_rng(1)
+    watch = FrameContinuity(PERIOD)
+    steps = [watch.observe(10**18 + k * PERIOD + int(rng.integers(-(10**6), 10**6))) for k in range(500)]
+    assert [step.step for step in steps] == ["first"] + ["next"] * 499
+    assert (watch.frames, watch.missing) == (500, 0)
+
+
+def test_a_camera_that_runs_beside_its_nominal_rate_is_followed():
+    watch = FrameContinuity(PERIOD)
+    assert all(watch.observe(k * 10_700_000).missing == 0 for k in range(1, 1000))
+    assert watch.rate_hz == pytest.approx(1e9 / 10_700_000, rel=1e-3)
+
+
+@pytest.mark.parametrize("missing", [1, 2, 7])
+def test_dropped_frames_are_counted_from_stamps(missing):
+    watch = FrameContinuity(PERIOD)
+    watch.observe(0)
+    step = watch.observe((missing + 1) * PERIOD + 300_000)
+    assert (step.step, step.missing, step.is_usable) == ("gap", missing, True)
+    assert watch.missing == missing
+
+
+def test_the_cameras_own_numbers_come_before_the_stamps():
+    watch = FrameContinuity(PERIOD)
+    watch.observe(0, sequence=5)
+    assert watch.observe(2 * PERIOD, sequence=6).missing == 0
+    assert watch.observe(3 * PERIOD, sequence=9).missing == 2
+    assert watch.observe(4 * PERIOD, sequence=9).step == "repeated"
+
+
+def test_repeated_and_past_frames_are_not_usable_and_change_nothing():
+    watch = FrameContinuity(PERIOD)
+    watch.observe(PERIOD)
+    for step in (watch.observe(PERIOD), watch.observe(0)):
+        assert not step.is_usable
+    assert watch.observe(2 * PERIOD).step == "next"
+    assert (watch.frames, watch.repeated, watch.backwards, watch.missing) == (2, 1, 1, 0)
+
+
+def test_a_restarted_number_is_no_gap():
+    watch = FrameContinuity(PERIOD)
+    watch.observe(0, sequence=900)
+    assert watch.observe(PERIOD, sequence=0).step == "next"
+
+
+def test_reset_starts_anew():
+    watch = FrameContinuity(PERIOD)
+    watch.observe(10**18)
+    watch.reset()
+    assert watch.observe(5).step == "first"
+    with pytest.raises(VisionParameterError, match="0 ns"):
+        FrameContinuity(0)

@@ -1,0 +1,138 @@
+"""What the tracker says of itself once a second."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+
+pytest.importorskip("cv2")
+from beam_ros.vision.measurement.diagnosis import Complaint, Diagnosis
+from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.rendering.frames import SceneRenderer
+
+CAMERA = CameraParameters()
+HEIGHTS = (0.010, 0.225, 0.285)
+NAMES = ("low", "middle", "top")
+PERIOD_NS = 10_000_000
+MS = 1_000_000
+
+
+class _Day:
+    """A chain, its diagnosis, and frames at will."""
+
+    def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
+        given = calibration or LinearCalibration.from_camera(CAMERA, 3)
+        tracker = TrackerParameters.for_camera(CAMERA, HEIGHTS)
+        self.chain = MeasuringChain(CAMERA, tracker, HEIGHTS, given, focus=focus)
+        self.diagnosis = Diagnosis(NAMES, self.chain)
+        self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
+
+    def film(self, numbers, latency_ns=MS, frame=None) -> None:
+        for k in numbers:
+            self.diagnosis.frame_arrived()
+            if self.chain.admit(k * PERIOD_NS):
+                measured = self.chain.measure(k * PERIOD_NS, self.frame if frame is None else frame)
+                self.diagnosis.frame_measured(measured, latency_ns() if callable(latency_ns) else latency_ns)
+
+
+def test_a_good_second_is_ok_with_rate_latency_noise_and_deviation() -> None:
+    day = _Day()
+    latencies = iter([MS] * 98 + [9 * MS] * 2)
+    day.film(range(1, 101), latency_ns=lambda: next(latencies))
+    report = day.diagnosis.report(1.0)
+    assert (report.level, report.sentence) == ("OK", "3 markers in sight")
+    assert report.values["rate_hz"] == 100.0
+    assert (report.values["latency_median_ms"], report.values["latency_p99_ms"]) == (1.0, 9.0)
+    assert report.values["middle noise_grey"] == pytest.approx(2.0, rel=0.2)
+    assert 0.003 < report.values["top sigma_px"] < 0.008  # the noise limit is 0.0045
+    assert report.values["low lost"] == 0
+
+
+def test_a_lost_marker_is_named_with_its_reason_and_counted() -> None:
+    day = _Day()
+    day.film(range(1, 11))
+    hidden = day.frame.copy()
+    hidden[100:200] = day.frame[300:400]  # the middle marker's rows
+    day.film(range(11, 18), frame=hidden)
+    report = day.diagnosis.report(0.17)
+    assert report.level == "WARN"
+    assert "middle (hidden)" in report.sentence
+    assert "low" not in report.sentence
+    assert report.values["middle lost"] == report.values["middle hidden"] == 7
+
+
+def test_dropped_and_repeated_frames_are_counted_and_said() -> None:
+    day = _Day()
+    day.film([1, 2, 3, 3, 4, 7, 8])
+    report = day.diagnosis.report(0.08)
+    assert report.level == "WARN"
+    assert "1 frames came twice" in report.sentence
+    assert "2 of 8 frames are missing" in report.sentence
+    assert (report.values["dropped frames"], report.values["repeated frames"]) == (2, 1)
+    day.film(range(9, 20))
+    assert day.diagnosis.report(0.1).level == "OK"  # what is over is counted, not complained of
+
+
+def test_a_driver_that_stamps_all_frames_alike_is_an_error() -> None:
+    day = _Day()
+    day.film([0])
+    day.diagnosis.report(1.0)
+    day.film([0] * 50)
+    report = day.diagnosis.report(1.0)
+    assert report.level == "ERROR"
+    assert "same time stamp" in report.sentence
+
+
+def test_unusable_frames_are_an_error_with_their_reason() -> None:
+    day = _Day()
+    day.film(range(1, 10))
+    day.diagnosis.frame_arrived()
+    day.diagnosis.frame_unusable("image encoding 'yuv9' is not supported")
+    report = day.diagnosis.report(0.1)
+    assert (report.level, report.values["unusable frames"]) == ("ERROR", 1)
+    assert "yuv9" in report.sentence
+
+
+def test_stamps_that_are_not_of_this_clock_are_said() -> None:
+    for latency_ns, words in ((2000 * MS, "2 s old"), (-50 * MS, "-0.05 s old")):
+        day = _Day()
+        day.film(range(1, 20), latency_ns=latency_ns)
+        report = day.diagnosis.report(0.2)
+        assert report.level == "WARN"
+        assert words in report.sentence
+
+
+def test_silence_is_said_once_and_by_whoever_knows_the_reason() -> None:
+    day = _Day()
+    assert (
+        day.diagnosis.report(1.0, silence="no frames on camera/image_raw").sentence
+        == "no frames on camera/image_raw"
+    )
+    report = day.diagnosis.report(1.0, [Complaint("ERROR", "camera /dev/video7 is not there")])
+    assert (report.level, report.sentence) == ("ERROR", "camera /dev/video7 is not there")
+
+
+def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_names_one_an_error() -> None:
+    day = _Day(focus="f8")
+    day.film(range(1, 10))
+    report = day.diagnosis.report(0.1)
+    assert report.level == "WARN"
+    assert "does not say for which camera and focus" in report.sentence
+    day = _Day(LinearCalibration.from_camera(CAMERA, 3, focus="f8"))
+    day.film(range(1, 10))
+    report = day.diagnosis.report(0.1)
+    assert report.level == "ERROR"
+    assert "set camera.focus" in report.sentence
+
+
+def test_a_calibration_of_another_camera_is_an_error_though_markers_are_seen() -> None:
+    day = _Day(replace(LinearCalibration.from_camera(CAMERA, 3), image_size=(1280, 960)))
+    day.film(range(1, 10))
+    report = day.diagnosis.report(0.1)
+    assert report.level == "ERROR"
+    assert "1280 x 960" in report.sentence

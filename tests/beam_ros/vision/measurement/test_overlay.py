@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.measurement.overlay import draw_overlay
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.tracker import MarkerTracker
+
+HEIGHTS = (0.010, 0.225, 0.285)
+NAMES = ("z010", "z225", "z285")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_seen_markers_are_ringed_in_green_and_lost_ones_named_in_red(dtype):
+    camera = CameraParameters()
+    frame = SceneRenderer(camera, HEIGHTS).render([0.0, np.nan, 0.01], np.random.default_rng(0)).astype(dtype)
+    before = frame.copy()
+    result = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 3).process(frame, 0)
+    picture = draw_overlay(frame, result, NAMES, marker_diameter_px=12.0, rows_px=camera.rows(HEIGHTS))
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
+    assert np.array_equal(frame, before)
+    green = (picture[..., 1].astype(int) - picture[..., 2]) > 60
+    red = (picture[..., 2].astype(int) - picture[..., 1]) > 60
+    # Nine pixels from the centres: on the rings.
+    assert green[450, 329]
+    assert green[37:39, 344].any()
+    assert red[110:135, :120].any()
+    assert not red[430:].any()

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from beam_model import BeamModel, BeamParameters, Damping
+from beam_ros.vision.errors import SynchronisationError
+from beam_ros.vision.measurement.synchronisation import synchronise
+
+PERIOD = 1e-3
+
+
+@lru_cache(maxsize=1)
+def experiment():
+    """Hub and low marker (10 mm) of the default strip under a chirp of constant acceleration, at 1 kHz."""
+    parameters = BeamParameters.from_section(
+        length=0.30,
+        width=0.025,
+        thickness=0.0005,
+        density=7850.0,
+        youngs_modulus=200e9,
+        hub_mass=0.8,
+        gravity="upright",
+        damping=Damping(ratios=(0.005,)),
+    )
+    model = BeamModel(parameters, n_modes=5)
+    t = np.arange(0.0, 20.0, PERIOD)
+    growth = np.log(40.0 / 1.0) / 20.0
+    phase = 2 * np.pi * np.expm1(growth * t) / growth
+    acceleration = 0.7 * np.sin(phase) * np.minimum(1.0, np.minimum(t / 0.5, (20.0 - t) / 0.5))
+    acceleration = np.concatenate([np.zeros(2000), acceleration - acceleration.mean(), np.zeros(3000)])
+    states = model.motion_stepper(PERIOD).run(acceleration)
+    velocity = np.concatenate([[0.0], np.cumsum(acceleration) * PERIOD])
+    position = np.concatenate([[0.0], np.cumsum(velocity[:-1] * PERIOD + acceleration * PERIOD**2 / 2)])
+    shape, rest = model.shape([0.010])[0], model.residual_terms([0.010])[0]
+    marker = position + states[:, :5] @ shape - rest * np.append(acceleration, 0.0)
+    return np.arange(position.size) * PERIOD, position, marker
+
+
+def film(offset_s, rng, drift=0.0, span=(1.0, 24.0), noise=5e-6, rate=100.0):
+    """The low marker at a camera's frames, by the camera's own clock."""
+    t, _, marker = experiment()
+    hub_times = np.arange(span[0], span[1], 1 / rate)
+    # A box of 5 ms about each frame
+    box = np.convolve(marker, np.ones(5) / 5, mode="same")
+    seen = np.interp(hub_times, t, box) + noise * rng.standard_normal(hub_times.size)
+    return (hub_times - offset_s) / (1 + drift), seen
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 3.2104, -117.00037])
+def test_the_offset_is_recovered_to_two_tenths_of_a_millisecond(offset_s):
+    rng = np.random.default_rng(1)
+    t, position, _ = experiment()
+    camera_t, seen = film(offset_s, rng)
+    found = synchronise(t, position + 0.1e-6 * rng.standard_normal(position.size), camera_t, seen)
+    assert abs(found.offset_s - offset_s) < 0.2e-3
+    assert abs(found.offset_s - offset_s) < 4 * found.offset_sd_s
+    assert found.offset_sd_s < 0.3e-3
+    assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert found.hub_times(camera_t[0]) == pytest.approx(1.0, abs=0.2e-3)
+
+
+def test_the_clocks_rates_are_fitted_on_request():
+    rng = np.random.default_rng(2)
+    t, position, _ = experiment()
+    camera_t, seen = film(2.0, rng, drift=2e-4)
+    found = synchronise(t, position, camera_t, seen, fits_drift=True)
+    assert abs(found.drift - 2e-4) < 4 * found.drift_sd
+    assert found.drift_sd < 1e-4
+    assert abs(found.hub_times(camera_t[1000]) - (1.0 + 10.0)) < 0.3e-3
+
+
+def test_a_part_of_the_experiment_and_lost_frames_are_enough():
+    rng = np.random.default_rng(3)
+    t, position, _ = experiment()
+    camera_t, seen = film(0.5, rng, span=(3.0, 9.0))
+    seen[50:90] = np.nan
+    found = synchronise(t, position, camera_t, seen)
+    assert abs(found.offset_s - 0.5) < 0.2e-3
+    assert found.n_frames == 560
+
+
+def test_a_scale_error_shows_in_the_gain_and_a_shift_in_the_zero():
+    rng = np.random.default_rng(4)
+    t, position, _ = experiment()
+    camera_t, seen = film(0.5, rng)
+    found = synchronise(t, position, camera_t, 1.05 * seen + 0.003)
+    assert found.gain == pytest.approx(1.05, abs=0.01)
+    assert found.zero_m == pytest.approx(0.003, abs=1e-4)
+    assert abs(found.offset_s - 0.5) < 0.2e-3
+
+
+def test_what_does_not_belong_together_is_refused():
+    rng = np.random.default_rng(5)
+    t, position, _ = experiment()
+    camera_t, seen = film(0.5, rng)
+    with pytest.raises(SynchronisationError, match=r"correlation of 0\.\d+ at best"):
+        synchronise(t, position, camera_t, 1e-3 * rng.standard_normal(seen.size))
+    with pytest.raises(SynchronisationError, match="right direction"):
+        synchronise(t, position, camera_t, -np.abs(seen))
+    with pytest.raises(SynchronisationError, match="never moved"):
+        synchronise(t, np.zeros_like(t), camera_t, seen)
+    with pytest.raises(SynchronisationError, match="0 frames"):
+        synchronise(t, position, camera_t, np.full(seen.size, np.nan))
+    with pytest.raises(SynchronisationError, match="rising times"):
+        synchronise(t[::-1], position, camera_t, seen)

@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
+from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.jumps import NEVER, Move, moved_together
+from beam_ros.vision.tracking.tracker import MarkerTracker
+
+HEIGHTS = (0.010, 0.1, 0.225, 0.285)
+STEADY = 35
+PIXEL = 1.0 / 1500.0
+
+
+def make(heights=HEIGHTS, **changes):
+    camera = CameraParameters()
+    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights, **changes), len(heights))
+    return camera, SceneRenderer(camera, heights), tracker
+
+
+def swing(k: int, n_markers: int = 4) -> np.ndarray:
+    """Displacement of the markers in frame k [m]: 4.5 px at most, as of a beam that rings."""
+    return 0.003 * np.sin(0.28 * k + 0.3 * np.arange(n_markers))
+
+
+def settle(renderer: SceneRenderer, tracker: MarkerTracker, rng, offset=0.0, disturbances=None) -> None:
+    n_markers = tracker.n_markers
+    for k in range(STEADY):
+        frame = renderer.render(swing(k, n_markers) + offset, rng, disturbances=disturbances)
+        tracker.process(frame, k)
+    assert tracker.lost_frames == (0,) * n_markers
+
+
+def frames_lost(camera, renderer, tracker, rng, offset, n_frames=12, z=None, disturbances=None) -> list[int]:
+    """Numbers of frames not valid of each marker after a jump; every valid one must be true, and stay valid."""
+    n_markers = tracker.n_markers
+    valid = np.zeros((n_frames, n_markers), dtype=bool)
+    for k in range(n_frames):
+        x = swing(STEADY + k, n_markers) + offset
+        frame = renderer.render(x, rng, marker_z=z, disturbances=disturbances)
+        for j, marker in enumerate(tracker.process(frame, STEADY + k).markers):
+            valid[k, j] = marker.is_valid
+            if marker.is_valid:
+                assert marker.u_px == pytest.approx(float(camera.columns(x[j])), abs=0.05)
+    return [int(np.argmax(column)) if column.any() else n_frames for column in valid.T]
+
+
+@pytest.mark.parametrize("n_markers", [2, 3, 4])
+@pytest.mark.parametrize(
+    ("start_px", "jump_px"),
+    [(0, 20), (0, 24), (0, 30), (0, -45), (0, 80), (0, -100), (0, 131), (0, 290), (-290, 580), (290, -580)],
+)
+def test_a_jump_of_all_markers_costs_one_frame_at_most(start_px, jump_px, n_markers):
+    camera, renderer, tracker = make(HEIGHTS[:n_markers])
+    rng = np.random.default_rng(71)
+    settle(renderer, tracker, rng, start_px * PIXEL)
+    lost = frames_lost(camera, renderer, tracker, rng, (start_px + jump_px) * PIXEL)
+    assert max(lost) <= 1
+    # Beyond max_jump_px nothing is believed in the same frame.
+    if abs(jump_px) >= 30:
+        assert min(lost) == 1
+
+
+def test_jumps_in_a_row_are_found_every_time():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(72)
+    settle(renderer, tracker, rng)
+    for offset_px in (60, -200, -60, 250, 200, 0, 35):
+        assert max(frames_lost(camera, renderer, tracker, rng, offset_px * PIXEL, n_frames=4)) <= 1
+
+
+@pytest.mark.parametrize("rows_px", [4.0, 8.0, -13.0])
+@pytest.mark.parametrize("jump_px", [0.0, 150.0])
+@pytest.mark.parametrize("expects_rows", [True, False])
+def test_a_camera_kicked_across_the_rows_is_followed_within_the_rows_tolerance(
+    rows_px, jump_px, expects_rows
+):
+    camera, renderer, tracker = make()
+    if not expects_rows:
+        tracker = MarkerTracker(TrackerParameters(), len(HEIGHTS))
+    rng = np.random.default_rng(73)
+    settle(renderer, tracker, rng)
+    z = np.array(HEIGHTS) - rows_px * PIXEL
+    assert max(frames_lost(camera, renderer, tracker, rng, jump_px * PIXEL, z=z)) <= 1
+    # Kicked back, and lost one at a time, they are in the rows that are now theirs.
+    assert max(frames_lost(camera, renderer, tracker, rng, 0.0)) <= 1
+
+
+def test_markers_in_rows_that_the_rig_file_excludes_are_not_taken():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(74)
+    settle(renderer, tracker, rng)
+    z = np.array(HEIGHTS) - 25 * PIXEL
+    assert frames_lost(camera, renderer, tracker, rng, 0.0, z=z) == [12] * 4
+
+
+def test_a_smeared_frame_between_costs_itself_and_one_more():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(75)
+    for jump_px in (40.0, -60.0, 200.0):
+        tracker.reset()
+        settle(renderer, tracker, rng)
+        smeared = swing(STEADY)[None, :] + np.linspace(0.0, jump_px * PIXEL, 6)[:, None]
+        result = tracker.process(renderer.render(smeared, rng), STEADY)
+        assert not any(marker.is_valid for marker in result.markers)
+        assert max(frames_lost(camera, renderer, tracker, rng, jump_px * PIXEL)) <= 1
+
+
+def test_markers_hidden_together_are_found_wherever_they_come_back():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(76)
+    for hidden_frames, jump_px in ((20, 0), (20, 200), (150, 200)):
+        tracker.reset()
+        settle(renderer, tracker, rng)
+        for k in range(hidden_frames):
+            result = tracker.process(renderer.render(np.full(4, np.nan), rng), k)
+            assert not any(marker.is_valid for marker in result.markers)
+        lost = frames_lost(camera, renderer, tracker, rng, jump_px * PIXEL)
+        assert max(lost) <= (1 if jump_px else 0)
+
+
+def test_a_step_that_leaves_one_marker_within_reach_is_found():
+    camera, renderer, tracker = make(HEIGHTS[:3])
+    rng = np.random.default_rng(77)
+    settle(renderer, tracker, rng)
+    assert max(frames_lost(camera, renderer, tracker, rng, np.array([45, 35, 20]) * PIXEL)) <= 1
+
+
+def test_one_marker_that_stays_hidden_does_not_keep_the_others():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(78)
+    settle(renderer, tracker, rng)
+    hidden = Disturbances(
+        occluders=(Occluder(0, camera.rows(0.225) - 15, 640, camera.rows(0.225) + 15, 30.0),)
+    )
+    for k in range(20):
+        tracker.process(renderer.render(swing(k), rng, disturbances=hidden), k)
+    lost = frames_lost(camera, renderer, tracker, rng, 90 * PIXEL, disturbances=hidden)
+    assert [lost[0], lost[1], lost[3]] == [1, 1, 1]
+    assert lost[2] == 12
+
+
+@pytest.mark.parametrize("n_markers", [1, 2, 3, 4])
+@pytest.mark.parametrize("distance_px", [60, 250])
+@pytest.mark.parametrize("was_there", [True, False])
+def test_a_twin_is_not_taken_for_a_marker_while_all_are_hidden(n_markers, distance_px, was_there):
+    camera, renderer, tracker = make(HEIGHTS[:n_markers])
+    rng = np.random.default_rng(79)
+    twin = Disturbances(spots=(SecondSpot(320.0 + distance_px, float(camera.rows(HEIGHTS[0]))),))
+    settle(renderer, tracker, rng)
+    if was_there:
+        for k in range(70):
+            tracker.process(renderer.render(swing(k, n_markers), rng, disturbances=twin), k)
+    for k in range(8):
+        result = tracker.process(renderer.render(np.full(n_markers, np.nan), rng, disturbances=twin), k)
+        assert not any(marker.is_valid for marker in result.markers), (k, result)
+    result = tracker.process(renderer.render(np.zeros(n_markers), rng, disturbances=twin), 0)
+    assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * n_markers, abs=0.05)
+
+
+@pytest.mark.parametrize("distance_px", [90, -260])
+def test_a_mirror_image_of_the_beam_is_not_taken_for_it_while_the_beam_is_hidden(distance_px):
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(80)
+    mirrored = Disturbances(
+        spots=tuple(SecondSpot(320.0 + distance_px, float(row)) for row in camera.rows(HEIGHTS))
+    )
+    settle(renderer, tracker, rng)
+    for k in range(70):
+        assert tracker.process(renderer.render(swing(k), rng, disturbances=mirrored), k).is_complete
+    for k in range(20):
+        result = tracker.process(renderer.render(np.full(4, np.nan), rng, disturbances=mirrored), k)
+        assert not any(marker.is_valid for marker in result.markers)
+    result = tracker.process(renderer.render(np.zeros(4), rng, disturbances=mirrored), 0)
+    assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * 4, abs=0.05)
+
+
+def test_two_spots_in_a_marker_row_after_a_jump_leave_that_marker_lost():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(81)
+    settle(renderer, tracker, rng)
+    twin = Disturbances(spots=(SecondSpot(120.0, float(camera.rows(HEIGHTS[1]))),))
+    lost = frames_lost(camera, renderer, tracker, rng, 150 * PIXEL, disturbances=twin)
+    assert lost == [1, 12, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("found", "seen", "believed"),
+    [
+        # All markers, wherever each is and whenever it was lost, but in rows that moved together.
+        ({0: (50, 40, 0), 1: (90, -60, 0), 2: (10, 5, 0)}, {}, [0, 1, 2]),
+        ({0: (50, 40, 8), 1: (90, -60, 8), 2: (10, 5, 9)}, {}, [0, 1, 2]),
+        ({0: (50, 40, 0), 1: (50, 40, 9), 2: (50, 40, -9)}, {}, []),
+        # Most markers, by the same way and at the same time; another way is another spot's.
+        ({0: (50, 40, 0), 1: (51, 30, 0)}, {}, [0, 1]),
+        ({0: (50, 40, 0), 1: (50, -40, 0)}, {}, []),
+        ({0: (50, 40, 0), 1: (60, 40, 0)}, {}, []),
+        # One alone only in company of those that are seen again where they have moved by the same way.
+        ({0: (50, 40, 0)}, {}, []),
+        ({0: (50, 40, 0)}, {1: (50, 0, 0), 2: (50, 0, 0)}, []),
+        ({0: (50, 40, 0)}, {1: (50, 35, 0), 2: (NEVER, 0, 0)}, [0]),
+    ],
+)
+def test_what_is_believed_of_three_markers(found, seen, believed):
+    chosen = moved_together(
+        {k: Move(*move) for k, move in found.items()},
+        {k: Move(*move) for k, move in seen.items()},
+        3,
+        max_difference=24.0,
+        max_row_difference=5.0,
+    )
+    assert sorted(chosen) == believed
+
+
+def test_a_single_marker_is_never_believed_to_have_jumped():
+    move = {0: Move(5, 100.0, 0.0)}
+    assert moved_together(move, {}, 1, max_difference=24.0, max_row_difference=5.0) == []
+
+
+def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_the_jump():
+    camera, renderer, tracker = make()
+    rng = np.random.default_rng(82)
+    settle(renderer, tracker, rng)
+    twin = Disturbances(spots=(SecondSpot(320.0 + 110.0, float(camera.rows(HEIGHTS[0]))),))
+    for k in range(40):
+        kick = 150 * PIXEL if k >= 20 else 0.0
+        x = swing(k) + kick
+        x[0] = np.nan
+        result = tracker.process(renderer.render(x, rng, disturbances=twin), k)
+        assert [marker.is_valid for marker in result.markers] == [False] + [k != 20] * 3
