@@ -67,8 +67,7 @@ def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
         first = int(np.flatnonzero(~(steps > 0.0))[0])
         raise RecordError(
             f"signal {name!r}: stamp {first + 1} ({times[first + 1]:.9f} s) does not come after stamp "
-            f"{first} "
-            f"({times[first]:.9f} s); sort the samples and drop repeated stamps"
+            f"{first} ({times[first]:.9f} s); sort the samples and drop repeated stamps"
         )
     return times
 
@@ -280,8 +279,7 @@ class TimeRecord:
                     raise RecordError(
                         f"record {self.name!r}: output {output.name!r} spans {output.times_s[0]:.3f} to "
                         f"{output.times_s[-1]:.3f} s and input {drive.name!r} {first:.3f} to {last:.3f} s: "
-                        "they do "
-                        "not overlap. Check that both use the same clock"
+                        "they do not overlap. Check that both use the same clock"
                     )
 
     @property

@@ -147,8 +147,7 @@ def _predict(
     if not present or not set(inputs) <= {drive.name for drive in record.inputs}:
         raise EstimationError(
             f"record {record.name!r} has the input(s) {', '.join(d.name for d in record.inputs)} and the "
-            "outputs "
-            f"{', '.join(record.output_names)}; the model goes from {', '.join(inputs)} to "
+            f"outputs {', '.join(record.output_names)}; the model goes from {', '.join(inputs)} to "
             f"{', '.join(names)}"
         )
     part = record.select(present)

@@ -312,9 +312,8 @@ class ModalRegression:
             self.times.append(np.concatenate(times))
             if len(self.values[-1]) < _MIN_SAMPLES:
                 raise EstimationError(
-                    f"output {name!r} has {len(self.values[-1])} samples that were seen while the input "
-                    "was known; "
-                    f"expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
+                    f"output {name!r} has {len(self.values[-1])} samples that were seen while the input was "
+                    f"known; expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
         self._find_blocks()
 
@@ -489,8 +488,7 @@ def forced_columns(
     if len(times_s) and (np.min(times_s) - half < first - 1e-9 or np.max(times_s) + half > last + 1e-9):
         raise EstimationError(
             f"instants from {np.min(times_s) - half:.6f} to {np.max(times_s) + half:.6f} s, exposure "
-            "included, are asked "
-            f"for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
+            f"included, are asked for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
         )
     output = OutputSignal("instants", "", times_s, np.zeros(len(times_s)), exposure_s)
     prepared = _PreparedRecord(TimeRecord((drive,), (output,)), drive, structure)

@@ -325,10 +325,8 @@ class _Search:
         if n == 0:
             raise EstimationError(
                 f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
-                "noise "
-                f"({self.entries[-1].refused_because or 'no candidate'}). Excite more, record longer, or "
-                "ask for a "
-                "number of modes to see the best candidate"
+                f"noise ({self.entries[-1].refused_because or 'no candidate'}). Excite more, record longer, "
+                "or ask for a number of modes to see the best candidate"
             )
         self.progress("weighing by the noise as it is", 0.97)
         weighed = self._weighed(fit)
@@ -485,9 +483,8 @@ class _Search:
             worst = int(np.argmax(shares))
             warnings.append(
                 f"Noise on the input makes up {shares[worst]:.0%} of the noise variance of "
-                f"{outputs[worst].name}. "
-                "Inputs and outputs were weighed together; the standard deviations include it as far as the "
-                "input's sigma is right."
+                f"{outputs[worst].name}. Inputs and outputs were weighed together; the standard deviations "
+                "include it as far as the input's sigma is right."
             )
         else:
             coloured = [

@@ -84,9 +84,8 @@ class Whiteness:
         else:
             verdict = (
                 f"the residuals are not white (p = {p_value:.1g}; autocorrelation {rho[worst]:+.2f} at lag "
-                f"{worst + 1}): "
-                "something is left unmodelled, or the noise is coloured; intervals that take it as white are "
-                "then too narrow or wide"
+                f"{worst + 1}): something is left unmodelled, or the noise is coloured; intervals that take "
+                "it as white are then too narrow or wide"
             )
         return Whiteness(rho, 2.576 / math.sqrt(n), statistic, p_value, is_white, verdict)
 
@@ -140,7 +139,6 @@ class InputCorrelation:
         else:
             verdict = (
                 f"the residuals follow the input (correlation {values[worst]:+.3f} at lag {lags[worst]}, "
-                "band "
-                f"{band:.3f}): dynamics, delay or hold of the model are wrong, or the order is too low"
+                f"band {band:.3f}): dynamics, delay or hold of the model are wrong, or the order is too low"
             )
         return InputCorrelation(np.array(lags), values, band, is_independent, verdict)

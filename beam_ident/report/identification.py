@@ -108,35 +108,31 @@ def _document(
         _modes_table(result, reference_modes),
         _figure(
             figures.pole_figure(result, reference_modes),
-            "Damping ratio over natural frequency. The bars are 95 % intervals from the scatter of this "
-            "one record; "
-            "they know nothing of geometry, temperature or clock errors common to both signals, and a "
-            "damping ratio "
-            "holds only at the amplitude of this experiment.",
+            "Damping ratio over natural frequency. The bars are 95 % intervals from the scatter of this one "
+            "record; they know nothing of geometry, temperature or clock errors common to both signals, and "
+            "a damping ratio holds only at the amplitude of this experiment.",
         ),
         "<h2>Outputs</h2>",
         _outputs_table(result),
         "<h2>Record</h2>",
         _figure(
             figures.time_figure(record),
-            "What went into the estimation, as measured. Long records are thinned for drawing only, so "
-            "that a fast "
-            "oscillation can look like a slow one here.",
+            "What went into the estimation, as measured. Long records are thinned for drawing only, so that "
+            "a fast oscillation can look like a slow one here.",
         ),
         "<h2>Fit</h2>",
         _figure(
             figures.fit_figure(result),
             "Deflection: each output less its direct part, offset and ramp, over the model's. A good "
-            "agreement here is "
-            "of the same data that the model was fitted to; only another record can validate it.",
+            "agreement here is of the same data that the model was fitted to; only another record can "
+            "validate it.",
         ),
         _figure(
             figures.spectrum_figure(result),
             "Spectra of the deflection and of what the model leaves over. Numbers mark the modes; a dotted "
-            "line is a mode "
-            "above half the outputs' rate, drawn at its alias. A peak in the residual means a mode or a "
-            "disturbance that "
-            "is not in the model. Where stamps are irregular the frequency axis is approximate.",
+            "line is a mode above half the outputs' rate, drawn at its alias. A peak in the residual means a "
+            "mode or a disturbance that is not in the model. Where stamps are irregular the frequency axis "
+            "is approximate.",
         ),
         _figure(
             figures.residual_figure(result),
@@ -149,9 +145,8 @@ def _document(
         _figure(
             figures.frequency_response_figure(result),
             "From the input to every output, with 95 % bands. Between modes and beyond the excited band "
-            f"({result.band.low_hz:.3g} to {result.band.high_hz:.3g} Hz) the curve is an extrapolation: "
-            "the bands "
-            "assume that the structure of the model is right there.",
+            f"({result.band.low_hz:.3g} to {result.band.high_hz:.3g} Hz) the curve is an extrapolation: the "
+            "bands assume that the structure of the model is right there.",
         ),
         "<h2>Order</h2>",
         _orders_table(result),
@@ -177,10 +172,9 @@ def _summary(record: TimeRecord, result: IdentificationResult) -> str:
     n = sum(len(output.times_s) for output in result.outputs)
     return (
         f"{result.model.n_modes} modes from {len(result.outputs)} outputs ({n} samples) of {record.name}, "
-        "structure "
-        f"{result.model.structure}, input {result.model.input_name}; "
-        f"{'converged' if result.converged else 'not converged'} "
-        f"after {result.iterations} iterations ({result.reason})."
+        f"structure {result.model.structure}, input {result.model.input_name}; "
+        f"{'converged' if result.converged else 'not converged'} after {result.iterations} iterations "
+        f"({result.reason})."
     )
 
 
@@ -267,8 +261,8 @@ def _modes_table(result: IdentificationResult, reference: Sequence[tuple[str, fl
     if reference:
         text += (
             "<p class='lead'>z is the difference over the statistical standard deviation alone: a theory "
-            "with an uncertain "
-            "length, thickness or temperature may differ by many of them and still be right.</p>"
+            "with an uncertain length, thickness or temperature may differ by many of them and still be "
+            "right.</p>"
         )
     return text
 

@@ -216,9 +216,8 @@ def _verdict(levels: list[DistortionLevel], found: PeriodicResponse, significanc
         worst = max(detected, key=lambda level: level.level_db)
         kinds = " and ".join(sorted({level.parity for level in detected}))
         words = (
-            f"nonlinear, with {kinds} distortion: up to {worst.level_db:.0f} dB "
-            f"({worst.parity}, {worst.output_name}) "
-            f"of the excited lines, where noise alone is {worst.noise_db:.0f} dB"
+            f"nonlinear, with {kinds} distortion: up to {worst.level_db:.0f} dB ({worst.parity}, "
+            f"{worst.output_name}) of the excited lines, where noise alone is {worst.noise_db:.0f} dB"
         )
     drift = float(np.nanmax(found.drift, initial=0.0))
     if drift > 2.0:

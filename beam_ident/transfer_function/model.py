@@ -63,8 +63,7 @@ class TransferFunctionModel:
         if self.covariance.shape != (n, n) or self.denominator[0] != 1.0:
             raise ModelFormatError(
                 f"transfer function: covariance of shape {self.covariance.shape} and leading denominator "
-                "coefficient "
-                f"{self.denominator[0]}; expected {(n, n)} and 1"
+                f"coefficient {self.denominator[0]}; expected {(n, n)} and 1"
             )
 
     @property
@@ -337,8 +336,7 @@ class TransferFunctionModel:
         if self.delay != 0.0:
             raise EstimationError(
                 f"scipy.signal has no delays and this model has one of {self.delay:.6g} s; use numerator, "
-                "denominator "
-                "and delay, or simulate()"
+                "denominator and delay, or simulate()"
             )
         return TransferFunction(self.numerator, self.denominator)
 

@@ -314,8 +314,8 @@ def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:
     if isinstance(value, Sequence) and not isinstance(value, str):
         if len(value) != len(drives):
             raise EstimationError(
-                f"{name} has {len(value)} entries for {len(drives)} inputs "
-                f"({', '.join(drives)}); expected one for each"
+                f"{name} has {len(value)} entries for {len(drives)} inputs ({', '.join(drives)}); expected "
+                "one for each"
             )
         return list(value)
     return [value] * len(drives)

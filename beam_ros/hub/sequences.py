@@ -346,8 +346,8 @@ class CommandGate:
         if self._assembler is not None:
             return Outcome(
                 False,
-                f"set-point refused: sequence {self.sequence_id} is loaded; "
-                "wait for its end or call hub/stop",
+                f"set-point refused: sequence {self.sequence_id} is loaded; wait for its end or call "
+                "hub/stop",
             )
         if state != "enabled":
             return Outcome(False, f"set-point refused: {_not_enabled(state)}")

@@ -125,8 +125,8 @@ TOPICS: dict[str, Topic] = {
             "hub/applied",
             JOINT_TRAJECTORY,
             _DATA,
-            "batches of the reference really applied, a point per device "
-            "tick [m, m/s, m/s^2 or N by command mode]",
+            "batches of the reference really applied, a point per device tick [m, m/s, m/s^2 or N by command "
+            "mode]",
         ),
         Topic(
             "hub/measured",

@@ -430,9 +430,8 @@ def format_table(content: Mapping[str, Any]) -> str:
         decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if f_sd > 0.0 else 6
         zeta, zeta_sd = 100 * mode["damping_ratio"], 100 * mode["damping_ratio_sd"]
         lines.append(
-            f"{k:>4} {f:>13.{decimals}f} +- {f_sd:<8.2g} {mode['theory_frequency_hz']:>13.{decimals}f}"
-            f" {mode['frequency_z']:>+6.1f}"
-            f"      {zeta:>8.5f} +- {zeta_sd:<8.2g} {100 * mode['theory_damping_ratio']:>7.4f}"
-            f" {mode['damping_ratio_z']:>+6.1f}"
+            f"{k:>4} {f:>13.{decimals}f} +- {f_sd:<8.2g} {mode['theory_frequency_hz']:>13.{decimals}f} "
+            f"{mode['frequency_z']:>+6.1f}      {zeta:>8.5f} +- {zeta_sd:<8.2g} "
+            f"{100 * mode['theory_damping_ratio']:>7.4f} {mode['damping_ratio_z']:>+6.1f}"
         )
     return "\n".join(lines)

@@ -135,8 +135,7 @@ def track_video(
         raise VideoError(
             f"{video.path}: the low marker {names[0]} is in none of {len(measured)} frames "
             f"({_in_words(reasons[0])}); expected it where the rig file puts it: check markers.heights, "
-            "markers.diameter, camera.origin_u and "
-            "origin_v, camera.pixels_per_metre and tracker.polarity"
+            "markers.diameter, camera.origin_u and origin_v, camera.pixels_per_metre and tracker.polarity"
         )
     return TrackedVideo(
         names,

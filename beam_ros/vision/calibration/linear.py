@@ -93,9 +93,8 @@ class LinearCalibration:
             )
             if not is_covariance:
                 raise CalibrationError(
-                    f"covariance of marker {k} is {matrix!r}; expected a symmetric, non-negative 2x2 "
-                    "matrix of "
-                    "(scale, zero)"
+                    f"covariance of marker {k} is {matrix!r}; expected a symmetric, non-negative 2x2 matrix "
+                    "of (scale, zero)"
                 )
         width, height = self.image_size
         if width < 1 or height < 1:
@@ -307,8 +306,8 @@ class LinearCalibration:
         }
         if not isinstance(data, Mapping) or data.get("kind") != "linear_calibration":
             raise CalibrationError(
-                "file holds no linear calibration (its kind is "
-                f"{data.get('kind')!r}); expected one written by `beam calibrate`"
+                f"file holds no linear calibration (its kind is {data.get('kind')!r}); expected one written "
+                "by `beam calibrate`"
                 if isinstance(data, Mapping)
                 else f"calibration is a {type(data).__name__}; expected a mapping written by `beam calibrate`"
             )

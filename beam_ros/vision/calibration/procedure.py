@@ -119,8 +119,7 @@ def fit_line(points: Sequence[CalibrationPoint]) -> LineFit:
     if span <= 0 or span < 10 * float(np.max(sd_x)):
         raise CalibrationError(
             f"calibration positions span {span:.3g} m with a reference sd of {float(np.max(sd_x)):.3g} m; "
-            "expected "
-            "a span of at least ten standard deviations: move the hub further"
+            "expected a span of at least ten standard deviations: move the hub further"
         )
     # Centre and scale: the equations then hold numbers of order one.
     x0, u0 = float(np.mean(x)), float(np.mean(u))
@@ -300,9 +299,8 @@ class CalibrationProcedure:
             stated = float(np.sqrt(np.mean(sigmas[seen, k] ** 2)))
             if count >= 10 and scatter > max(SWING_NOISES * stated, SWING_PX):
                 raise CalibrationError(
-                    f"{what}: it moves by {scatter:.3g} px (sd) where the noise is {stated:.3g} px; "
-                    "expected a beam "
-                    "at rest: wait until it has come to rest and capture again"
+                    f"{what}: it moves by {scatter:.3g} px (sd) where the noise is {stated:.3g} px; expected "
+                    "a beam at rest: wait until it has come to rest and capture again"
                 )
             captured.append(CalibrationPoint(float(reference_m), float(reference_sd_m), mean, sd, count))
         self._points.append(tuple(captured))
@@ -334,8 +332,7 @@ class CalibrationProcedure:
         if len(signs) != 1:
             raise CalibrationError(
                 f"slopes are {[round(line.slope, 3) for line in lines]} px/m; expected one sign for all "
-                "markers: "
-                "check which spots the tracker follows"
+                "markers: check which spots the tracker follows"
             )
         flip = signs == {-1.0}
         direction = -1.0 if flip else 1.0
@@ -379,14 +376,12 @@ class CalibrationProcedure:
             if line.is_curved:
                 warnings.append(
                     f"marker {k}: curved by {line.curvature:.3g} +- {line.curvature_sd:.2g} px/m^2; a "
-                    "straight line "
-                    "is not enough: correct the lens's distortion or the camera's tilt"
+                    "straight line is not enough: correct the lens's distortion or the camera's tilt"
                 )
             reduced = line.chi_squared / line.degrees_of_freedom
             if reduced > 1 + 4 * math.sqrt(2 / line.degrees_of_freedom):
                 warnings.append(
-                    f"marker {k}: scatter is {math.sqrt(reduced):.2g} times the stated standard "
-                    "deviations; the "
-                    "covariance is enlarged accordingly"
+                    f"marker {k}: scatter is {math.sqrt(reduced):.2g} times the stated standard deviations; "
+                    "the covariance is enlarged accordingly"
                 )
         return warnings

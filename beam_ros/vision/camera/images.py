@@ -84,8 +84,7 @@ def image_view(
     if kind is None:
         raise ImageFormatError(
             f"image encoding {encoding!r} is not supported; expected one of "
-            f"{', '.join(SUPPORTED_ENCODINGS)}: "
-            "set the camera driver to mono8"
+            f"{', '.join(SUPPORTED_ENCODINGS)}: set the camera driver to mono8"
         )
     if height <= 0 or width <= 0:
         raise ImageFormatError(

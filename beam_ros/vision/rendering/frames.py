@@ -326,8 +326,7 @@ class SceneRenderer:
         if x.shape not in ((1, n_markers), (self.sub_instants, n_markers)):
             raise VisionParameterError(
                 f"marker_x has shape {x.shape}; expected ({self.sub_instants}, {n_markers}), the positions "
-                "at "
-                f"exposure_instants(), or ({n_markers},) for markers at rest"
+                f"at exposure_instants(), or ({n_markers},) for markers at rest"
             )
         u = self.camera.columns(x)
         if marker_z is None:
