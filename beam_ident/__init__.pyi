@@ -2,6 +2,7 @@
 
 from beam_ident.data.batches import map_records as map_records
 from beam_ident.data.frequency_record import FrequencyRecord as FrequencyRecord
+from beam_ident.data.prior import Prior as Prior
 from beam_ident.data.records import InputSignal as InputSignal
 from beam_ident.data.records import OutputSignal as OutputSignal
 from beam_ident.data.records import TimeRecord as TimeRecord
@@ -62,7 +63,6 @@ from beam_ident.modal_estimation.free_decay import fit_free_decay as fit_free_de
 from beam_ident.modal_estimation.frequency_domain import FrequencyDomainResult as FrequencyDomainResult
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes as fit_frequency_modes
 from beam_ident.modal_estimation.time_domain import identify as identify
-from beam_ident.modal_estimation.variable_projection import Prior as Prior
 from beam_ident.noise.scores import InputCorrelation as InputCorrelation
 from beam_ident.noise.scores import Scores as Scores
 from beam_ident.noise.scores import Whiteness as Whiteness
@@ -72,9 +72,9 @@ from beam_ident.responses.detection_lines import NonlinearDistortion as Nonlinea
 from beam_ident.responses.detection_lines import nonlinear_distortion as nonlinear_distortion
 from beam_ident.responses.half_power import HalfPowerDamping as HalfPowerDamping
 from beam_ident.responses.half_power import half_power_damping as half_power_damping
+from beam_ident.responses.local_polynomial import local_polynomial_response as local_polynomial_response
 from beam_ident.responses.periodic_averaging import PeriodicResponse as PeriodicResponse
 from beam_ident.responses.periodic_averaging import periodic_response as periodic_response
-from beam_ident.responses.spectral import local_polynomial_response as local_polynomial_response
 from beam_ident.responses.spectral import welch_response as welch_response
 from beam_ident.responses.stepped_sine import SineFit as SineFit
 from beam_ident.responses.stepped_sine import fit_sine as fit_sine

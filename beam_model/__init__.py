@@ -24,13 +24,13 @@ from beam_model.errors import BeamModelError, BeamParameterError, PhysicalFitErr
 from beam_model.fitting.physical_fit import (
     Identifiability,
     ModalMeasurement,
+    ParameterPrior,
     PhysicalFit,
-    Prior,
     fit_beam,
     identifiability,
 )
 from beam_model.fitting.theory_comparison import TheoryComparison, UncertaintyBudget, compare_with_theory
-from beam_model.galerkin.frequency_response import FrequencyResponse
+from beam_model.frequency_response import FrequencyResponse
 from beam_model.galerkin.linear_forms import PoleResidueForm, StateSpace, ZerosPolesGain, state_space
 from beam_model.galerkin.matrices import GalerkinMatrices, ModalBasis, ModalParameters
 from beam_model.galerkin.model import BeamModel
@@ -60,13 +60,13 @@ __all__ = [
     "MotionStepper",
     "NonlinearMotionStepper",
     "NonlinearTerms",
+    "ParameterPrior",
     "PhysicalFit",
     "PhysicalFitError",
     "PointMass",
     "PoleResidueForm",
     "PositionServo",
     "PredictedLoads",
-    "Prior",
     "StateSpace",
     "TheoryComparison",
     "UncertaintyBudget",

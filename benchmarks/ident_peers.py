@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, csd, lfilter, welch
 
 from beam_ident import TimeRecord, estimate_transfer_function
-from beam_ident.responses.spectral import local_polynomial_response
+from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.subspace.model import subspace_model
 from benchmarks.ident.forced_beam import ForcedBeam
 from tests.beam_ident import rao_garnier

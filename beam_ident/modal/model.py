@@ -27,9 +27,8 @@ from beam_ident.modal.realisation import (
     n_integrations,
     transfer_polynomials,
 )
-from beam_ident.modal.regression import ClockState, ModalRegression, forced_columns
+from beam_ident.modal.regression import ClockState, forced_columns
 from beam_ident.modal.structure import ModalStructure, StructureKind
-from beam_ident.modal_estimation.variable_projection import ModalFit
 
 SCHEMA = 1
 
@@ -86,7 +85,7 @@ class ModalModel:
             values = np.array(getattr(self, name), dtype=np.float64, copy=True)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        names = _parameter_names(self.n_modes, self.output_names)
+        names = parameter_names(self.n_modes, self.output_names)
         object.__setattr__(self, "parameter_names", names)
         n, m = self.n_modes, len(self.output_names)
         shapes = {
@@ -415,59 +414,6 @@ class ModalModel:
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
             )
 
-    @staticmethod
-    def from_fit(
-        fit: ModalFit, regression: ModalRegression, latency_is_free: bool, rate_is_free: bool
-    ) -> ModalModel:
-        """Collect the parameters of a fit, leaving out offsets, ramps and free responses."""
-        structure = regression.structure
-        n, m = len(fit.omegas), regression.n_outputs
-        names = _parameter_names(n, regression.output_names)
-        source: list[int] = list(range(2 * n))
-        place = 2 * n
-        for is_free in (latency_is_free, rate_is_free):
-            source.append(place if is_free else -1)
-            place += int(is_free)
-        gains, residuals, residues = np.zeros(m), np.zeros(m), np.zeros((m, n))
-        for j, found in enumerate(fit.coefficients):
-            column = 0
-            if structure.has_direct:
-                gains[j] = found[0]
-                source.append(place)
-                column = 1
-            else:
-                source.append(-1)
-            if structure.has_residual:
-                residuals[j] = found[column]
-                source.append(place + column)
-                column += 1
-            else:
-                source.append(-1)
-            residues[j] = found[column : column + n]
-            source.extend(range(place + column, place + column + n))
-            place += len(found)
-        index = np.array(source)
-        covariance = fit.covariance[np.ix_(index, index)]
-        absent = index < 0
-        covariance[absent, :] = 0.0
-        covariance[:, absent] = 0.0
-        scale = np.ones(len(names))
-        scale[:n] = fit.omegas
-        return ModalModel(
-            structure=structure.kind,
-            input_name=regression.drives[0].name,
-            output_names=regression.output_names,
-            natural_frequencies=fit.omegas,
-            damping_ratios=fit.zetas,
-            residues=residues,
-            residual_terms=residuals,
-            gains=gains,
-            latency=fit.clock.latency,
-            clock_rate=fit.clock.rate,
-            covariance=covariance * np.outer(scale, scale),
-            noise_sd=fit.sigmas,
-        )
-
     @property
     def clock(self) -> ClockState:
         """Latency and clock rate together."""
@@ -484,7 +430,8 @@ def _after_the_step(times_s: FloatArray) -> FloatArray:
     return times
 
 
-def _parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:
+def parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:
+    """Name the parameters in the order of the covariance."""
     numbers = range(1, n_modes + 1)
     names = [f"omega_{i}" for i in numbers] + [f"zeta_{i}" for i in numbers] + ["latency", "clock_rate"]
     for output in output_names:

@@ -23,12 +23,12 @@ import numpy as np
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import require_frequency_record, require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.prior import Prior
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.mode_search import Family, PoleOrder, mode_warnings, search_modes
 from beam_ident.modal_estimation.pole_projection import Columns, Part, PoleFit, PoleProblem
-from beam_ident.modal_estimation.variable_projection import Prior
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.numerics.blas_threads import on_one_thread
 

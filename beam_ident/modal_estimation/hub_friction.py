@@ -23,7 +23,7 @@ _VISIBLE = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
-class HubFriction:
+class FrictionEstimate:
     """The rate at which a free base loses its speed, to first order.
 
     Attributes
@@ -40,7 +40,7 @@ class HubFriction:
         return self.rate > _VISIBLE * self.rate_sd
 
     @staticmethod
-    def of(fit: ModalFit, regression: ModalRegression) -> HubFriction:
+    def of(fit: ModalFit, regression: ModalRegression) -> FrictionEstimate:
         """Look for friction in what a fit with a frictionless rigid body leaves.
 
         Parameters
@@ -65,8 +65,8 @@ class HubFriction:
             power += float(column @ column)
             variance += float(score_covariance(column[:, None], correlation)[0, 0])
         if not power > 0.0:
-            return HubFriction(0.0, math.inf)
-        return HubFriction(along / power, math.sqrt(max(variance, 0.0)) / power)
+            return FrictionEstimate(0.0, math.inf)
+        return FrictionEstimate(along / power, math.sqrt(max(variance, 0.0)) / power)
 
     def warning(self) -> str:
         """Return what a reader of the fit must know."""

@@ -21,7 +21,8 @@ from typing import Protocol
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING, Prior
+from beam_ident.data.prior import Prior
+from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 

@@ -24,6 +24,7 @@ from beam_ident.data.argument_checks import (
 )
 from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.identification_result import IdentificationResult, OrderEntry, OutputFit
@@ -31,11 +32,12 @@ from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.clock_search import clock_places
-from beam_ident.modal_estimation.hub_friction import HubFriction
+from beam_ident.modal_estimation.fitted_model import fitted_model
+from beam_ident.modal_estimation.hub_friction import FrictionEstimate
 from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
 from beam_ident.modal_estimation.mode_scan import ModalScan
 from beam_ident.modal_estimation.record_levels import record_levels, unweighed, weigh_records
-from beam_ident.modal_estimation.variable_projection import ModalFit, Prior, fit_modes
+from beam_ident.modal_estimation.variable_projection import ModalFit, fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
@@ -334,7 +336,7 @@ class _Search:
             weighed = self._confirmed(weighed)
         fit, regression, by_record = weighed.fit, weighed.regression, weighed.by_record
         self.chosen, self.regression = fit, regression
-        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        model = fitted_model(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         outputs = tuple(
@@ -360,7 +362,7 @@ class _Search:
     def _weighed(self, fit: ModalFit) -> _Weighed:
         """Return a fit with equal weights, weighed by the noise as it is."""
         regression = self.plain
-        model = ModalModel.from_fit(fit, regression, self.latency.is_free, self.clock_rate.is_free)
+        model = fitted_model(fit, regression, self.latency.is_free, self.clock_rate.is_free)
         smoothing = None
         shares = [_noise_share(model, drive) for drive in regression.drives]
         if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
@@ -464,7 +466,7 @@ class _Search:
             if complaint:
                 warnings.append(f"Mode {mode + 1}: {complaint}.")
         if model.structure == "force" and self.band.is_excited:
-            friction = HubFriction.of(fit, self.regression)
+            friction = FrictionEstimate.of(fit, self.regression)
             if friction.is_visible:
                 warnings.append(friction.warning())
         if fit.rank_deficient and self.band.is_excited:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.errors import EstimationError
+from beam_ident.data.prior import Prior
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
@@ -32,32 +32,6 @@ _MAX_CLOCK_RATE = 0.1
 
 
 _NOISE_FLOOR = 1e-10  # of the output's size: where rounding ends what residuals can tell
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Gaussian knowledge about a clock parameter.
-
-    Parameters
-    ----------
-    mean : float
-    sd : float
-        0 fixes the parameter at its mean, infinity leaves it to the data alone.
-    """
-
-    mean: float = 0.0
-    sd: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not math.isfinite(self.mean) or math.isnan(self.sd) or self.sd < 0.0:
-            raise EstimationError(
-                f"prior is {self.mean} +- {self.sd}; expected a finite mean and sd >= 0 (or inf)"
-            )
-
-    @property
-    def is_free(self) -> bool:
-        """Whether the parameter is estimated."""
-        return self.sd > 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,10 +25,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
-from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING, ModalFit, Prior
+from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING, ModalFit
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.scores import are_rounding

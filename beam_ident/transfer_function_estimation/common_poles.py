@@ -23,9 +23,9 @@ from beam_ident.data.argument_checks import (
     require_time,
     require_whole_number,
 )
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.modal_estimation.variable_projection import Prior
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -37,8 +37,8 @@ from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
-from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.srivc import estimate_denominator
 
 _ITERATIONS = 50
@@ -191,7 +191,9 @@ def estimate_common_poles(
     problems, starts = [], []
     for name, m in zip(first.output_names, zeros, strict=True):
         experiments = [
-            Experiment.of(one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, has_free_response)
+            RecordShare.of(
+                one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, has_free_response
+            )
             for one in records
         ]
         problem, optimum = estimate_denominator(

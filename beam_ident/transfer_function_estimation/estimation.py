@@ -25,9 +25,9 @@ from beam_ident.data.argument_checks import (
     require_records,
     require_whole_number,
 )
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.modal_estimation.variable_projection import Prior
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -39,12 +39,12 @@ from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.additive_fit import estimate_additive
-from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances
 from beam_ident.transfer_function_estimation.output_error import (
     JointCovariance,
     OutputErrorProblem,
     OutputErrorState,
 )
+from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model
 from beam_ident.transfer_function_estimation.srivc import (
     FINALISTS,
@@ -294,7 +294,7 @@ def estimate_transfer_function(
             require_excitation(records, name)
     blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
     experiments = [
-        Experiment.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
+        RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
         for one in records
     ]
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)

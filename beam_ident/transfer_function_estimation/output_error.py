@@ -28,7 +28,13 @@ from beam_ident.noise.noise_model import NoiseModel, Whitening
 from beam_ident.noise.record_fit import in_units_of_level
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
-from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances, Path, Response, joined
+from beam_ident.transfer_function_estimation.record_share import (
+    Nuisances,
+    Path,
+    RecordShare,
+    Response,
+    joined,
+)
 
 _MIN_SAMPLES = 20
 _NOISE_FLOOR = 1e-11
@@ -89,7 +95,7 @@ class OutputErrorProblem:
 
     Parameters
     ----------
-    experiments : sequence of Experiment -- one for every record
+    experiments : sequence of RecordShare -- one for every record
     orders : tuple of int -- degree of every denominator
     nuisances : Nuisances
     noise : NoiseModel or None -- None weighs all samples alike
@@ -102,7 +108,7 @@ class OutputErrorProblem:
 
     def __init__(
         self,
-        experiments: Sequence[Experiment],
+        experiments: Sequence[RecordShare],
         orders: tuple[int, ...],
         nuisances: Nuisances,
         noise: NoiseModel | None = None,

@@ -13,8 +13,8 @@ from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse
-from beam_ident.transfer_function_estimation.experiment import Experiment, Response, joined
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.transfer_function_estimation.record_share import RecordShare, Response, joined
 
 
 def filter_coefficients(order: int) -> FloatArray:
@@ -24,7 +24,7 @@ def filter_coefficients(order: int) -> FloatArray:
 
 
 def filtered_output(
-    experiment: Experiment, upper: ComplexArray, scale: float, instants: Instants
+    experiment: RecordShare, upper: ComplexArray, scale: float, instants: Instants
 ) -> RationalResponse:
     """Return the responses of a filter 1/F to what one record measured, at instants of it."""
     return RationalResponse(

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from beam_model.arrays import ComplexArray, FloatArray
 from beam_model.errors import BeamParameterError
-from beam_model.galerkin.frequency_response import FrequencyResponse
+from beam_model.frequency_response import FrequencyResponse
 from beam_model.parameters import BeamParameters
 
 _DERIVATIVES = {"displacement": 0, "deflection": 0, "slope": 1, "curvature": 2}

@@ -41,7 +41,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
-class Prior:
+class ParameterPrior:
     """What is known beforehand: a mean and a standard deviation, in the parameter's unit."""
 
     mean: float
@@ -158,7 +158,7 @@ def fit_beam(
     measurement: ModalMeasurement,
     nominal: BeamParameters,
     free: Sequence[str] = ("stiffness",),
-    priors: Mapping[str, Prior] | None = None,
+    priors: Mapping[str, ParameterPrior] | None = None,
     *,
     height_uncertainty: float | None = None,
     model_discrepancy: float = DEFAULT_DISCREPANCY,
@@ -173,7 +173,7 @@ def fit_beam(
         Start and everything that is not free; prescribed damping ratios are not used.
     free : sequence of str
         Of "stiffness", "viscous", "internal", "tip_mass" and "clamp_compliance".
-    priors : mapping of str to Prior, optional
+    priors : mapping of str to ParameterPrior, optional
         For "tip_mass" [kg] and "clamp_compliance" [rad/(N m)] demanded, for the others allowed.
     height_uncertainty : float, optional
         Standard deviation of the markers' heights [m]; demanded where residues are used. Heights are then fitted
@@ -469,7 +469,7 @@ def _damping_ratios(
 def _check_question(
     measurement: ModalMeasurement,
     names: tuple[str, ...],
-    priors: Mapping[str, Prior],
+    priors: Mapping[str, ParameterPrior],
     height_uncertainty: float | None,
 ) -> None:
     if not names:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from beam_model.arrays import ComplexArray, FloatArray
 from beam_model.errors import BeamParameterError
-from beam_model.galerkin.frequency_response import FrequencyResponse
+from beam_model.frequency_response import FrequencyResponse
 from beam_model.galerkin.matrices import GalerkinMatrices, ModalBasis, assemble
 from beam_model.galerkin.stepping import ForceStepper, MotionStepper
 from beam_model.parameters import BeamParameters

@@ -49,12 +49,13 @@ Interpreters = Callable[..., Path]
 def clone(tmp_path: Path) -> Path:
     """What the set-up reads of a tree, in a folder whose name has a blank."""
     root = tmp_path / "beam rig"
-    (root / "beam_ros").mkdir(parents=True)
+    (root / "beam_ros" / "process").mkdir(parents=True)
     for name in (
         "bootstrap.py",
         "setup.py",
         "pyproject.toml",
         "beam_ros/__init__.py",
+        "beam_ros/process/__init__.py",
         "beam_ros/process/environment.py",
     ):
         shutil.copy(ROOT / name, root / name)

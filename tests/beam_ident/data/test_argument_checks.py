@@ -28,8 +28,9 @@ from beam_ident import (
     validate,
 )
 from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.responses.periodic_averaging import periodic_response
-from beam_ident.responses.spectral import local_polynomial_response, welch_response
+from beam_ident.responses.spectral import welch_response
 
 PERIOD = 0.01
 STAMPS = PERIOD * np.arange(1, 400)

@@ -11,7 +11,8 @@ pytest.importorskip("matplotlib")
 
 from beam_ident import EstimationError, LogChirp, estimate_transfer_function, figures, identify, validate
 from beam_ident.excitation import Prbs
-from beam_ident.responses.spectral import local_polynomial_response, welch_response
+from beam_ident.responses.local_polynomial import local_polynomial_response
+from beam_ident.responses.spectral import welch_response
 from tests.beam_ident import rao_garnier
 from tests.beam_ident.truth import beam_record
 

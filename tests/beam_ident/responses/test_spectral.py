@@ -11,7 +11,8 @@ from beam_ident import (
     fit_frequency_modes,
     fit_frequency_transfer_function,
 )
-from beam_ident.responses.spectral import local_polynomial_response, welch_response
+from beam_ident.responses.local_polynomial import local_polynomial_response
+from beam_ident.responses.spectral import welch_response
 from beam_ident.transfer_function.model import TransferFunctionModel
 
 PERIOD_S = 0.01

@@ -13,8 +13,8 @@ from beam_ident import (
 )
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function_estimation.delay_search import delay_profile
-from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances, Path
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
+from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare
 from benchmarks.ident.delay import DelayedBeam, DoublePole, LateBeam
 from tests.beam_ident.rao_garnier import PERIOD_S, noise_level, prbs
 
@@ -102,7 +102,7 @@ def test_the_profile_is_lowest_at_the_delay():
     record = late_record(0.2537, snr_db=30.0)
     path = Path.of(record.inputs[0], 1, 0, Prior(0.0, np.inf), 0, 0.02)
     output = record.outputs[0]
-    experiment = Experiment("record", (path,), output.times_s, output.values, 0.0)
+    experiment = RecordShare("record", (path,), output.times_s, output.values, 0.0)
     problem = OutputErrorProblem([experiment], (2,), Nuisances())
     delays, cost = delay_profile(problem, 9.0, np.zeros(1), 0, 0.0, 3.0)
     assert np.max(np.abs(np.diff(delays) - 0.5 * PERIOD_S)) < 1e-12

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, Prior
-from beam_ident.transfer_function_estimation.experiment import Experiment, Nuisances, Path, usable_samples
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
+from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
 
 RNG = np.random.default_rng(3)
 DRIVES = (
@@ -29,10 +29,10 @@ def problem(
         for block, (drive, m) in enumerate(zip(DRIVES, (1, 2), strict=True))
     )
     values = np.sin(3.0 * STAMPS) + 0.3 * STAMPS + RNG.standard_normal(len(STAMPS))
-    experiments = [Experiment("record", paths, STAMPS, values, exposure_s)]
+    experiments = [RecordShare("record", paths, STAMPS, values, exposure_s)]
     if several:  # the same inputs, another clock
         later = np.sort(np.random.default_rng(7).uniform(0.4, 9.6, 80))
-        experiments.append(Experiment("second", paths, later, np.cos(2.0 * later) + 1.0, exposure_s))
+        experiments.append(RecordShare("second", paths, later, np.cos(2.0 * later) + 1.0, exposure_s))
     return OutputErrorProblem(experiments, (2, 3) if own_poles else (3,), nuisances)
 
 
@@ -104,8 +104,8 @@ def test_too_few_samples_are_refused_with_their_number():
     case = problem()
     with pytest.raises(EstimationError, match="15 usable samples"):
         OutputErrorProblem(
-            [Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)], (2, 3), Nuisances()
+            [RecordShare("short", case.paths, STAMPS[:15], case.values[:15], 0.0)], (2, 3), Nuisances()
         )
-    long, short = case.experiments[0], Experiment("short", case.paths, STAMPS[:15], case.values[:15], 0.0)
+    long, short = case.experiments[0], RecordShare("short", case.paths, STAMPS[:15], case.values[:15], 0.0)
     with pytest.raises(EstimationError, match="15 usable samples in record 'short'"):
         OutputErrorProblem([long, short], (2, 3), Nuisances())

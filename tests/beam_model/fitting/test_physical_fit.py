@@ -7,7 +7,7 @@ import pytest
 
 from beam_model import BeamModel, BeamParameterError, BeamParameters, Damping, PointMass
 from beam_model.errors import PhysicalFitError
-from beam_model.fitting.physical_fit import ModalMeasurement, Prior, fit_beam, identifiability
+from beam_model.fitting.physical_fit import ModalMeasurement, ParameterPrior, fit_beam, identifiability
 from tests.beam_model.rigs import HEIGHTS, strip
 
 HEIGHT_SIGMA = 0.0005
@@ -34,7 +34,7 @@ TRUE_VALUES = {
     "tip_mass": 2e-3,
     "clamp_compliance": 1 / 40.0,
 }
-PRIORS = {"tip_mass": Prior(2e-3, 2e-4), "clamp_compliance": Prior(0.025, 0.005)}
+PRIORS = {"tip_mass": ParameterPrior(2e-3, 2e-4), "clamp_compliance": ParameterPrior(0.025, 0.005)}
 
 
 def measure(
@@ -104,7 +104,7 @@ def coverage(free: tuple[str, ...], with_residues: bool, n_draws: int) -> tuple[
     for _ in range(n_draws):
         # Priors are draws, too: what is believed of the tip mass scatters about the truth.
         priors = {
-            name: Prior(
+            name: ParameterPrior(
                 prior.mean + prior.standard_deviation * rng.standard_normal(), prior.standard_deviation
             )
             for name, prior in PRIORS.items()
@@ -157,7 +157,10 @@ def test_what_cannot_be_told_apart_is_refused_with_its_singular_values() -> None
     # One mode cannot tell viscous from internal damping.
     with pytest.raises(PhysicalFitError, match=r"(?s)viscous and internal apart.*singular values"):
         fit_beam(
-            measure(None, 1), START, ("stiffness", "viscous", "internal"), {"stiffness": Prior(65.5, 1.0)}
+            measure(None, 1),
+            START,
+            ("stiffness", "viscous", "internal"),
+            {"stiffness": ParameterPrior(65.5, 1.0)},
         )
     # Three can; not under a stricter limit.
     with pytest.raises(PhysicalFitError, match="condition"):
@@ -229,4 +232,4 @@ def test_unknown_parameters_and_bad_settings_are_refused() -> None:
     with pytest.raises(BeamParameterError, match="model_discrepancy"):
         fit_beam(measure(None), TRUTH, model_discrepancy=-1.0)
     with pytest.raises(BeamParameterError, match="standard_deviation"):
-        Prior(1.0, 0.0)
+        ParameterPrior(1.0, 0.0)

@@ -17,14 +17,6 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 
-@pytest.fixture
-def graph():
-    from tests.graph import Graph
-
-    with Graph() as graph:
-        yield graph
-
-
 def _with_commands(path, *, batches=50):
     with BagWriter(path) as bag:
         for chunk in messages.split_sequence("chirp", START, 1_000_000, np.zeros(600)):

@@ -23,14 +23,6 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 
-@pytest.fixture
-def graph():
-    from tests.graph import Graph
-
-    with Graph() as graph:
-        yield graph
-
-
 class Recorder:
     """A recorder process with the states that it publishes."""
 

@@ -14,7 +14,7 @@ import pytest
 
 from beam_ros import messages
 from beam_ros.bags.batches import decode_batch
-from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import JOINT_TRAJECTORY, NODES, SERVICES, STRING, TOPICS
 from beam_ros.shell.node import qos_profile
 
 pytestmark = pytest.mark.ros
@@ -39,7 +39,7 @@ def rigs(executables, graph, tmp_path: Path):
             f"hub of {rig}",
             15.0,
         )
-    expected = len(graph.NODES["hub_driver"].publishes)
+    expected = len(NODES["hub_driver"].publishes)
     graph.wait(lambda: all(len(_publishers(graph, rig)) >= expected for rig in "ab"), "topics", 15.0)
     return graph
 
@@ -77,18 +77,18 @@ def _settled(graph, look):
 def test_topics_types_qos_services_and_parameters_are_the_same(rigs) -> None:
     simulator, driver = _settled(rigs, _publishers)
     assert simulator == driver
-    assert set(graph.NODES["hub_driver"].publishes) == set(driver)
+    assert set(NODES["hub_driver"].publishes) == set(driver)
     for topic, (types, reliability, durability) in driver.items():
-        profile = qos_profile(graph.TOPICS[topic].qos)
-        assert types == (graph.TOPICS[topic].type_name,)
+        profile = qos_profile(TOPICS[topic].qos)
+        assert types == (TOPICS[topic].type_name,)
         assert (reliability, durability) == (profile.reliability, profile.durability)
     simulator, driver = _settled(rigs, _services)
     assert simulator == driver
-    promised = {(name, (graph.SERVICES[name].type_name,)) for name in graph.NODES["hub_driver"].serves}
+    promised = {(name, (SERVICES[name].type_name,)) for name in NODES["hub_driver"].serves}
     assert promised <= driver
     simulator, driver = _settled(rigs, _subscriptions)
     assert simulator == driver
-    assert set(graph.NODES["hub_driver"].subscribes) <= {name for name, _ in driver}
+    assert set(NODES["hub_driver"].subscribes) <= {name for name, _ in driver}
 
 
 def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> None:
@@ -96,25 +96,25 @@ def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> 
     applied = {"a": [], "b": []}
     states = {"a": [], "b": []}
     types = rigs.types
-    trajectory = types.message_class(graph.JOINT_TRAJECTORY)
-    text = types.message_class(graph.STRING)
+    trajectory = types.message_class(JOINT_TRAJECTORY)
+    text = types.message_class(STRING)
     outputs = {}
     for rig in "ab":
         rigs.node.create_subscription(
             trajectory,
             f"/{rig}/hub/applied",
             applied[rig].append,
-            qos_profile(graph.TOPICS["hub/applied"].qos),
+            qos_profile(TOPICS["hub/applied"].qos),
             raw=True,
         )
         rigs.node.create_subscription(
             text,
             f"/{rig}/hub/sequence_state",
             lambda m, rig=rig: states[rig].append(json.loads(m.data)),
-            qos_profile(graph.TOPICS["hub/sequence_state"].qos),
+            qos_profile(TOPICS["hub/sequence_state"].qos),
         )
         outputs[rig] = rigs.node.create_publisher(
-            trajectory, f"/{rig}/hub/sequence", qos_profile(graph.TOPICS["hub/sequence"].qos)
+            trajectory, f"/{rig}/hub/sequence", qos_profile(TOPICS["hub/sequence"].qos)
         )
         for service in ("home", "enable"):
             _call(rigs, f"/{rig}/hub/{service}", "SetBool" if service == "enable" else "Trigger", True)

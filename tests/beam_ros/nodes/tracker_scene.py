@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from beam_ros import messages
-from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import Displacement, Health, MarkerCloud
 from beam_ros.rig.rig import Rig
 from tests.graph import Graph
 from tests.real_processes import Executables
 
 PERIOD_NS = 10_000_000
-RELIABLE = graph.QualityOfService(30)
+RELIABLE = QualityOfService(30)
 
 
 class Seen:
@@ -79,7 +79,7 @@ class TrackerScene:
         )
         self.seen[namespace] = Seen(self.graph, f"/{namespace}")
 
-    def camera(self, namespace: str, qos: graph.QualityOfService = RELIABLE) -> Any:
+    def camera(self, namespace: str, qos: QualityOfService = RELIABLE) -> Any:
         """Make the camera of a namespace, matched with its tracker."""
         if namespace not in self._cameras:
             publisher = self.graph.publisher("camera/image_raw", qos, f"/{namespace}")

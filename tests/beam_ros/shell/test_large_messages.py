@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.process.environment import child_environment
 from beam_ros.shell.large_messages import (
     PROFILE,
@@ -85,7 +86,7 @@ def test_frames_sent_at_once_all_arrive_though_nobody_repeats_them(graph, start_
         graph.types.message_class("sensor_msgs/msg/Image"),
         "/large/camera/image_raw",
         lambda data: seen.append(struct.unpack_from("<I", data, 8)[0]),
-        qos_profile(graph.QualityOfService(FRAMES, is_reliable=False)),
+        qos_profile(QualityOfService(FRAMES, is_reliable=False)),
         raw=True,
     )
     start_camera("/large/camera/image_raw")

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import require_input, require_output
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
-from beam_ident.modal_estimation.variable_projection import Prior
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse
 
@@ -145,7 +145,7 @@ def usable_samples(output: OutputSignal, drives: list[InputSignal]) -> NDArray[n
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class RecordShare:
     """The samples of one output in one record, and the inputs that caused them.
 
     Attributes
@@ -172,7 +172,7 @@ class Experiment:
         delays: Sequence[Prior],
         n_integrators: int,
         is_past_unknown: bool,
-    ) -> Experiment:
+    ) -> RecordShare:
         """Take one output of a record, where all its inputs are known.
 
         Parameters
@@ -207,7 +207,7 @@ class Experiment:
             Path.of(drive, m, block, prior, n_integrators, margin_s)
             for drive, m, block, prior in zip(drives, n_zeros, blocks, delays, strict=True)
         )
-        return Experiment(record.name, paths, times, values, output.exposure_s)
+        return RecordShare(record.name, paths, times, values, output.exposure_s)
 
     @property
     def period(self) -> float:
@@ -240,7 +240,7 @@ class Experiment:
             self.times, values, "linear", margin_s=1e-3 * self.period, lead="zero"
         )
 
-    def from_stamp(self, start_s: float) -> Experiment:
+    def from_stamp(self, start_s: float) -> RecordShare:
         """Return the experiment without the samples before an instant."""
         keep = self.times >= start_s
         return replace(self, times=self.times[keep], values=self.values[keep])

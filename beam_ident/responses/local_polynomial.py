@@ -1,0 +1,104 @@
+"""The local polynomial method: a frequency response from one record, whatever its excitation.
+
+The transient that leaks into every line is a smooth function of frequency and is estimated along
+(Pintelon and Schoukens 2012, ch. 7).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from beam_ident.data.argument_checks import (
+    require_whole_number,
+)
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
+
+_MAX_DEGREE = 10  # of local polynomials: beyond it their powers tell nothing apart
+
+
+def local_polynomial_response(
+    record: TimeRecord,
+    degree: int = 2,
+    half_width: int | None = None,
+    output_names: Sequence[str] | None = None,
+    input_name: str | None = None,
+) -> FrequencyRecord:
+    """Estimate a frequency response and the leaking transient by local polynomials.
+
+    Parameters
+    ----------
+    record : TimeRecord
+    degree : int -- of both polynomials
+    half_width : int or None
+        Lines on either side; None takes the least that leaves as many degrees of freedom
+        as there are unknowns.
+    output_names : sequence of str or None -- None takes all, which then share their stamps
+    input_name : str or None -- which input, where there are several
+
+    Raises
+    ------
+    EstimationError
+        Irregular stamps, a record too short for the polynomials, an input or output that is constant.
+
+    Notes
+    -----
+    The polynomials must be able to follow the resonances: at damping ratio zeta and
+    frequency f the half-power band is 2 zeta f wide and should hold several lines
+    (line spacing is one over the length of the record).  Neighbouring lines share data, so
+    that their errors depend on each other.
+    """
+    require_whole_number("degree", degree, 0, _MAX_DEGREE)
+    unknowns = 2 * (degree + 1)
+    width = unknowns if half_width is None else half_width
+    if 2 * width + 1 <= unknowns:
+        raise EstimationError(f"half_width is {width}; degree {degree} needs at least {unknowns // 2 + 1}")
+
+    def estimate(pair: SignalPair) -> LineEstimate:
+        return _local_polynomial(pair, degree, width)
+
+    method = f"local polynomial of degree {degree} over {2 * width + 1} lines"
+    return for_every_output(record, output_names, input_name, None, method, estimate)
+
+
+def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate:
+    n = len(pair.output)
+    of_input = np.fft.rfft(pair.drive - np.mean(pair.drive)) / np.sqrt(n)
+    of_output = np.fft.rfft(pair.output - np.mean(pair.output)) / np.sqrt(n)
+    lines = np.arange(1, len(of_input) - (1 - n % 2))
+    if len(lines) < 2 * width + 1:
+        raise EstimationError(
+            f"{len(lines)} lines in the record; half_width {width} needs at least {2 * width + 1}"
+        )
+    centres = np.clip(lines, 1 + width, lines[-1] - width)
+    around = centres[:, None] + np.arange(-width, width + 1)
+    distance = (around - lines[:, None]) / width
+    powers = distance[:, :, None] ** np.arange(degree + 1)
+    u, y = of_input[around], of_output[around]
+    matrix = np.concatenate([powers * u[:, :, None], powers.astype(np.complex128)], axis=2)
+    size = np.linalg.norm(matrix, axis=1, keepdims=True)
+    matrix = matrix / np.where(size > 0.0, size, 1.0)
+    inverse = np.linalg.pinv(matrix, rcond=1e-10)
+    found = np.einsum("kij,kj->ki", inverse, y)
+    residual = y - np.einsum("kij,kj->ki", matrix, found)
+    freedom = 2 * width + 1 - 2 * (degree + 1)
+    variance = np.sum(np.abs(residual) ** 2, axis=1) / freedom
+    scale = np.where(size[:, 0, 0] > 0.0, size[:, 0, 0], np.inf)
+    gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
+    return LineEstimate(
+        np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),
+        found[:, 0] / scale,
+        variance * gain / scale**2,
+        None,
+        float(freedom),
+        _reach(degree, width),
+    )
+
+
+def _reach(degree: int, width: int) -> float:
+    """Return the sum of the correlations of a line's error with all lines, 1 / h'h for a smoother of weights h."""
+    powers = (np.arange(-width, width + 1.0) / width)[:, None] ** np.arange(degree + 1)
+    weights = np.linalg.pinv(powers)[0]
+    return max(1.0 / float(weights @ weights), 1.0)

@@ -1,0 +1,120 @@
+"""Input and output at common regular stamps, from which a frequency response is estimated.
+
+The input is taken at the stamps of the output, through its hold and with the same
+exposure, so that both have the same sampling; the outputs are never interpolated
+except over single missing samples.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.argument_checks import (
+    require_moving_input,
+    require_output,
+    require_record,
+)
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.errors import EstimationError
+from beam_ident.numerics.piecewise import Instants, regular_period
+
+_MOST_MISSING = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class SignalPair:
+    """Input, output and perhaps a reference at common regular stamps."""
+
+    period: float
+    drive: FloatArray
+    output: FloatArray
+    reference: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class LineEstimate:
+    """A response of one output: lines [rad/s], complex values, variances, coherence."""
+
+    omegas: FloatArray
+    response: ComplexArray
+    variance: FloatArray
+    coherence: FloatArray | None
+    freedom: float
+    shared_lines: float = 1.0
+
+
+def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> SignalPair:
+    """Bring an input, an output and perhaps a reference to the output's own regular stamps."""
+    half = 0.5 * output.exposure_s
+    first, last = drive.span_s
+    if reference is not None:
+        first, last = max(first, reference.span_s[0]), min(last, reference.span_s[1])
+    keep = (output.times_s - half >= first) & (output.times_s + half <= last)
+    times, values = np.asarray(output.times_s[keep]), np.array(output.values[keep])
+    period = regular_period(times)
+    if period is None or len(times) < 32:
+        raise EstimationError(
+            f"output {output.name!r} has {len(times)} usable stamps, "
+            f"{'irregular ones' if period is None else 'too few'}; a non-parametric response needs at least 32 on "
+            "a regular grid. Fit a model instead: identify() takes any stamps"
+        )
+    missing = ~np.isfinite(values)
+    if np.mean(missing) > _MOST_MISSING:
+        raise EstimationError(
+            f"output {output.name!r}: {np.mean(missing):.1%} of the samples are missing; a non-parametric response "
+            f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
+        )
+    values[missing] = np.interp(times[missing], times[~missing], values[~missing])
+    require_output(output.name, values)
+
+    def seen(source: InputSignal) -> FloatArray:
+        signal = source.signal()
+        return Instants.on(signal, times, output.exposure_s).mean(signal, signal.antiderivative())[0]
+
+    return SignalPair(period, seen(drive), values, None if reference is None else seen(reference))
+
+
+def for_every_output(
+    record: TimeRecord,
+    output_names: Sequence[str] | None,
+    input_name: str | None,
+    reference_name: str | None,
+    method: str,
+    estimate: Callable[[SignalPair], LineEstimate],
+) -> FrequencyRecord:
+    """Estimate the response of every output asked for, and put them into one frequency record."""
+    require_record(record)
+    if input_name is None and len(record.inputs) > 1:
+        raise EstimationError(
+            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
+            "input_name"
+        )
+    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    require_moving_input(drive)
+    reference = None if reference_name is None else record.input(reference_name)
+    outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
+    found = [estimate(signal_pair(drive, output, reference)) for output in outputs]
+    for output, one in zip(outputs, found, strict=True):
+        if not np.array_equal(one.omegas, found[0].omegas):
+            raise EstimationError(
+                f"outputs {outputs[0].name!r} and {output.name!r} have different stamps, and so different lines; "
+                "estimate them one at a time, with output_names"
+            )
+    coherences = [one.coherence for one in found if one.coherence is not None]
+    return FrequencyRecord(
+        omegas=found[0].omegas,
+        response=np.stack([one.response for one in found], axis=1),
+        variance=np.stack([one.variance for one in found], axis=1),
+        output_names=tuple(output.name for output in outputs),
+        input_names=(drive.name,),
+        output_units=tuple(output.unit for output in outputs),
+        input_units=(drive.unit,),
+        coherence=np.stack(coherences, axis=1) if coherences else None,
+        degrees_of_freedom=min(one.freedom for one in found),
+        method=method,
+        name=record.name,
+        shared_lines=max(one.shared_lines for one in found),
+    )
