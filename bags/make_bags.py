@@ -33,14 +33,14 @@ RECORDINGS: dict[str, dict[str, Any]] = {
 def truth_of(rig: Rig) -> dict[str, Any]:
     """Return what a recording of this rig was made from: poles, residues and residual terms (SI)."""
     model = rig.beam_model()
-    heights = list(rig.numbers("markers.heights"))
+    heights = list(rig.markers.heights)
     return {
         "natural_frequencies": model.natural_frequencies.tolist(),
         "damping_ratios": model.damping_ratios.tolist(),
-        "outputs": list(rig.marker_names),
+        "outputs": list(rig.markers.names),
         "residues": np.asarray(model.motion_residues(heights)).tolist(),
         "residual_terms": np.asarray(model.residual_terms(heights)).tolist(),
-        "displacement_noise": rig.number("simulation.displacement_noise"),
+        "displacement_noise": rig.simulation.displacement_noise,
         "rig": rig.to_nested(),
     }
 

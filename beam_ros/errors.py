@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class RigError(Exception):
     """Base of the suite's own errors; a command-line verb turns it into one line and exit status 2."""
@@ -29,3 +32,9 @@ def faults_of_the_user() -> tuple[type[Exception], ...]:
     from beam_model.errors import BeamModelError
 
     return (RigError, BeamModelError, IdentificationError)
+
+
+def likeliest(name: str, known: Iterable[str]) -> str:
+    """Return the known name that a misspelt one most likely means; empty where none is near."""
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return near[0] if near else ""

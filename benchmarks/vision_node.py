@@ -118,7 +118,7 @@ def frames_of(rig: Rig) -> list[bytes]:
 
     from beam_ros.vision.rendering.frames import SceneRenderer
 
-    renderer = SceneRenderer(rig.camera_parameters(), rig.numbers("markers.heights"))
+    renderer = SceneRenderer(rig.camera_parameters(), rig.markers.heights)
     rng = np.random.default_rng(1)
     types = messages.RosTypes()
     frames = []

@@ -44,7 +44,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     parameters: list[str | dict[str, object]] = [params_file]
     if kind is RigKind.EMULATED:
         parameters.append(emulated_port(str(Path(tempfile.mkdtemp(prefix="beam-rig-")) / "controller")))
-    follows_clock = values.number("simulation.real_time_factor") != 1.0
+    follows_clock = values.simulation.real_time_factor != 1.0
     has_images = kind is not RigKind.SIMULATED or bool(values["simulation.images"])
     return [
         Node(

@@ -158,15 +158,15 @@ def calibrate_from_bags(
             bag.require("beam/markers")
             rig = rig or described_rig(path, bag.excitation_info() or {})
             sensor = _reference(bag, rig, reference, reference_sd_m)
-            seen = _marker_frames(bag, len(rig.marker_names))
+            seen = _marker_frames(bag, len(rig.markers.names))
             found_lens = _lens(bag, rig)
         if procedure is None:
             camera = rig.camera_parameters()
             procedure = CalibrationProcedure(
-                len(rig.marker_names),
+                len(rig.markers.names),
                 (camera.width, camera.height),
-                rig.text("camera.name"),
-                rig.text("camera.focus"),
+                rig.camera.name,
+                rig.camera.focus,
             )
             lens = found_lens
         elif lens_to_dict(found_lens) != lens_to_dict(lens):
@@ -198,8 +198,8 @@ def calibrate_from_bags(
             "bags": used,
             "reference": sensor.name,
             "reference_sd_m": sensor.sd_m,
-            "markers": list(rig.marker_names),
-            "heights_m": list(rig.numbers("markers.heights")),
+            "markers": list(rig.markers.names),
+            "heights_m": list(rig.markers.heights),
             "lens": lens_to_dict(lens),
         }
     )
@@ -212,7 +212,7 @@ def _reference(bag: Bag, rig: Rig, reference: str, sd_m: float | None) -> _Refer
         if samples.positions is None:
             raise BagError(f"{bag.path}: {samples.topic} carries no positions to calibrate against")
         seen = np.isfinite(samples.positions)
-        encoder_sd = rig.number("hub.encoder_resolution") / math.sqrt(12.0)
+        encoder_sd = rig.hub.encoder_resolution / math.sqrt(12.0)
         return _Reference(HUB_ENCODER, samples.stamps_ns[seen], samples.positions[seen], sd_m or encoder_sd)
     topic, _, name = reference.partition(":")
     table = bag.displacements(topic)

@@ -109,7 +109,7 @@ def calibrate_from_board(
     warnings.append(
         "the zeros are the rig file's origin, +- 1 px; call tracker/tare at rest at home to measure them"
     )
-    n_markers = len(rig.marker_names)
+    n_markers = len(rig.markers.names)
     covariance = ((scale.sd**2, 0.0), (0.0, _ZERO_SD_PX**2))
     calibration = LinearCalibration(
         pixels_per_metre=(scale.pixels_per_metre,) * n_markers,
@@ -117,8 +117,8 @@ def calibrate_from_board(
         flip=camera.flip,
         covariance=(covariance,) * n_markers,
         image_size=(camera.width, camera.height),
-        camera_name=rig.text("camera.name"),
-        focus=rig.text("camera.focus"),
+        camera_name=rig.camera.name,
+        focus=rig.camera.focus,
         provenance={
             "method": "checkerboard in the beam's plane",
             "date": date,
@@ -128,7 +128,7 @@ def calibrate_from_board(
             "square_sd_m": board.square_sd_m,
             "residual_rms_px": scale.residual_rms_px,
             "tilt": scale.tilt,
-            "markers": list(rig.marker_names),
+            "markers": list(rig.markers.names),
             "lens": lens_to_dict(lens),
         },
     )

@@ -66,19 +66,19 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         The excitation leaves a limit; the message names it and by how much.
     """
     recipe = recipe_of_rig(rig)
-    period_s = rig.number("hub.period")
+    period_s = rig.hub.period
     limits = AxisLimits(
-        travel=rig.number("hub.travel") / 2,
-        speed=rig.number("hub.max_speed"),
-        acceleration=rig.number("hub.max_acceleration"),
-        jerk=rig.number("excitation.max_jerk") or math.inf,
+        travel=rig.hub.travel / 2,
+        speed=rig.hub.max_speed,
+        acceleration=rig.hub.max_acceleration,
+        jerk=rig.excitation.max_jerk or math.inf,
     )
     try:
         sampled = recipe.sample(period_s, limits)
     except IdentificationError as err:
         raise UsageError(f"excitation refused: {err}") from err
     model = rig.beam_model()
-    mode = rig.text("hub.command_mode")
+    mode = rig.hub.command_mode
     total_mass = model.matrices.M[0, 0]
     is_force = mode == "effort"
     values = sampled.accelerations * total_mass if is_force else sampled.samples(mode)  # type: ignore[arg-type]
@@ -87,7 +87,7 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         sampled,
         mode,
         values,
-        predict_loads(model, period_s, sampled.accelerations, rig.number("beam.thickness")),
+        predict_loads(model, period_s, sampled.accelerations, rig.beam.thickness),
     )
     reason = _refusal(rig, plan.prediction)
     if reason:
@@ -96,14 +96,14 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
 
 
 def _refusal(rig: Rig, prediction: PredictedLoads) -> str | None:
-    limit, force_limit = rig.number("hub.max_tip_deflection"), rig.number("hub.max_effort")
+    limit, force_limit = rig.hub.max_tip_deflection, rig.hub.max_effort
     if prediction.tip_deflection > limit:
         return (
             f"predicted tip deflection {prediction.tip_deflection * 1e3:.3g} mm: the limit "
             f"hub.max_tip_deflection is {limit * 1e3:g} mm; lower excitation.acceleration to "
             f"{100 * limit / prediction.tip_deflection:.0f} %"
         )
-    strain_limit = rig.number("beam.max_root_strain")
+    strain_limit = rig.beam.max_root_strain
     if prediction.root_strain > strain_limit:
         return (
             f"predicted root strain {prediction.root_strain:.3g}: the limit beam.max_root_strain is "
@@ -125,8 +125,8 @@ def tip_guard(rig: Rig) -> Callable[[FloatArray], str | None]:
     callable -- from samples in the command mode's unit, at device ticks, to a reason for refusal or None
     """
     model = rig.beam_model()
-    mode, period_s = rig.text("hub.command_mode"), rig.number("hub.period")
-    thickness = rig.number("beam.thickness")
+    mode, period_s = rig.hub.command_mode, rig.hub.period
+    thickness = rig.beam.thickness
 
     def guard(values: FloatArray) -> str | None:
         if mode == "acceleration":

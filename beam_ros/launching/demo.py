@@ -54,8 +54,8 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
     """
     refuse_made_up_time(rig, kind)
     plan = plan_excitation(rig)
-    factor = rig.number("simulation.real_time_factor")
-    length_s = (rig.number("excitation.start_delay") + plan.sampled.duration_s) / factor
+    factor = rig.simulation.real_time_factor
+    length_s = (rig.excitation.start_delay + plan.sampled.duration_s) / factor
     make_folder(folder)
     with ExitStack() as stack:
         stack.enter_context(interrupted_by_sigterm())
@@ -94,7 +94,7 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
         port = str(scratch / "controller")
         changes.update(emulated_port(port))
         # Nothing real moves here: a busy computer may delay the host without ending the demo.
-        changes["hub.watchdog"] = max(rig.number("hub.watchdog"), _PATIENT_WATCHDOG_S)
+        changes["hub.watchdog"] = max(rig.hub.watchdog, _PATIENT_WATCHDOG_S)
     here = rig.with_values(changes)
     here.write(folder / "rig.yaml")
     return here
@@ -103,7 +103,7 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
 def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int, length_s: float) -> dict[str, Any]:
     rig_file = nodes.log_folder.parent / "rig.yaml"
     with Progress("start", _START_TIMEOUT_S, "s") as stage:
-        rig_nodes = nodes_of_rig(kind, with_camera_images=bool(rig["simulation.images"]))
+        rig_nodes = nodes_of_rig(kind, with_camera_images=rig.simulation.images)
         for executable in (*rig_nodes, "bag_recorder", "identifier"):
             nodes.start(executable, node_arguments(executable, rig, rig_file))
         client = RigClient(nodes.check)
@@ -122,7 +122,7 @@ def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int, length_s
 def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[str, Any]:
     with Progress("home and enable", 30.0, "s") as stage:
         client.call("hub/home", timeout_s=30.0)
-        if rig["simulation.images"]:
+        if rig.simulation.images:
             client.call("tracker/tare")
         client.call("hub/enable", value=True)
         client.wait(
@@ -142,7 +142,7 @@ def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[
         "the recorder received nothing from hub and tracker",
         "look at bag_recorder.log",
     )
-    with Progress(rig.text("excitation.kind"), length_s, "s") as stage:
+    with Progress(rig.excitation.kind, length_s, "s") as stage:
         client.sequence = {}
         client.call("excitation/start", timeout_s=30.0)
         client.wait(
@@ -163,8 +163,8 @@ def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[
                 f"the sequence ended as {client.sequence['state']}: {client.sequence['reason']}; expected done"
             )
         stage.finish(
-            f"{recipe_of_rig(rig).duration_s - rig.number('excitation.still'):g} s of excitation, then "
-            f"{rig.number('excitation.still'):g} s still"
+            f"{recipe_of_rig(rig).duration_s - rig.excitation.still:g} s of excitation, then "
+            f"{rig.excitation.still:g} s still"
         )
     with Progress("record", 1.0) as stage:
         recorded = client.call("recorder/stop")

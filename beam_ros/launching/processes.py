@@ -106,7 +106,7 @@ def refuse_made_up_time(rig: Rig, kind: RigKind) -> None:
     UsageError
         The real-time factor is not 1 and the rig is not the simulated one.
     """
-    factor = rig.number("simulation.real_time_factor")
+    factor = rig.simulation.real_time_factor
     if factor != 1.0 and kind is not RigKind.SIMULATED:
         raise UsageError(
             f"simulation.real_time_factor is {factor:g} with the {kind.value} rig: expected 1, because a device and "
@@ -128,7 +128,7 @@ def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "
     -------
     tuple of str -- where simulated time does not run in real time, everybody but the simulator follows ``/clock``
     """
-    factor = rig.number("simulation.real_time_factor")
+    factor = rig.simulation.real_time_factor
     words = ["--ros-args", "--params-file", str(rig_file)]
     if namespace:
         words += ["-r", f"__ns:=/{namespace.strip('/')}"]

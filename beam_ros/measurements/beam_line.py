@@ -58,11 +58,11 @@ class BeamLineFitter:
 
     def __init__(self, rig: Rig) -> None:
         model = rig.beam_model()
-        length, allowed = rig.number("beam.length"), rig.number("hub.max_tip_deflection")
+        length, allowed = rig.beam.length, rig.hub.max_tip_deflection
         frequencies = model.natural_frequencies
         tip = np.abs(model.shape([length])[0])
         self._fitter = BeamShapeFitter(
-            model.shape(rig.numbers("markers.heights")), allowed / tip * frequencies[0] / frequencies
+            model.shape(rig.markers.heights), allowed / tip * frequencies[0] / frequencies
         )
         self._heights = np.linspace(0.0, length, _POINTS)
         self._shapes = model.shape(self._heights)

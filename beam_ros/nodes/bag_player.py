@@ -36,12 +36,12 @@ class BagPlayer(RigNode):
 
     def __init__(self) -> None:
         super().__init__("bag_player")
-        path = str(self.rig["player.bag"])
+        path = self.rig.player.bag
         if not path:
             raise UsageError("player.bag is empty: expected a bag's folder; give it with -p player.bag:=PATH")
         self._bag = Bag(path)
-        self._rate = self.rig.number("player.rate")
-        self._topics = replay_topics(self._bag, with_commands=bool(self.rig["player.commands"]))
+        self._rate = self.rig.player.rate
+        self._topics = replay_topics(self._bag, with_commands=self.rig.player.commands)
         self._stopping = threading.Event()
         self._published = 0
         self._late_ns = 0

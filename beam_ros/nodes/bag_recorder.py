@@ -90,14 +90,14 @@ class BagRecorder(RigNode):
         self.serve("recorder/start", self._on_start)
         self.serve("recorder/stop", self._on_stop)
         self.create_timer(0.5, self._watch)
-        if self.rig["recorder.start_at_launch"]:
+        if self.rig.recorder.start_at_launch:
             self._start()
         self._publish_state()
 
     def _start(self) -> None:
-        path = Path(str(self.rig["recorder.path"]) or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
+        path = Path(self.rig.recorder.path or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
         self._recording = Recording(path)
-        with_images = bool(self.rig["recorder.images"])
+        with_images = self.rig.recorder.images
         topics = [t for t in graph.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing]
         self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
         self.get_logger().info(f"recording to {path}")

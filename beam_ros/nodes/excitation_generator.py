@@ -95,10 +95,10 @@ class ExcitationGenerator(RigNode):
             response.success, response.message = False, str(err)
             return response
         self._started += 1
-        self._current = f"{self.rig.text('excitation.kind')}-{time.time_ns() // 1_000_000}-{self._started}"
+        self._current = f"{self.rig.excitation.kind}-{time.time_ns() // 1_000_000}-{self._started}"
         period_ns = round(plan.sampled.period_s * 1e9)
         handing_over_s = len(plan.values) / MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S + _MARGIN_S
-        delay_s = max(self.rig.number("excitation.start_delay"), handing_over_s)
+        delay_s = max(self.rig.excitation.start_delay, handing_over_s)
         start_ns = self.now_ns() + round(delay_s * 1e9)
         chunks = messages.split_sequence(self._current, start_ns, period_ns, plan.values)
         self._outgoing = [encode_chunk(chunk, plan.mode) for chunk in chunks]

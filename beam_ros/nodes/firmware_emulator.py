@@ -25,7 +25,7 @@ class FirmwareEmulator(RigNode):
         super().__init__("firmware_emulator")
         model = self.rig.beam_model()
         parameters = self.rig.hub_parameters(
-            clock_drift_ppm=self.rig.number("emulator.clock_drift_ppm"), clock_start_ns=_POWER_ON_NS
+            clock_drift_ppm=self.rig.emulator.clock_drift_ppm, clock_start_ns=_POWER_ON_NS
         )
         self._link: Path | None = None
         self._controller = EmulatedController(
@@ -38,7 +38,7 @@ class FirmwareEmulator(RigNode):
         self.create_timer(_FILM_S, self._film)
 
     def _link_port(self) -> None:
-        path = self.rig.text("emulator.port_link")
+        path = self.rig.emulator.port_link
         if path:
             link = Path(path)
             if link.is_symlink():

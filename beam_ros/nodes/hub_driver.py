@@ -25,8 +25,8 @@ class HubDriver(HubNode):
 
 
 def _connect(rig: Rig) -> Hub:
-    port = Path(rig.text("serial.port"))
-    end = time.monotonic() + rig.number("serial.patience")
+    port = Path(rig.serial.port)
+    end = time.monotonic() + rig.serial.patience
     while not port.exists() and time.monotonic() < end and rclpy.ok():
         time.sleep(_LOOK_AGAIN_S)
     return DriverHub(rig.hub_parameters(), guard=tip_guard(rig))

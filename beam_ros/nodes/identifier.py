@@ -30,7 +30,7 @@ class Identifier(RigNode):
         self.create_timer(_COLLECT_S, self._collect)
 
     def _on_identify(self, _request: Any, response: Any) -> Any:
-        bag = self.rig.text("identifier.bag")
+        bag = self.rig.identifier.bag
         if self._thread is not None:
             response.success, response.message = False, f"busy: {self._phrase}"
         elif not bag:
@@ -44,12 +44,12 @@ class Identifier(RigNode):
 
     def _identify(self, bag: Path) -> None:
         rig = self.rig
-        folder = rig.text("identifier.report") or str(bag.with_name(f"{bag.name}_identified"))
+        folder = rig.identifier.report or str(bag.with_name(f"{bag.name}_identified"))
         try:
             self._outcome = identify_bag(
                 bag,
-                structure=rig.text("identifier.structure"),
-                n_modes=int(rig.number("identifier.modes")) or None,
+                structure=rig.identifier.structure,
+                n_modes=rig.identifier.modes or None,
                 folder=Path(folder),
                 progress=self._on_progress,
             )

@@ -26,14 +26,14 @@ class Simulator(HubNode):
     def __init__(self) -> None:
         self._camera: CameraOutput | None = None
         super().__init__("simulator", self._build)
-        factor = self.rig.number("simulation.real_time_factor")
+        factor = self.rig.simulation.real_time_factor
         self._simulated_time = self.offer("/clock") if factor != 1.0 else None
 
     def _build(self, rig: Rig) -> Hub:
         self._model = rig.beam_model()
         parameters = rig.hub_parameters()
         plant = beam_on_axis(self._model, parameters, rig.nonlinear_terms())
-        factor = rig.number("simulation.real_time_factor")
+        factor = rig.simulation.real_time_factor
         self._simulated = SimulatedHub(
             VirtualAxis(parameters, plant), real_time_factor=factor, guard=tip_guard(rig)
         )
@@ -44,7 +44,7 @@ class Simulator(HubNode):
         super().publish_report(report)
         reached_ns = self._simulated.reached_ns
         if self._camera is None:
-            with_images = bool(self.rig["simulation.images"])
+            with_images = self.rig.simulation.images
             self._camera = CameraOutput(
                 self, self._model, self._simulated.snapshots, reached_ns, with_images=with_images
             )

@@ -39,10 +39,10 @@ class VisionTracker(RigNode):
     def __init__(self) -> None:
         super().__init__("vision_tracker")
         rig, camera = self.rig, self.rig.camera_parameters()
-        self._names = rig.marker_names
-        self._heights = np.asarray(rig.numbers("markers.heights"))
+        self._names = rig.markers.names
+        self._heights = np.asarray(rig.markers.heights)
         self._rows = camera.rows(self._heights)
-        name, focus = rig.text("camera.name"), rig.text("camera.focus")
+        name, focus = rig.camera.name, rig.camera.focus
         self._chain = MeasuringChain(
             camera, rig.tracker_parameters(), self._heights.tolist(), self._first_calibration(), name, focus
         )
@@ -67,15 +67,15 @@ class VisionTracker(RigNode):
         self._source = frame_source(self, self)
 
     def _first_calibration(self) -> LinearCalibration:
-        path = self.rig.text("tracker.calibration")
+        path = self.rig.tracker.calibration
         if path:
             return load_calibration(Path(path))
         rig = self.rig
         return LinearCalibration.from_camera(
             rig.camera_parameters(),
             len(self._names),
-            camera_name=rig.text("camera.name"),
-            focus=rig.text("camera.focus"),
+            camera_name=rig.camera.name,
+            focus=rig.camera.focus,
         )
 
     def _on_hub_state(self, message: Any) -> None:
@@ -146,7 +146,7 @@ class VisionTracker(RigNode):
     def _draw(self, measurement: Measurement, image: ImageArray) -> None:
         """Publish what people look at, not more often than they see, and only while they do."""
         now = time.monotonic()
-        if now - self._drawn < 1.0 / self.rig.number("tracker.drawing_rate"):
+        if now - self._drawn < 1.0 / self.rig.tracker.drawing_rate:
             return
         self._drawn = now
         if self._shape.get_subscription_count():
@@ -191,7 +191,7 @@ class VisionTracker(RigNode):
         return response
 
     async def _on_capture_point(self, _request: Any, response: Any) -> Any:
-        encoder_sd = self.rig.number("hub.encoder_resolution") / math.sqrt(12.0)
+        encoder_sd = self.rig.hub.encoder_resolution / math.sqrt(12.0)
         try:
             frames = await self._averaging.next_frames()
             position_m = self._hub_position_now()
@@ -228,14 +228,14 @@ class VisionTracker(RigNode):
         provenance = {
             "date": datetime.fromtimestamp(self.now_ns() * 1e-9, timezone.utc).isoformat(timespec="seconds"),
             "reference": "hub/state",
-            "reference_sd_m": self.rig.number("hub.encoder_resolution") / math.sqrt(12.0),
+            "reference_sd_m": self.rig.hub.encoder_resolution / math.sqrt(12.0),
             "markers": list(self._names),
             "heights_m": self._heights.tolist(),
             "lens": lens_to_dict(self._chain.lens),
         }
         try:
             fit = self._procedure.fit(provenance)
-            path = self.rig.text("tracker.save_calibration")
+            path = self.rig.tracker.save_calibration
             if path:
                 save_calibration(fit.calibration, Path(path))
         except CalibrationError as err:

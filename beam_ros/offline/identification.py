@@ -105,7 +105,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         info = bag.excitation_info() or {}
         if rig is None:
             rig = described_rig(path, info)
-        mode = str(info.get("mode", rig.text("hub.command_mode")))
+        mode = str(info.get("mode", rig.hub.command_mode))
         if mode not in _STRUCTURE_OF_MODE:
             raise BagError(
                 f"{path}: excitation/info names the command mode {mode!r}; expected one of "
@@ -134,9 +134,9 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, drift_sd))
     origin_ns = int(samples.stamps_ns[part.start])
     times = _device_times(samples, part, rate, origin_ns)
-    hold = rig.text("hub.measured_hold" if topic == "hub/measured" else "hub.applied_hold")
-    sigma = rig.number("hub.encoder_resolution") / math.sqrt(12.0) if topic == "hub/measured" else 0.0
-    drive = InputSignal("hub", unit, times, np.ascontiguousarray(values[part]), hold, sigma)  # type: ignore[arg-type]
+    hold = rig.hub.measured_hold if topic == "hub/measured" else rig.hub.applied_hold
+    sigma = rig.hub.encoder_resolution / math.sqrt(12.0) if topic == "hub/measured" else 0.0
+    drive = InputSignal("hub", unit, times, np.ascontiguousarray(values[part]), hold, sigma)
     outputs = _outputs(displacements, origin_ns, rig, notes)
     record = TimeRecord((drive,), outputs, origin_ns, path.name)
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
@@ -230,11 +230,9 @@ def _outputs(
             continue
         missing = int(np.count_nonzero(~seen))
         # With a rolling shutter every marker has stamps of its own, and NaN at the others'.
-        if missing and rig.number("camera.readout") == 0.0:
+        if missing and rig.camera.readout == 0.0:
             notes.append(f"{name} was not seen in {missing} of {len(values)} frames")
-        outputs.append(
-            OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.number("camera.exposure"))
-        )
+        outputs.append(OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.camera.exposure))
     return tuple(outputs)
 
 
@@ -409,12 +407,12 @@ def _provenance(experiment: Experiment) -> dict[str, str]:
     return {
         "bag": str(experiment.path),
         "excitation": describe_recipe(recipe),
-        "hub": f"commanded in {experiment.info.get('mode', rig['hub.command_mode'])}, "
-        f"encoder {rig.number('hub.encoder_resolution') * 1e6:g} um",
-        "camera": f"{rig.number('camera.rate'):g} frames/s, exposure {rig.number('camera.exposure') * 1e3:g} ms",
+        "hub": f"commanded in {experiment.info.get('mode', rig.hub.command_mode)}, "
+        f"encoder {rig.hub.encoder_resolution * 1e6:g} um",
+        "camera": f"{rig.camera.rate:g} frames/s, exposure {rig.camera.exposure * 1e3:g} ms",
         "markers": ", ".join(
             f"{name} at {height * 1e3:g} mm"
-            for name, height in zip(rig.marker_names, rig.numbers("markers.heights"), strict=True)
+            for name, height in zip(rig.markers.names, rig.markers.heights, strict=True)
         ),
     }
 

@@ -163,10 +163,10 @@ class _Run:
 
 
 def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
-    rng = np.random.default_rng(int(rig.number("simulation.seed")))
-    noise = rig.number("simulation.displacement_noise")
+    rng = np.random.default_rng(rig.simulation.seed)
+    noise = rig.simulation.displacement_noise
 
-    names = rig.marker_names
+    names = rig.markers.names
 
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         u = film.mean_displacement(exposure)
@@ -180,11 +180,9 @@ def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
 def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], NDArray[np.uint8]]:
     from beam_ros.vision.rendering.frames import SceneRenderer
 
-    seed = int(rig.number("simulation.seed"))
+    seed = rig.simulation.seed
     rng = np.random.default_rng(seed)
-    renderer = SceneRenderer(
-        film.camera, rig.numbers("markers.heights"), strip_heights=film.strip_heights, seed=seed
-    )
+    renderer = SceneRenderer(film.camera, rig.markers.heights, strip_heights=film.strip_heights, seed=seed)
     return lambda exposure: renderer.render(exposure.markers, rng, exposure.strip)
 
 
@@ -192,7 +190,7 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     from beam_ros.vision.calibration.linear import LinearCalibration
     from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 
-    names, heights = rig.marker_names, rig.numbers("markers.heights")
+    names, heights = rig.markers.names, rig.markers.heights
     render = _rendered(rig, film)
     calibration = LinearCalibration.from_camera(film.camera, len(names))
     chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)

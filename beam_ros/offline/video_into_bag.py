@@ -115,8 +115,8 @@ def track_video(
             raise VisionParameterError(
                 f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
             ) from err
-    names, heights = rig.marker_names, rig.numbers("markers.heights")
-    name, focus = rig.text("camera.name"), rig.text("camera.focus")
+    names, heights = rig.markers.names, rig.markers.heights
+    name, focus = rig.camera.name, rig.camera.focus
     chosen = calibration or LinearCalibration.from_camera(camera, len(names), camera_name=name, focus=focus)
     chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, name, focus)
     if "lens" in chosen.provenance:

@@ -58,10 +58,10 @@ class Film:
         start_ns: int,
     ) -> None:
         self.camera: CameraParameters = rig.camera_parameters()
-        self.strip_heights = np.linspace(0.0, rig.number("beam.length"), _STRIP_POINTS)
+        self.strip_heights = np.linspace(0.0, rig.beam.length, _STRIP_POINTS)
         self.timing = FrameTiming(self.camera)
         self.dropped_frames = 0
-        self._heights = rig.numbers("markers.heights")
+        self._heights = rig.markers.heights
         self._markers = BeamPoints(model, self._heights)
         self._strip = BeamPoints(model, self.strip_heights.tolist())
         self._between_markers = _interpolation(self.strip_heights, np.array(self._heights))

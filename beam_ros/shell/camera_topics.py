@@ -38,15 +38,15 @@ class CameraOutput:
         rig = node.rig
         self._types = node.types
         self._film = Film(rig, model, snapshots, start_ns)
-        seed = int(rig.number("simulation.seed"))
+        seed = rig.simulation.seed
         self._rng = np.random.default_rng(seed)
-        self._names = rig.marker_names
-        self._noise = rig.number("simulation.displacement_noise")
+        self._names = rig.markers.names
+        self._noise = rig.simulation.displacement_noise
         self.published = 0
         if with_images:
             self._renderer = SceneRenderer(
                 self._film.camera,
-                rig.numbers("markers.heights"),
+                rig.markers.heights,
                 strip_heights=self._film.strip_heights,
                 seed=seed,
             )

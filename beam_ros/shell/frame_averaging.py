@@ -62,8 +62,8 @@ class FrameAveraging:
         CalibrationError
             They do not come.
         """
-        wanted = int(self._node.rig.number("tracker.averaged_frames"))
-        due_s = (WAITING_FRAMES + wanted) / self._node.rig.number("camera.rate")
+        wanted = self._node.rig.tracker.averaged_frames
+        due_s = (WAITING_FRAMES + wanted) / self._node.rig.camera.rate
         patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS * due_s)
         average = FrameAverage(time.monotonic() + patience_s, Future())
         self._averages.append(average)
@@ -77,7 +77,7 @@ class FrameAveraging:
 
     def add(self, measurement: Measurement) -> None:
         """Hand a frame to those who wait."""
-        wanted = int(self._node.rig.number("tracker.averaged_frames"))
+        wanted = self._node.rig.tracker.averaged_frames
         for average in list(self._averages):
             if average.to_skip > 0:
                 average.to_skip -= 1

@@ -150,19 +150,19 @@ class Capture:
         rig = node.rig
         self._log = node.get_logger()
         self._sink = sink
-        self._stamp = rig.text("camera.stamp")
+        self._stamp = rig.camera.stamp
         self._said = ""
         self._before = 0
         camera: DeviceCamera | FileCamera
-        if rig.text("tracker.source") == "file":
-            path, rate_hz = Path(rig.text("tracker.video")), rig.number("tracker.video_rate") or None
+        if rig.tracker.source == "file":
+            path, rate_hz = Path(rig.tracker.video), rig.tracker.video_rate or None
             VideoFile(path, rate_hz=rate_hz)  # what is no video is refused now, not when somebody listens
             camera = FileCamera(path, rate_hz)
         else:
             camera = DeviceCamera(rig.device_settings())
         self.silence = f"no frames from {camera.name}"
         wake = node.create_guard_condition(self._on_wake)
-        self._loop = CaptureLoop(camera, rig.number("tracker.retry_period"), wake.trigger)
+        self._loop = CaptureLoop(camera, rig.tracker.retry_period, wake.trigger)
         self._is_started = False
         # A video would be over before anybody has found this node.
         self._waits_for_listener = isinstance(camera, FileCamera)
@@ -228,7 +228,7 @@ class Capture:
 
 def frame_source(node: RigNode, sink: FrameSink) -> FrameSource:
     """Begin the source that ``tracker.source`` names."""
-    if node.rig.text("tracker.source") == "topic":
+    if node.rig.tracker.source == "topic":
         camera = node.rig.camera_parameters()
         return CameraTopics(node, sink, (camera.width, camera.height))
     return Capture(node, sink)

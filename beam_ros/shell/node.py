@@ -26,7 +26,10 @@ from rclpy.utilities import remove_ros_args
 
 from beam_ros import messages
 from beam_ros.errors import ParameterFileError, RigError, UsageError, faults_of_the_user
-from beam_ros.interfaces import graph, schema
+from beam_ros.interfaces import graph
+from beam_ros.interfaces.parameter import Parameter
+from beam_ros.interfaces.parameter_files import parameter_sections
+from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.messages import RosTypes
 from beam_ros.rig.rig import Rig
 
@@ -45,7 +48,7 @@ def qos_profile(qos: graph.QualityOfService) -> QoSProfile:
     )
 
 
-def _descriptor(parameter: schema.Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     unit = f" [{parameter.unit}]" if parameter.unit else ""
     descriptor = ParameterDescriptor(
         name=parameter.name,
@@ -55,10 +58,10 @@ def _descriptor(parameter: schema.Parameter) -> ParameterDescriptor:
         dynamic_typing=True,
     )
     if parameter.minimum is not None and parameter.maximum is not None:
-        if parameter.kind == "float":
+        if parameter.kind is float:
             limits = FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)
             descriptor.floating_point_range = [limits]
-        elif parameter.kind == "int":
+        elif parameter.kind is int:
             limits = IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))
             descriptor.integer_range = [limits]
     return descriptor
@@ -86,37 +89,32 @@ class RigNode(Node):  # type: ignore[misc]
         self.row = graph.NODES[executable]
         super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True)
         self.types = RosTypes()
-        self.rig = Rig(self._declare_parameters())
+        self.rig = self._declare_parameters()
         self.add_on_set_parameters_callback(self._check_new_values)
         self._diagnostics = self.offer("/diagnostics")
         self.create_timer(1.0, self._publish_diagnostics)
 
-    def _declare_parameters(self) -> dict[str, schema.Value]:
+    def _declare_parameters(self) -> Rig:
         given = {
             name: parameter.value
             for name, parameter in self.get_parameters_by_prefix("").items()
             if name not in ("use_sim_time", "start_type_description_service")
             and not name.startswith("qos_overrides.")
         }
-        checked = schema.check_parameters({name: _plain(value) for name, value in given.items()})
-        values = {**schema.packaged_defaults(), **checked}
-        schema.check_relations(values)
-        for name, value in values.items():
-            descriptor = _descriptor(schema.RIG_PARAMETERS[name])
+        rig = Rig.from_file().with_values({name: _plain(value) for name, value in given.items()})
+        for name, value in rig.values.items():
+            descriptor = _descriptor(RIG_PARAMETERS[name])
             if name in given:
                 self.set_descriptor(name, descriptor)
             else:
                 self.declare_parameter(name, value, descriptor)
-        return values
+        return rig
 
     def _check_new_values(self, parameters: list[RosParameter]) -> SetParametersResult:
         try:
-            changed = schema.check_parameters({p.name: _plain(p.value) for p in parameters})
-            values = {**self.rig.values, **changed}
-            schema.check_relations(values)
+            self.rig = self.rig.with_values({p.name: _plain(p.value) for p in parameters})
         except ParameterFileError as err:
             return SetParametersResult(successful=False, reason=str(err))
-        self.rig = Rig(values)
         return SetParametersResult(successful=True)
 
     def offer(self, topic: str) -> Publisher:
@@ -219,7 +217,7 @@ def _leave_it_to_rclpy(_number: int, _frame: object) -> None:
 def _initialise(arguments: list[str]) -> None:
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     for path in files:
-        schema.read_yaml(Path(path))
+        parameter_sections(Path(path))
     surplus = remove_ros_args(arguments)[1:]
     if surplus:
         raise UsageError(

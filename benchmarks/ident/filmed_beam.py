@@ -42,7 +42,7 @@ class FilmedBeam:
             }
         )
         model = self.rig.beam_model()
-        heights = list(self.rig.numbers("markers.heights"))
+        heights = list(self.rig.markers.heights)
         omegas = model.natural_frequencies
         residues = np.asarray(model.motion_residues(heights))
         # Modes above the band act by their static deflection.
@@ -58,7 +58,7 @@ class FilmedBeam:
     def run(self, seed: int) -> Outcome:
         """Simulate, film, track and identify."""
         started = time.process_time()
-        amplitude = self.rig.number("excitation.acceleration") * (1.0 - _SHRINK * seed)
+        amplitude = self.rig.excitation.acceleration * (1.0 - _SHRINK * seed)
         rig = self.rig.with_values({"simulation.seed": seed, "excitation.acceleration": amplitude})
         with tempfile.TemporaryDirectory() as folder:
             simulate(rig, Path(folder) / "bag", with_camera=True)
@@ -72,7 +72,7 @@ class FilmedBeam:
         if model.n_modes != N_MODES:
             return Outcome(seconds)
         # With a rolling shutter the markers come in the order of their times.
-        order = [model.output_names.index(name) for name in rig.marker_names]
+        order = [model.output_names.index(name) for name in rig.markers.names]
         return Outcome(
             seconds,
             np.concatenate(

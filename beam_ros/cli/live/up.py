@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig, kind = read_rig(arguments), RigKind(arguments.rig)
-    has_images = kind is not RigKind.SIMULATED or bool(rig["simulation.images"])
+    has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     executables = list(nodes_of_rig(kind, with_camera_images=has_images))
     changes: dict[str, object] = {}
     if arguments.record is not None:
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--record {arguments.record}: exists already; give a folder that does not")
         executables.append("bag_recorder")
         changes["recorder.path"] = str(arguments.record.resolve())
-    if kind is RigKind.REAL and not rig.text("serial.port"):
+    if kind is RigKind.REAL and not rig.serial.port:
         raise UsageError(
             "--rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         client.refuse_live_hub()
         logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
         if kind is RigKind.EMULATED:
-            changes.update(emulated_port(rig.text("serial.port") or f"{scratch}/controller"))
+            changes.update(emulated_port(rig.serial.port or f"{scratch}/controller"))
         rig_file = logs.parent / "rig.yaml"
         rig.with_values(changes).write(rig_file)
         with NodeGroup(logs) as nodes:

@@ -102,9 +102,9 @@ def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
     _save(fit.calibration, arguments.save)
     return {
         "calibration": fit.calibration.to_dict(),
-        "markers": _tests(fit, rig.marker_names),
+        "markers": _tests(fit, rig.markers.names),
         "warnings": list(fit.warnings),
-        "table": _table(fit, rig.marker_names),
+        "table": _table(fit, rig.markers.names),
     }
 
 

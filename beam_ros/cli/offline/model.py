@@ -12,7 +12,7 @@ from pathlib import Path
 
 from beam_model.advice.summary import summarise
 from beam_ros.cli.options import add_rig_file, read_rig
-from beam_ros.interfaces import schema
+from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.process.folders import make_folder
 from beam_ros.rig.rig import Rig
 
@@ -39,14 +39,12 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     rig = read_rig(arguments)
     model = rig.beam_model()
-    theory = summarise(
-        model, rig.numbers("markers.heights"), rig.number("camera.rate"), min(3, model.n_modes)
-    )
+    theory = summarise(model, rig.markers.heights, rig.camera.rate, min(3, model.n_modes))
     figures = [] if arguments.plot is None else _draw(rig, arguments.plot)
     if arguments.json:
         content = {
             **theory.to_dict(),
-            "marker_names": list(rig.marker_names),
+            "marker_names": list(rig.markers.names),
             "figures": list(map(str, figures)),
         }
         print(json.dumps(content, indent=2))
@@ -62,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _draw(rig: Rig, folder: Path) -> list[Path]:
     from beam_model.advice import figures
 
-    model, heights = rig.beam_model(), rig.numbers("markers.heights")
+    model, heights = rig.beam_model(), rig.markers.heights
     make_folder(folder)
     drawn = {
         "mode_shapes.png": figures.mode_shape_figure(model, heights),
@@ -76,10 +74,9 @@ def _draw(rig: Rig, folder: Path) -> list[Path]:
 
 
 def _parameter_list() -> str:
-    defaults = schema.packaged_defaults()
     lines = []
-    for name, parameter in schema.RIG_PARAMETERS.items():
-        default = defaults[name]
-        shown = '""' if default == "" else str(default)
+    for name, default in Rig.from_file().values.items():
+        parameter = RIG_PARAMETERS[name]
+        shown = '""' if default == "" else str(list(default) if isinstance(default, tuple) else default)
         lines.append(f"{name} = {shown}\n    {parameter.description}: {parameter.expectation()}")
     return "\n".join(lines)

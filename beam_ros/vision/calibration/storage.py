@@ -9,7 +9,7 @@ from pathlib import Path
 from ruamel.yaml import YAML
 
 from beam_ros.errors import ParameterFileError
-from beam_ros.interfaces.schema import read_yaml
+from beam_ros.interfaces.parameter_files import read_yaml
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.errors import CalibrationError
 

@@ -38,9 +38,9 @@ def test_every_recipe_stands_in_the_table() -> None:
 
 
 def test_every_parameter_of_the_rig_stands_on_the_page() -> None:
-    schema = pytest.importorskip("beam_ros.interfaces.schema")
+    table = pytest.importorskip("beam_ros.interfaces.rig_parameters")
     text = PAGE.read_text(encoding="utf-8")
-    names = [name.split(".")[1] for name in schema.RIG_PARAMETERS if name.startswith("excitation.")]
+    names = [name.split(".")[1] for name in table.RIG_PARAMETERS if name.startswith("excitation.")]
     assert [name for name in names if f"`{name}`" not in text and f".{name}" not in text] == ["start_delay"]
-    for kind in schema.RIG_PARAMETERS["excitation.kind"].choices:
+    for kind in table.RIG_PARAMETERS["excitation.kind"].choices:
         assert f"| `{kind}`" in text or f"`, `{kind}` |" in text

@@ -46,7 +46,7 @@ def record(
     smooth = share * share * (3.0 - 2.0 * share)
     positions = here + smooth * (there - here)
     directions = np.sign(np.diff(stops, prepend=stops[0]))[stop.astype(int)]
-    resolution = RIG.number("hub.encoder_resolution")
+    resolution = RIG.hub.encoder_resolution
     types = BagTypes()
     with BagWriter(path) as bag:
         bag.write_message(

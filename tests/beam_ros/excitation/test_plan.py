@@ -14,7 +14,7 @@ from beam_ros.cli.offline.design import describe_design
 from beam_ros.errors import UsageError
 from beam_ros.excitation.plan import plan_excitation, tip_guard
 from beam_ros.excitation.recipes import recipe_of_rig
-from beam_ros.interfaces.schema import RIG_PARAMETERS
+from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.rig.rig import Rig
 
 

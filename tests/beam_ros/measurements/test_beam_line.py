@@ -11,7 +11,7 @@ from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import Displacement
 
 RIG = Rig.from_file()
-HEIGHTS = RIG.numbers("markers.heights")
+HEIGHTS = RIG.markers.heights
 SIGMA = np.full(3, 4e-6)
 
 

@@ -19,7 +19,7 @@ from beam_ros.vision.rendering.frames import SceneRenderer
 def main(topic: str) -> None:
     """Publish frames with all markers at 1 mm, 50 a second."""
     rig = Rig.from_file()
-    pixels = SceneRenderer(rig.camera_parameters(), rig.numbers("markers.heights")).render(
+    pixels = SceneRenderer(rig.camera_parameters(), rig.markers.heights).render(
         np.full(3, 1e-3), np.random.default_rng(0)
     )
     rclpy.init(args=[])

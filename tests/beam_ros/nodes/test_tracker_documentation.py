@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from beam_ros.interfaces.graph import NODES, TOPICS
-from beam_ros.interfaces.schema import RIG_PARAMETERS
+from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "tracker-node.md").read_text(encoding="utf-8")
 WORDS = set(re.findall(r"`([a-z_]+[./][a-z_]+)`", PAGE))

@@ -62,7 +62,7 @@ class TrackerScene:
         self._cameras: dict[str, Any] = {}
         self._stamp_ns = 0
         self.rig = Rig.from_file()
-        self.heights = np.array(self.rig.numbers("markers.heights"))
+        self.heights = np.array(self.rig.markers.heights)
         self._renderer = SceneRenderer(self.rig.camera_parameters(), self.heights)
         self._rng = np.random.default_rng(0)
 

@@ -149,7 +149,7 @@ def test_markers_carry_the_frames_stamp_and_displacements_the_middle_of_their_ro
     )
     rig = Rig.from_file(RIG_FILE).with_values(camera)
     timing = FrameTiming(rig.camera_parameters())
-    rows = rig.camera_parameters().rows(rig.numbers("markers.heights"))
+    rows = rig.camera_parameters().rows(rig.markers.heights)
     types = BagTypes()
     with Bag(bag) as opened:
         clouds = [

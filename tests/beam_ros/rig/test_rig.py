@@ -30,14 +30,14 @@ def test_a_file_needs_only_what_differs(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("/**: {ros__parameters: {beam: {length: 0.25}, markers: {heights: [0.01, 0.1, 0.2]}}}")
     rig = Rig.from_file(path)
-    assert rig.number("beam.length") == 0.25
-    assert rig.number("beam.width") == Rig.from_file().number("beam.width")
+    assert rig.beam.length == 0.25
+    assert rig.beam.width == Rig.from_file().beam.width
 
 
 def test_parameters_from_a_command_line_are_yaml() -> None:
     rig = Rig.from_file().with_texts(["camera.rate:=50", "markers.names:=[a, b, c]", "serial.port:="])
-    assert rig.number("camera.rate") == 50.0
-    assert rig.marker_names == ("a", "b", "c")
+    assert rig.camera.rate == 50.0
+    assert rig.markers.names == ("a", "b", "c")
 
 
 @pytest.mark.parametrize("text", ["camera.rate=50", ":=3", "camera.rate:=[1", "camera.rat:=50"])

@@ -1,0 +1,330 @@
+"""The table of the rig's parameters: what each is, its unit and its range.
+
+The packaged ``config/rig.yaml`` gives every parameter's default; the fields of these classes say what a value may
+be. The nodes declare their parameters from them, the ``beam`` command checks its files with them, and the
+documentation prints them, so that ``--params-file`` and ``beam --rig-file`` mean the same. Pure: no ROS.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_type_hints
+
+from beam_ros.errors import ParameterFileError, likeliest
+from beam_ros.interfaces.parameter import Parameter, Value, live, parameters_of, setting
+
+MAX_FACTOR_WITH_IMAGES = 2.0
+
+
+@dataclass(frozen=True)
+class BeamSettings:
+    """The strip, its clamp and its damping."""
+
+    length: float = setting("free length of the strip, clamp to tip", "m", 0.01, 5.0)
+    width: float = setting("width of the strip", "m", 0.0001, 0.5)
+    thickness: float = setting("thickness in the direction of motion", "m", 1e-5, 0.05)
+    density: float = setting("density of the strip", "kg/m^3", 10.0, 25000.0)
+    youngs_modulus: float = setting("Young's modulus of the strip", "Pa", 1e6, 2e12)
+    flexural_rigidity: float = setting("EI; 0: E I from the section", "N m^2", 0.0, 1e6)
+    mass_per_length: float = setting("rho; 0: from section and density", "kg/m", 0.0, 1e3)
+    gravity: Literal["off", "upright", "hanging"] = setting("how the beam stands")
+    tip_mass: float = setting("mass at the tip", "kg", 0.0, 10.0)
+    tip_inertia: float = setting("rotary inertia of the tip mass", "kg m^2", 0.0, 1.0)
+    clamp_stiffness: float = setting("rotary stiffness of the clamp; 0: rigid", "N m/rad", 0.0, 1e9)
+    damping_ratios: tuple[float, ...] = setting("of the clamped modes; the last holds above", "1", 0.0, 0.5)
+    viscous_damping: float = setting("per length, relative to the hub", "N s/m^2", 0.0, 1e3)
+    air_damping: float = setting("per length, on the absolute motion", "N s/m^2", 0.0, 1e3)
+    internal_damping: float = setting("Kelvin-Voigt time constant", "s", 0.0, 1.0)
+    max_root_strain: float = setting("predicted bending strain that is refused", "1", 1e-6, 0.1)
+    modes: int = setting("modes that the simulator integrates", "", 1, 20)
+
+
+@dataclass(frozen=True)
+class MarkerSettings:
+    """The bright dots that the camera sees; every list from the clamp upwards."""
+
+    names: tuple[str, ...] = setting("names in beam/displacement, from the clamp upwards")
+    heights: tuple[float, ...] = setting("heights above the clamp", "m", 0.0, 5.0)
+    height_uncertainties: tuple[float, ...] = setting("standard deviations of the heights", "m", 0.0, 0.1)
+    masses: tuple[float, ...] = setting("masses of the markers", "kg", 0.0, 1.0)
+    diameter: float = setting("diameter of a marker", "m", 0.0001, 0.1)
+
+
+@dataclass(frozen=True)
+class HubSettings:
+    """The axis, what it may do, and what the beam on it may bear."""
+
+    mass: float = setting("moving mass of the hub", "kg", 0.001, 1e3)
+    travel: float = setting("from stop to stop; home is in the middle", "m", 0.001, 10.0)
+    max_speed: float = setting("limit of the hub's speed", "m/s", 0.001, 20.0)
+    max_acceleration: float = setting("limit of the hub's acceleration", "m/s^2", 0.01, 1e3)
+    max_effort: float = setting("limit of the force on the hub", "N", 0.01, 1e4)
+    max_tip_deflection: float = setting("predicted tip deflection that is refused", "m", 1e-5, 1.0)
+    encoder_resolution: float = setting("step of the measured position", "m", 1e-12, 0.001)
+    command_mode: Literal["acceleration", "velocity", "position", "effort"] = setting(
+        "what a set-point or sequence means"
+    )
+    applied_hold: Literal["zoh", "linear", "cubic"] = setting("between ticks, of the command")
+    measured_hold: Literal["linear", "cubic"] = setting("between ticks, of the position")
+    period: float = setting("tick of the device", "s", 0.0001, 0.1)
+    watchdog: float = setting("silence until the device stops by itself", "s", 0.05, 5.0)
+    homing_speed: float = setting("speed while homing", "m/s", 0.001, 1.0)
+
+
+@dataclass(frozen=True)
+class SerialSettings:
+    """The line to the motion controller."""
+
+    port: str = setting("device of the motion controller")
+    baud: int = setting("line speed", "baud", 1200, 12_000_000)
+    patience: float = setting("wait so long for the port to appear", "s", 0.0, 60.0)
+
+
+@dataclass(frozen=True)
+class EmulatorSettings:
+    """The emulated motion controller."""
+
+    port_link: str = setting("path that links to the pseudo-terminal")
+    clock_drift_ppm: float = setting("device clock against the host's", "ppm", -1e3, 1e3)
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """The camera that films the rig, and what it sees."""
+
+    width: int = setting("columns of a frame", "px", 16, 16_384)
+    height: int = setting("rows of a frame", "px", 16, 16_384)
+    rate: float = setting("frames a second", "Hz", 0.1, 1e4)
+    exposure: float = setting("exposure time", "s", 0.0, 1.0)
+    readout: float = setting("first to last row; 0: global shutter", "s", 0.0, 0.1)
+    stamp: Literal["start", "mid", "end", "arrival"] = setting("what a stamp means")
+    latency: float = setting("known delay of the stamps", "s", -1.0, 1.0)
+    pixels_per_metre: float = setting("scale in the plane of the beam", "px/m", 1.0, 1e7)
+    origin_u: float = setting("column of the beam at rest at home", "px", -1e5, 1e5)
+    origin_v: float = setting("row of the clamp", "px", -1e5, 1e5)
+    is_mirrored: bool = setting("the camera looks from behind")
+    contrast: float = setting("marker above background", "grey levels", 1.0, 255.0)
+    background: float = setting("level of the background", "grey levels", 0.0, 254.0)
+    blur: float = setting("standard deviation of the optics", "px", 0.0, 20.0)
+    noise: float = setting("standard deviation of a pixel", "grey levels", 0.0, 100.0)
+    name: str = setting("the camera, which calibrations keep; empty: not said")
+    focus: str = setting("setting of its lens, which calibrations keep; empty: not said")
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Where frames come from, and how markers are found in them."""
+
+    polarity: Literal["bright", "dark"] = setting("markers against ground")
+    source: str = setting("where frames come from", choices=("topic", "device", "file"))
+    device: str = setting("path, number or address of the camera, for source device")
+    device_format: str = setting("four characters such as GREY, YUYV, MJPG; empty: the driver's choice")
+    sets_exposure: bool = setting("set the device to camera.exposure")
+    retry_period: float = setting("until a device that failed is opened again", "s", 0.05, 60.0)
+    video: str = setting("video file, for source file")
+    video_rate: float = setting("of the video; 0: as the file says", "Hz", 0.0, 1e6)
+    refinement: Literal["none", "radial_symmetry", "disc_model"] = setting(
+        "what is made of the centre of gravity"
+    )
+    sigma_floor: float = setting(
+        "of a position: what the dots show at rest; 0: perfect discs", "px", 0.0, 10.0
+    )
+    min_contrast: float = setting("below which nothing is a marker", "grey levels", 1.0, 65535.0)
+    averaged_frames: int = live("of a tare or a calibration point", "", 2, 100_000)
+    drawing_rate: float = live("of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)
+    calibration: str = setting("calibration file; empty: the nominal scale")
+    save_calibration: str = live("file for tracker/fit_calibration to write")
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """What a simulation adds or leaves out."""
+
+    images: bool = setting("film the beam; else displacements are published directly")
+    displacement_noise: float = setting("standard deviation without images", "m", 0.0, 0.01)
+    realistic: bool = setting("air drag and large-deflection terms in the beam")
+    real_time_factor: float = setting("speed of simulated time", "1", 0.01, 20.0)
+    seed: int = setting("of all simulated noise", "", 0, 2**31 - 1)
+
+
+@dataclass(frozen=True)
+class ExcitationSettings:
+    """The signal that moves the hub; docs/excitation.md says what each kind reads."""
+
+    kind: str = live(
+        "signal",
+        choices=(
+            "chirp",
+            "linear_chirp",
+            "multisine",
+            "prbs",
+            "step",
+            "doublet",
+            "pulse",
+            "sine",
+            "stepped_sine",
+            "noise",
+            "moves",
+        ),
+    )
+    acceleration: float = live("amplitude", "m/s^2", 0.0001, 1e3)
+    max_displacement: float = live("amplitude at low frequency", "m", 1e-6, 5.0)
+    start_frequency: float = live("lowest frequency", "Hz", 0.001, 1e4)
+    end_frequency: float = live("highest frequency", "Hz", 0.001, 1e4)
+    duration: float = live("excitation", "s", 0.01, 3600.0)
+    still: float = live("still hub afterwards", "s", 0.0, 3600.0)
+    step_size: float = live("displacement of the step", "m", -1.0, 1.0)
+    rise_time: float = live("of the step", "s", 0.001, 60.0)
+    seed: int = live("of random phases, lines and noise", "", 0, 2**31 - 1)
+    max_velocity: float = live("amplitude; 0: no ceiling", "m/s", 0.0, 10.0)
+    max_jerk: float = live("refused above; 0: no limit", "m/s^3", 0.0, 1e9)
+    line_period: float = live("of the multisine; 0: near 10 s, a part of the duration", "s", 0.0, 3600.0)
+    lines: Literal["full", "odd", "random_odd"] = live("of the multisine")
+    detection_group: int = live("random_odd: one odd line left out of so many", "", 2, 100)
+    phases: Literal["random", "schroeder", "crest"] = live("of the multisine")
+    drive: Literal["acceleration", "velocity", "position"] = live(
+        "quantity whose levels prbs, pulse and doublet set"
+    )
+    speed: float = live("level in velocity; largest of the moves", "m/s", 1e-6, 10.0)
+    edge_time: float = live("smooth edges of prbs, pulse, doublet", "s", 0.0, 60.0)
+    clock_period: float = live("of the prbs", "s", 1e-5, 60.0)
+    order: int = live("of the prbs: 2^order - 1 clocks", "", 3, 18)
+    inverse_repeat: bool = live("prbs: each period, then its negative")
+    high_pass: float = live("prbs: content taken out below this", "Hz", 0.0, 1e3)
+    width: float = live("of pulse and doublet", "s", 0.0001, 60.0)
+    gap: float = live("between pulses and doublets of a train", "s", 0.0, 60.0)
+    frequencies: tuple[float, ...] = live("of the stepped sine, in turn", "Hz", 0.001, 1e4)
+    settle_cycles: float = live("of the stepped sine", "1", 0.0, 1e5)
+    measure_cycles: int = live("of the stepped sine", "", 1, 100_000)
+    waypoints: tuple[float, ...] = live("of the moves; the last is 0", "m", -1.0, 1.0)
+    profile: Literal["bounded_jerk", "quintic", "cycloidal"] = live("of the moves")
+    jerk: float = live("largest of the moves", "m/s^3", 0.001, 1e6)
+    dwell: float = live("rest at every way-point", "s", 0.0, 3600.0)
+    start_delay: float = live("between handing over and starting", "s", 0.5, 60.0)
+
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """The bag that a recording goes to."""
+
+    path: str = live("folder of the bag; empty: runs/<date>")
+    images: bool = live("record camera frames too")
+    start_at_launch: bool = setting("record from the node's start")
+
+
+@dataclass(frozen=True)
+class PlayerSettings:
+    """The bag that is played back."""
+
+    bag: str = setting("folder of the bag")
+    rate: float = setting("speed of the replay", "1", 0.01, 100.0)
+    commands: bool = setting("also replay what moves an axis")
+
+
+@dataclass(frozen=True)
+class IdentifierSettings:
+    """The bag that is identified, and how."""
+
+    bag: str = live("folder of the bag")
+    report: str = live("folder for report and model; empty: beside the bag")
+    modes: int = live("number of modes; 0: from the data", "", 0, 20)
+    structure: Literal["auto", "base_motion", "acceleration", "velocity", "force"] = live(
+        "which model fits which input"
+    )
+
+
+@dataclass(frozen=True)
+class RigParameters:
+    """Every parameter of the rig: a group for each section of the rig file."""
+
+    beam: BeamSettings
+    markers: MarkerSettings
+    hub: HubSettings
+    serial: SerialSettings
+    emulator: EmulatorSettings
+    camera: CameraSettings
+    tracker: TrackerSettings
+    simulation: SimulationSettings
+    excitation: ExcitationSettings
+    recorder: RecorderSettings
+    player: PlayerSettings
+    identifier: IdentifierSettings
+
+
+GROUPS = get_type_hints(RigParameters)
+"""The class of each group by the group's name."""
+
+RIG_PARAMETERS: dict[str, Parameter] = {
+    parameter.name: parameter
+    for group, settings in GROUPS.items()
+    for parameter in parameters_of(settings, group)
+}
+"""Every parameter by its dotted name."""
+
+
+def check_parameters(values: Mapping[str, object]) -> dict[str, Value]:
+    """Check dotted names and values against the table and return them in their types.
+
+    Raises
+    ------
+    ParameterFileError
+        A name is unknown, or a value has a wrong type, word or range.
+    """
+    for name in values:
+        if name not in RIG_PARAMETERS:
+            raise _unknown_parameter(name)
+    return {name: RIG_PARAMETERS[name].check(value) for name, value in values.items()}
+
+
+def _unknown_parameter(name: str) -> ParameterFileError:
+    stem = re.sub(r"_(mm|cm|um|ms|us|hz|khz|gpa|mpa|deg|g)$", "", name, flags=re.IGNORECASE)
+    known = RIG_PARAMETERS.get(likeliest(stem, RIG_PARAMETERS))
+    unit = f" [{known.unit}]" if known and known.unit else ""
+    hint = f"did you mean {known.name}{unit}?" if known else "`beam model --parameters` lists what there is"
+    return ParameterFileError(f"unknown parameter {name}: {hint}")
+
+
+def check_relations(rig: RigParameters) -> None:
+    """Check what no single parameter can say of itself.
+
+    Raises
+    ------
+    ParameterFileError
+        Lists of markers of unequal length, heights out of order or above the tip, a band upside down.
+    """
+    names, heights = rig.markers.names, rig.markers.heights
+    for key, column in vars(rig.markers).items():
+        if isinstance(column, tuple) and len(column) != len(names):
+            raise ParameterFileError(
+                f"markers.{key} has {len(column)} entries for {len(names)} markers: expected one per name in "
+                "markers.names; add or remove entries"
+            )
+    if len(set(names)) != len(names):
+        raise ParameterFileError(
+            f"markers.names is {list(names)}: expected every name once; rename the doubled one"
+        )
+    if sorted(set(heights)) != list(heights):
+        raise ParameterFileError(
+            f"markers.heights is {list(heights)} m: expected heights that rise from the clamp; sort names, "
+            "heights and masses together"
+        )
+    if heights[-1] > rig.beam.length:
+        raise ParameterFileError(
+            f"markers.heights ends at {heights[-1]:g} m, above the tip at beam.length = {rig.beam.length:g} m: "
+            "give heights in metres from the clamp"
+        )
+    factor = rig.simulation.real_time_factor
+    if rig.simulation.images and factor > MAX_FACTOR_WITH_IMAGES:
+        raise ParameterFileError(
+            f"simulation.real_time_factor is {factor:g} with simulation.images: expected at most "
+            f"{MAX_FACTOR_WITH_IMAGES:g}, the most that images over DDS keep up with; switch the images off, or use "
+            "`beam simulate`, which needs no real time"
+        )
+    start, end = rig.excitation.start_frequency, rig.excitation.end_frequency
+    if not start < end:
+        raise ParameterFileError(
+            f"excitation.start_frequency is {start:g} Hz and excitation.end_frequency {end:g} Hz: expected "
+            "the start below the end"
+        )
