@@ -45,8 +45,10 @@ def main() -> int:
     """Draw, test, list the survivors; the exit status is 0 when enough mutations are killed."""
     options = _options()
     CACHE.mkdir(exist_ok=True)
-    if not options.keep_map:
-        _measure(options.fresh)
+    if options.measure or not options.keep_map:
+        _measure(options.measure)
+    if options.measure:
+        return 0
     coverage_map = CoverageMap(CACHE, ROOT)
     results_file = CACHE / f"seed-{options.seed}-{options.count}.json"
     equivalent = {
@@ -74,7 +76,9 @@ def main() -> int:
                 outcome += f" ({time.monotonic() - start:.0f} s)"
                 trees.put(tree)
             results[key] = outcome
-            print(f"{len(results):4d} {key}\n     - {change[0]}\n     + {change[1]}\n     {outcome}", flush=True)
+            print(
+                f"{len(results):4d} {key}\n     - {change[0]}\n     + {change[1]}\n     {outcome}", flush=True
+            )
 
         with ThreadPoolExecutor(options.workers) as pool:
             list(pool.map(test, draw(ROOT, options.count, options.seed)))
@@ -89,8 +93,12 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=2, help="mutations under test at a time (2)")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds of tests for one mutation (120)")
     parser.add_argument("--again", action="store_true", help="test only what survived this draw before")
-    parser.add_argument("--fresh", action="store_true", help="measure anew which test runs which line")
-    parser.add_argument("--keep-map", action="store_true", help="use the last measurement, though files changed")
+    parser.add_argument(
+        "--measure", action="store_true", help="measure anew which test runs which line, and stop"
+    )
+    parser.add_argument(
+        "--keep-map", action="store_true", help="use the last measurement, though files changed"
+    )
     return parser.parse_args()
 
 
@@ -103,7 +111,9 @@ def _measure(is_fresh: bool) -> None:
     state = CACHE / "state"
     if not is_fresh and state.exists() and state.read_text() == digest.hexdigest():
         return
-    print("Measuring which test runs which line; this takes as long as all tests one after another.", flush=True)
+    print(
+        "Measuring which test runs which line; this takes as long as all tests one after another.", flush=True
+    )
     for old in CACHE.glob("coverage*"):
         old.unlink()
     configuration = Path(__file__).with_name("coverage.ini")
@@ -150,7 +160,9 @@ def _first_failure(tree: Path, chosen: dict[str, float], coverage_map: CoverageM
     selection.write_text(json.dumps({"chosen": chosen, "known": list(coverage_map.durations_s)}))
     files = dict.fromkeys(test.partition("::")[0] for test in chosen)
     limit_s = 120.0 + 10.0 * sum(chosen.values())
-    ran = _pytest(tree, "tests.mutants.selected_tests", ["-x", *files], {"MUTANTS_SELECTED": str(selection)}, limit_s)
+    ran = _pytest(
+        tree, "tests.mutants.selected_tests", ["-x", *files], {"MUTANTS_SELECTED": str(selection)}, limit_s
+    )
     if ran is None:
         return "the time limit"
     if ran.returncode == 0:
@@ -163,7 +175,8 @@ def _pytest(
     tree: Path, plugin: str, arguments: list[str], variables: dict[str, str], limit_s: float | None
 ) -> subprocess.CompletedProcess[str] | None:
     """Run pytest in a copy of the tree; None when its time has run out."""
-    command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", plugin, "-p", "no:cacheprovider", *arguments]
+    plugins = ["-p", plugin, "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-q", "--no-header", *plugins, *arguments]
     environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", **variables}
     try:
         return subprocess.run(
@@ -178,7 +191,8 @@ def _summary(results: dict[str, Any]) -> int:
     equivalent = sum(outcome.startswith("equivalent") for outcome in results.values())
     judged = len(results) - equivalent
     share = 1.0 - len(survivors) / judged if judged else 1.0
-    print(f"\n{len(results)} mutations, {equivalent} equivalent; {judged - len(survivors)} of {judged} killed ({share:.1%})")
+    print(f"\n{len(results)} mutations, {equivalent} of them equivalent")
+    print(f"{judged - len(survivors)} of the other {judged} killed ({share:.1%})")
     for key in sorted(survivors):
         print(f"  survived: {key}: {results[key]}")
     return 0 if share >= REQUIRED else 1

@@ -44,13 +44,10 @@ class CoverageMap:
             chosen |= self._tests_of(context)
         in_file: dict[str, float] = {}
         for test in chosen:
-            file = test.partition("::")[0]
-            in_file[file] = in_file.get(file, 0.0) + self.durations_s[test]
-        ordered = sorted(chosen, key=lambda t: (in_file[t.partition("::")[0]], t.partition("::")[0], self.durations_s[t]))
-        kept, total_s = {}, 0.0
-        for test in ordered:
-            total_s += self.durations_s[test]
-            if total_s <= budget_s or not kept:
+            in_file[_file(test)] = in_file.get(_file(test), 0.0) + self.durations_s[test]
+        kept: dict[str, float] = {}
+        for test in sorted(chosen, key=lambda t: (in_file[_file(t)], _file(t), self.durations_s[t])):
+            if not kept or sum(kept.values()) + self.durations_s[test] <= budget_s:
                 kept[test] = self.durations_s[test]
         return kept
 
@@ -78,19 +75,22 @@ class CoverageMap:
         """Tests behind a context: one test, or a file's where a shared fixture or a cached function ran."""
         test, _, phase = context.partition(" (")
         if test in self.durations_s and not phase.startswith("setup"):
-            file = test.partition("::")[0]
-            return self._in_file[file] if self._is_cached(file) else {test}
-        return self._in_file.get(test.partition("::")[0], set())
+            return self._in_file[_file(test)] if self._is_cached(_file(test)) else {test}
+        return self._in_file.get(_file(test), set())
 
     @cached_property
     def _in_file(self) -> dict[str, set[str]]:
         found: dict[str, set[str]] = {}
         for test in self.durations_s:
-            found.setdefault(test.partition("::")[0], set()).add(test)
+            found.setdefault(_file(test), set()).add(test)
         return found
 
     def _is_cached(self, file: str) -> bool:
         return re.search(r"^@(functools\.)?(lru_)?cache", (self._root / file).read_text(), re.M) is not None
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]
 
 
 def _statement(tree: ast.Module, source: str, position: Position) -> tuple[tuple[int, int], bool]:

@@ -32,11 +32,12 @@ PACKAGES = ("beam_model", "beam_ident", "beam_ros")
 LEFT_OUT = re.compile(r"__init__\.py$|/figures(/|\.py$)")
 SILENT_CALLS = {"debug", "info", "warning", "warn", "error", "fatal", "print"}
 
-_BINARY = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul", "BitAnd_BitOr", "BitOr_BitAnd")
+_SUMS = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul")
+_BITS = ("BitAnd_BitOr", "BitOr_BitAnd")
 _BORDERS = ("Lt_LtE", "LtE_Lt", "Gt_GtE", "GtE_Gt")
 _GUARDS = ("Lt_GtE", "LtE_Gt", "Gt_LtE", "GtE_Lt", "Eq_NotEq", "NotEq_Eq", "Is_IsNot", "IsNot_Is")
 OPERATORS = (
-    *(f"ReplaceBinaryOperator_{name}" for name in _BINARY),
+    *(f"ReplaceBinaryOperator_{name}" for name in (*_SUMS, *_BITS)),
     *(f"ReplaceComparisonOperator_{name}" for name in (*_BORDERS, *_GUARDS)),
     *(f"ReplaceUnaryOperator_Delete_{name}" for name in ("Not", "USub", "Invert")),
     *("AddNot", "ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"),
@@ -123,24 +124,25 @@ def _places(path: str, source: str) -> list[list[Mutation]]:
 def _silent_spans(source: str) -> Iterator[tuple[Position, Position]]:
     """Parts of a file in which a change cannot be measured (see the top of this file)."""
     for node in ast.walk(ast.parse(source)):
-        parts: list[ast.AST | None] = []
-        if isinstance(node, (ast.JoinedStr, ast.Raise)):
-            parts = [node]
-        elif isinstance(node, (ast.AnnAssign, ast.arg)):
-            parts = [node.annotation]
-        elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            parts = [*node.decorator_list, node.returns]
-        elif isinstance(node, ast.ClassDef):
-            parts = [*node.decorator_list]
-        elif isinstance(node, ast.keyword) and node.arg == "strict":
-            parts = [node.value]
-        elif isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "__name__ == '__main__'"):
-            parts = [node]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in SILENT_CALLS:
-            parts = [node]
-        for part in parts:
+        for part in (node if _is_silent(node) else None, *_unmeasured_parts(node)):
             if part is not None:
                 yield span(part, source)
+
+
+def _is_silent(node: ast.AST) -> bool:
+    if isinstance(node, ast.If):
+        return ast.unparse(node.test) in ("TYPE_CHECKING", "__name__ == '__main__'")
+    if isinstance(node, ast.Call):
+        return ast.unparse(node.func).rpartition(".")[2] in SILENT_CALLS
+    return isinstance(node, (ast.JoinedStr, ast.Raise))
+
+
+def _unmeasured_parts(node: ast.AST) -> Iterator[ast.AST | None]:
+    yield getattr(node, "annotation", None)
+    yield getattr(node, "returns", None)
+    yield from getattr(node, "decorator_list", ())
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        yield node.value
 
 
 def span(node: ast.AST, source: str) -> tuple[Position, Position]:
