@@ -40,7 +40,7 @@ def test_the_standard_deviation_holds_at_the_edges_where_all_lines_lie_on_one_si
         found = local_polynomial_response(circular_record(seed, 0.3))
         errors.append(found.response[:, 0, 0] - parabola(LINES))
         sds.append(found.sd[:, 0, 0])
-    # Mean squares of |error|^2 / variance over 150 draws, 3 lines at each edge and 150 within; an estimated variance of
+    # Mean squares over 150 draws, of 3 lines at each edge and 150 within; an estimated variance of
     # 7 degrees of freedom makes the mean 7/(7 - 1): a complex chi-squared of nu has the mean inverse nu/(nu - 1).
     ratio = np.mean(np.abs(errors) ** 2 / np.square(sds), axis=0)
     assert np.mean(ratio[20:170]) == pytest.approx(7 / 6, rel=0.05)
