@@ -76,13 +76,13 @@ def main() -> int:
                 outcome += f" ({time.monotonic() - start:.0f} s)"
                 trees.put(tree)
             results[key] = outcome
+            results_file.write_text(json.dumps({**before, **results}, indent=1))
             print(
                 f"{len(results):4d} {key}\n     - {change[0]}\n     + {change[1]}\n     {outcome}", flush=True
             )
 
         with ThreadPoolExecutor(options.workers) as pool:
             list(pool.map(test, draw(ROOT, options.count, options.seed)))
-    results_file.write_text(json.dumps(results, indent=1))
     return _summary(results)
 
 
@@ -92,7 +92,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1, help="seed of the draw (1)")
     parser.add_argument("--workers", type=int, default=2, help="mutations under test at a time (2)")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds of tests for one mutation (120)")
-    parser.add_argument("--again", action="store_true", help="test only what survived this draw before")
+    parser.add_argument("--again", action="store_true", help="test only what this draw has not killed before")
     parser.add_argument(
         "--measure", action="store_true", help="measure anew which test runs which line, and stop"
     )
