@@ -32,7 +32,7 @@ TEST = [
     *DASK,
 ]
 
-DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3"]
+DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3", "cosmic-ray>=8.4,<9", "coverage>=7.13,<8"]
 
 EXECUTABLES = [
     "beam",

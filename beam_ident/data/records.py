@@ -218,6 +218,11 @@ class OutputSignal:
         """Which samples were seen, shape (n,)."""
         return np.asarray(np.isfinite(self.values))
 
+    def is_within(self, first_s: float, last_s: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Return which samples lie in an interval [s] with all of their exposure, shape (n,)."""
+        half = 0.5 * self.exposure_s
+        return np.asarray((self.times_s - half >= first_s) & (self.times_s + half <= last_s))
+
     def between(self, start_s: float, end_s: float) -> OutputSignal:
         """Return the samples whose stamps lie in an interval [s]."""
         keep = (self.times_s >= start_s) & (self.times_s <= end_s)

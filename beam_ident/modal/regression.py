@@ -145,10 +145,8 @@ class _PreparedRecord:
             if key not in keys:
                 keys[key] = len(self.grids)
                 self.grids.append(_Grid(output.times_s, output.exposure_s))
-            half = 0.5 * output.exposure_s
-            inside = (output.times_s - half >= self.span[0]) & (output.times_s + half <= self.span[1])
             self.grid_of[output.name] = keys[key]
-            self.rows_of[output.name] = np.flatnonzero(inside & output.is_valid)
+            self.rows_of[output.name] = np.flatnonzero(output.is_within(*self.span) & output.is_valid)
         stamps = np.concatenate([g.times for g in self.grids])
         self.start = float(np.min(stamps))
         self.middle = 0.5 * float(np.min(stamps) + np.max(stamps))

@@ -48,11 +48,10 @@ class LineEstimate:
 
 def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> SignalPair:
     """Bring an input, an output and perhaps a reference to the output's own regular stamps."""
-    half = 0.5 * output.exposure_s
     first, last = drive.span_s
     if reference is not None:
         first, last = max(first, reference.span_s[0]), min(last, reference.span_s[1])
-    keep = (output.times_s - half >= first) & (output.times_s + half <= last)
+    keep = output.is_within(first, last)
     times, values = np.asarray(output.times_s[keep]), np.array(output.values[keep])
     period = regular_period(times)
     if period is None or len(times) < 32:

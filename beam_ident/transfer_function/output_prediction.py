@@ -52,15 +52,14 @@ class OutputPrediction:
             Of times since the record's begin and exposure [s]: columns of what the
             system does on its own, a constant first, shape (n, n_columns).
         """
-        half = 0.5 * output.exposure_s
         first = max(drive.span_s[0] for drive in drives)
         last = min(drive.span_s[1] for drive in drives)
-        inside = (output.times_s - half >= first) & (output.times_s + half <= last)
+        inside = output.is_within(first, last)
         times, measured = np.asarray(output.times_s[inside]), np.asarray(output.values[inside])
         if not len(times):
             return OutputPrediction(inside, times, measured, np.empty(0), 0.0)
         simulated = simulate(times, output.exposure_s)
-        own = free_motions(times - times[0] + half, output.exposure_s)
+        own = free_motions(times - times[0] + 0.5 * output.exposure_s, output.exposure_s)
         seen = np.isfinite(measured)
         found = LinearSolution.of(own[seen]).coefficients((measured - simulated)[seen])
         return OutputPrediction(inside, times, measured, simulated + own @ found, float(found[0]))

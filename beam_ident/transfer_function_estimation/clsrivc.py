@@ -166,9 +166,7 @@ class _LoopRecord:
         output = record.output(output_name)
         _require_sampled_by(period_s, drive, reference)
         self.name, self.drive, self.output, self.reference = record.name, drive, output, reference.values
-        half = 0.5 * output.exposure_s
-        first, last = drive.span_s
-        keep = output.is_valid & (output.times_s - half >= first) & (output.times_s + half <= last)
+        keep = output.is_valid & output.is_within(*drive.span_s)
         self.times = np.asarray(output.times_s[keep])
         self.values = np.asarray(output.values[keep])
         self.is_regular = regular_period(self.times) is not None

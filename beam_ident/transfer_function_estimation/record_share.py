@@ -136,11 +136,9 @@ class Nuisances:
 
 def usable_samples(output: OutputSignal, drives: list[InputSignal]) -> NDArray[np.bool_]:
     """Return which samples of an output lie, exposure included, where all inputs are known."""
-    half = 0.5 * output.exposure_s
     keep = output.is_valid
     for drive in drives:
-        first, last = drive.span_s
-        keep = keep & (output.times_s - half >= first) & (output.times_s + half <= last)
+        keep = keep & output.is_within(*drive.span_s)
     return np.asarray(keep)
 
 

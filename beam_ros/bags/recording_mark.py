@@ -8,10 +8,11 @@ one that was killed.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from pathlib import Path
 from typing import IO
+
+from beam_ros.process.strict_json import strict_json
 
 try:
     import fcntl
@@ -37,7 +38,7 @@ class RecordingMark:
             with contextlib.suppress(OSError):  # a file system without locks: the mark alone must do
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         note = "this bag is being written, or its recording was cut off; `beam recover` repairs it"
-        json.dump({"writer_pid": os.getpid(), "file": file_name, "note": note}, self._file)
+        self._file.write(strict_json({"writer_pid": os.getpid(), "file": file_name, "note": note}))
         self._file.flush()
 
     def lift(self) -> None:

@@ -86,12 +86,9 @@ class BagInfo:
     excitation: dict[str, Any] | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON; what is NaN becomes None."""
+        """Return plain types."""
         plain = dataclasses.asdict(self)
         plain["path"] = str(self.path)
-        for clock in plain["clocks"]:
-            for key, value in clock.items():
-                clock[key] = None if value != value else value
         return plain
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -12,13 +11,14 @@ from beam_ros.hub.contract import SequenceReport
 from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
+from beam_ros.process.strict_json import strict_json
 
 _KEY_VALUES = re.compile(r"(\w+)=(-?\d+)")
 
 
 def json_text(types: MessageTypes, content: Mapping[str, Any]) -> Any:
     """Build a String that carries JSON; NaN and infinities, which JSON does not know, become null."""
-    return types.make(graph.STRING, data=json.dumps(_without_nan(content)))
+    return types.make(graph.STRING, data=strict_json(content))
 
 
 def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
@@ -30,16 +30,6 @@ def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
         "reason": report.reason,
     }
     return json_text(types, content)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _without_nan(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def read_json(message: Any) -> dict[str, Any]:

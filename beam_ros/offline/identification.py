@@ -7,7 +7,6 @@ prior knowledge of the clock rate, and so the stated standard deviations.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +33,7 @@ from beam_ros.bags.reading import Bag, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.process.folders import make_folder
+from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 Progress = Callable[[str, float], None]
@@ -380,7 +380,7 @@ def _write(
     model_path, report_path = folder / "model.json", folder / "report.html"
     partial = model_path.with_name(model_path.name + ".partial")
     document = {"schema": SCHEMA, "model": result.model.to_dict(), "summary": content}
-    partial.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    partial.write_text(strict_json(document, indent=1), encoding="utf-8")
     os.replace(partial, model_path)
     omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
     highest = 1.5 * float(np.max(result.model.natural_frequencies))

@@ -76,3 +76,16 @@ def beam_record(
         for name, values in zip(("z010", "z225", "z285"), noisy, strict=True)
     ]
     return TimeRecord((drive,), tuple(outputs), name="beam")
+
+
+def averaged_cosine(times: np.ndarray, pole: complex, amplitude: complex, exposure_s: float) -> np.ndarray:
+    """Return the mean of Re a e^(p t) over an exposure centred on every instant, from the integral table."""
+    sigma, omega, phase = pole.real, pole.imag, np.angle(amplitude)
+
+    def integral(t: np.ndarray) -> np.ndarray:
+        turn = omega * t + phase
+        return np.exp(sigma * t) * (sigma * np.cos(turn) + omega * np.sin(turn)) / (sigma**2 + omega**2)
+
+    return (
+        np.abs(amplitude) * (integral(times + exposure_s / 2) - integral(times - exposure_s / 2)) / exposure_s
+    )

@@ -9,12 +9,12 @@ whose natural frequencies and damping ratios are compared with the ones that the
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.interfaces.graph import RigKind
+from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     started = time.monotonic()
     result = conduct_demo(rig, RigKind(arguments.rig), folder, record_images=arguments.images)
     if arguments.json:
-        print(json.dumps(result, indent=2))
+        print(strict_json(result, indent=2))
         return 0
     print(f"\n{format_table(result)}\n")
     for line in (*result["notes"], *result["warnings"]):

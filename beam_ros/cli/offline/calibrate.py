@@ -11,7 +11,6 @@ the board tilted in other places, give the lens. `beam track --calibration` and 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from datetime import datetime, timezone
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from beam_ros.cli.options import add_rig_file, quiet_opencv, read_rig
 from beam_ros.errors import UsageError
 from beam_ros.process.progress import Progress
+from beam_ros.process.strict_json import strict_json
 
 if TYPE_CHECKING:
     from beam_ros.vision.calibration.procedure import CalibrationFit
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     date = datetime.now(timezone.utc).isoformat(timespec="seconds")
     result = _from_board(arguments, date) if arguments.board else _from_bags(arguments, date)
     if arguments.json:
-        print(json.dumps(result, indent=2))
+        print(strict_json(result, indent=2))
     else:
         print("\n".join([*result["table"], *(f"note: {warning}" for warning in result["warnings"])]))
         if arguments.save is not None:
@@ -117,10 +117,10 @@ def _tests(fit: CalibrationFit, names: tuple[str, ...]) -> dict[str, dict[str, A
             "zero_sd_px": math.sqrt(line.covariance[1, 1]),
             "residual_rms_px": line.residual_rms_px,
             "reduced_chi_squared": line.chi_squared / line.degrees_of_freedom,
-            "hysteresis_px": None if math.isnan(line.hysteresis_px) else line.hysteresis_px,
-            "hysteresis_sd_px": None if math.isnan(line.hysteresis_sd_px) else line.hysteresis_sd_px,
-            "curvature_px_m2": None if math.isnan(line.curvature) else line.curvature,
-            "curvature_sd_px_m2": None if math.isnan(line.curvature_sd) else line.curvature_sd,
+            "hysteresis_px": line.hysteresis_px,
+            "hysteresis_sd_px": line.hysteresis_sd_px,
+            "curvature_px_m2": line.curvature,
+            "curvature_sd_px_m2": line.curvature_sd,
             "has_hysteresis": line.has_hysteresis,
             "is_curved": line.is_curved,
         }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 from typing import Any
 
@@ -12,6 +11,7 @@ from beam_ident.design.prediction import half_power_bands, resolution_warning
 from beam_ident.design.summary import excitation_report
 from beam_ident.excitation import describe_recipe
 from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig = read_rig(arguments)
     design = describe_design(rig)
-    print(json.dumps(design, indent=2) if arguments.json else _text(design))
+    print(strict_json(design, indent=2) if arguments.json else _text(design))
     return 0
 
 

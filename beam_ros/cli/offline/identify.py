@@ -7,11 +7,11 @@ model.json and a self-contained report.html into the folder of --report.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig
 from beam_ros.process.progress import Progress
+from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
     if arguments.json:
-        print(json.dumps(result, indent=2))
+        print(strict_json(result, indent=2))
         return 0
     print(format_table(result))
     for name, score in result["scores"].items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from datetime import datetime, timezone
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from beam_ident.excitation import describe_recipe
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import BagInfo, summarise
+from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     with Bag(arguments.bag) as bag:
         info = summarise(bag)
-    print(json.dumps(info.to_dict(), indent=2) if arguments.json else _text(info))
+    print(strict_json(info.to_dict(), indent=2) if arguments.json else _text(info))
     return 0
 
 

@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from beam_model.advice.summary import summarise
 from beam_ros.cli.options import add_rig_file, read_rig
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.process.folders import make_folder
+from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             "marker_names": list(rig.markers.names),
             "figures": list(map(str, figures)),
         }
-        print(json.dumps(content, indent=2))
+        print(strict_json(content, indent=2))
         return 0
     beam = model.parameters
     print(f"EI {beam.flexural_rigidity:.6g} N m^2, rho {beam.mass_per_length:.6g} kg/m, {beam.gravity}\n")

@@ -8,12 +8,12 @@ stays beside it as BAG_untracked, unless --out names a new bag.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from beam_ros.cli.options import add_rig_file, quiet_opencv, read_rig
 from beam_ros.process.progress import Progress
+from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=lambda phrase, share: stage.update(share, phrase),
         )
         stage.finish(f"{result['frames']} frames into {result['bag']}")
-    print(json.dumps(result, indent=2) if arguments.json else _text(result))
+    print(strict_json(result, indent=2) if arguments.json else _text(result))
     return 0
 
 

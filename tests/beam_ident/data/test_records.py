@@ -82,3 +82,12 @@ def test_a_segment_keeps_the_input_that_its_outputs_need():
     assert part.outputs[0].times_s[0] >= 0.205
     assert part.inputs[0].times_s[0] <= 0.205
     assert part.inputs[0].times_s[-1] >= 0.5
+
+
+def test_a_sample_lies_within_an_interval_with_all_of_its_exposure():
+    # Powers of two, so that the borders are met exactly.
+    output = OutputSignal("tip", "m", (0.0, 1 / 64), np.zeros(65), exposure_s=1 / 32)
+    np.testing.assert_array_equal(np.flatnonzero(output.is_within(0.0, 1.0)), np.arange(1, 64))
+    np.testing.assert_array_equal(np.flatnonzero(output.is_within(1 / 128, 63 / 64)), np.arange(2, 63))
+    at_once = OutputSignal("tip", "m", (0.0, 1 / 64), np.zeros(65))
+    assert np.all(at_once.is_within(0.0, 1.0))

@@ -20,6 +20,7 @@ from beam_ident import (
     predict_amplitudes,
 )
 from beam_ident.design.prediction import half_power_bands, resolution_warning
+from beam_ident.excitation.sampled import SampledExcitation
 
 
 def model(structure="base_motion", frequency=4.0, zeta=0.01, gain=1.0):
@@ -181,3 +182,16 @@ def test_the_report_warns_of_modes_it_does_not_resolve_or_reach():
     # The mean of a binary sequence is one level over its length: the density at 0 Hz counts once.
     energy = 2047 * 0.005  # levels of 1 N over one period
     assert np.sum(held.energy_density) * held.frequencies_hz[1] == pytest.approx(energy, rel=1e-9)
+
+
+def test_the_levels_of_a_move_there_are_those_of_its_formulas():
+    # Accelerate for 100 ticks, brake for 100: a triangle of velocity and two parabolas, and a still stretch after.
+    held = np.concatenate([np.ones(100), -np.ones(100), np.zeros(50)])
+    report = excitation_report(SampledExcitation(Prbs(), 1e-3, held))
+    k = np.arange(201)
+    velocity = 1e-3 * np.minimum(k, 200 - k)
+    position = 1e-6 * np.where(k <= 100, k**2 / 2, 10000 - (200 - k) ** 2 / 2)
+    assert report.active_s == pytest.approx(0.2)
+    for level, truth in zip(report.levels, (np.ones(200), velocity, position), strict=True):
+        assert level.rms == pytest.approx(np.sqrt(np.mean(truth**2)), rel=1e-9)
+        assert level.peak == pytest.approx(np.max(truth), rel=1e-9)

@@ -97,3 +97,14 @@ def test_way_points_are_reached_and_rested_at():
         rest = slice(round((start + length) * 1e3) + 5, round((start + length + 0.5) * 1e3) - 5)
         np.testing.assert_allclose(positions[rest], point, atol=1e-12)
         start += length + 0.5
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [Sine(), SteppedSine(), LinearChirp(), LogChirp(), PointToPoint(waypoints=(0.01, 0.0))],
+    ids=lambda recipe: recipe.kind,
+)
+def test_nothing_moves_before_the_start_and_after_the_end(recipe):
+    end = recipe.duration_s - recipe.still_s
+    outside = np.array([-1.3, -0.01, 0.0, end, end + 0.7])
+    np.testing.assert_allclose(recipe.displacement(outside), 0.0, atol=1e-15)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, OutputSignal
-from beam_ident.modal_estimation.free_decay import fit_free_decay
+from beam_ident.modal_estimation.free_decay import _DecayBasis, fit_free_decay
+from tests.beam_ident.truth import averaged_cosine
 
 OMEGAS, ZETAS = 2 * np.pi * np.array([4.4, 28.3]), np.array([0.005, 0.008])
 AMPLITUDES = np.array([[1.0, 0.3 - 0.2j], [0.4j, -0.5]])
@@ -12,16 +13,21 @@ TIMES = np.sort(np.random.default_rng(0).uniform(2.0, 8.0, 500))
 
 
 def decays(noise, seed=0, exposure=0.0, times=TIMES):
-    poles = OMEGAS * (-ZETAS + 1j * np.sqrt(1 - ZETAS**2))
-    elapsed = times[:, None] - TIMES[0]
-    shape = 1.0 if exposure == 0.0 else np.sinh(0.5 * poles * exposure) / (0.5 * poles * exposure)
-    ringing = np.real(np.exp(elapsed * poles) * shape @ AMPLITUDES.T) + np.array([3.0, -1.0])
+    elapsed = times - TIMES[0]
+    ringing = np.tile([3.0, -1.0], (len(times), 1))
+    for pole, amplitudes in zip(OMEGAS * (-ZETAS + 1j * np.sqrt(1 - ZETAS**2)), AMPLITUDES.T, strict=True):
+        if exposure > 0.0:
+            ringing += np.stack([averaged_cosine(elapsed, pole, a, exposure) for a in amplitudes], axis=1)
+        else:
+            ringing += np.real(np.exp(elapsed * pole)[:, None] * amplitudes)
     noisy = ringing + noise * np.random.default_rng(seed).standard_normal(ringing.shape)
     return [OutputSignal(n, "m", times, noisy[:, j], exposure) for j, n in enumerate(("tip", "root"))]
 
 
-def test_two_modes_ring_at_irregular_stamps_and_are_found_exactly():
-    found = fit_free_decay(decays(0.0, exposure=0.01))
+# 20 ms are 0.57 of the second mode's period: the box takes half of it away.
+@pytest.mark.parametrize("exposure", [0.0, 1e-6, 0.01, 0.02])
+def test_two_modes_ring_at_irregular_stamps_and_are_found_exactly(exposure):
+    found = fit_free_decay(decays(0.0, exposure=exposure))
     np.testing.assert_allclose(found.natural_frequencies, OMEGAS, rtol=1e-10)
     np.testing.assert_allclose(found.damping_ratios, ZETAS, rtol=1e-8)
     np.testing.assert_allclose(found.amplitudes, AMPLITUDES, atol=1e-9)
@@ -54,3 +60,20 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(decays(0.1), end_s=2.05)
     with pytest.raises(EstimationError, match="n_modes is 0"):
         fit_free_decay(decays(0.1), n_modes=0)
+
+
+def test_the_slopes_of_a_decay_seen_through_an_exposure_are_its_differences():
+    times, exposure, omega, zeta = np.linspace(0.0, 2.0, 50), 0.02, 2 * np.pi * 28.3, 0.008
+
+    def cosine(w, z):
+        return averaged_cosine(times, w * complex(-z, np.sqrt(1 - z**2)), 1.0, exposure)
+
+    found = _DecayBasis(times, exposure).modal(omega, zeta, 0.0)
+    h = 1e-5
+    np.testing.assert_allclose(found.value[:, 0], cosine(omega, zeta), atol=1e-12)
+    by_log_omega = (cosine(omega * (1 + h), zeta) - cosine(omega * (1 - h), zeta)) / (2 * h)
+    by_zeta = (cosine(omega, zeta + h) - cosine(omega, zeta - h)) / (2 * h)
+    # The error of a central difference is h^2/6 of the third derivative, (omega t)^3 = 4e7.
+    size = np.max(np.abs(by_log_omega))
+    np.testing.assert_allclose(found.by_log_omega[:, 0], by_log_omega, atol=1e-4 * size)
+    np.testing.assert_allclose(found.by_zeta[:, 0], by_zeta, atol=1e-4 * size)

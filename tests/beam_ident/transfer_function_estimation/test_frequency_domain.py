@@ -78,3 +78,10 @@ def test_what_cannot_be_fitted_is_refused():
         fit_frequency_transfer_function(short, 4, 1)
     with pytest.raises(EstimationError, match="takes one of each"):
         fit_frequency_transfer_function(FrequencyRecord(record.omegas, np.ones((300, 2))), 1, 0)
+
+
+def test_a_delay_of_many_periods_is_found_from_a_start_near_it():
+    record = given([12.0], [1.0, 4.0, 4.0], delay=2.0, noise=1e-3)  # 32 turns at the highest line
+    found = fit_frequency_transfer_function(record, 2, 0, Prior(2.005, 0.01)).model
+    assert abs(found.delay - 2.0) < 4.0 * found.standard_deviations[-1]
+    assert found.parameters[:3] == pytest.approx([4.0, 4.0, 12.0], rel=1e-3)

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -148,3 +151,42 @@ def test_bad_drag_is_refused() -> None:
         AirDrag.for_amplitude(0.025, 0.0)
     with pytest.raises(BeamParameterError, match="substeps"):
         NonlinearMotionStepper(BeamModel(strip(), 1), PERIOD, NonlinearTerms(BeamModel(strip(), 1)), 0)
+
+
+@pytest.mark.parametrize("gravity", ["upright", "hanging"])
+def test_the_potential_energy_is_the_fourth_order_of_the_bent_rods(gravity: str) -> None:
+    # An inextensible rod with sin(theta) = w'(s) has the curvature theta' and the height int cos(theta) ds; nothing
+    # else goes into the energy of its bending and of every weight on it. The tip mass is half the buckling load.
+    rig = strip(gravity=gravity, tip_mass=0.05, point_masses=(PointMass(0.1, 0.02), PointMass(0.2, 0.03)))
+    model = BeamModel(rig, 3)
+    q = np.array([0.01, -0.004, 0.002])
+
+    def integral(function: Callable[[np.ndarray], np.ndarray], end: float) -> float:
+        points, weights = np.polynomial.legendre.leggauss(60)
+        pieces = [0.0, *(z for z in (0.1, 0.2) if z < end), end]
+        return sum(
+            0.5 * (b - a) * float(weights @ function(0.5 * (a + b) + 0.5 * (b - a) * points))
+            for a, b in itertools.pairwise(pieces)
+        )
+
+    def energy(scale: float) -> float:
+        def sine(s: np.ndarray) -> np.ndarray:
+            return model.shape(s, 1) @ (scale * q)
+
+        def bending(s: np.ndarray) -> np.ndarray:
+            return (model.shape(s, 2) @ (scale * q)) ** 2 / (1.0 - sine(s) ** 2)
+
+        def height(end: float) -> float:
+            return integral(lambda s: np.sqrt(1.0 - sine(s) ** 2), end)
+
+        # int rho z(s) ds by parts: every piece of the rod carries what stands above it.
+        strip_height = integral(lambda s: np.sqrt(1.0 - sine(s) ** 2) * (rig.length - s), rig.length)
+        moment = rig.mass_per_length * strip_height + rig.tip_mass * height(rig.length)
+        moment += sum(mass.mass * height(mass.height) for mass in rig.point_masses)
+        weight = {"upright": 9.80665, "hanging": -9.80665}[gravity] * moment
+        return 0.5 * rig.flexural_rigidity * integral(bending, rig.length) + weight
+
+    scales = np.array([0.0, 0.4, 0.6, 0.8, 1.0])
+    orders = np.polyfit(scales**2, [energy(scale) for scale in scales], 4)[::-1]  # 0, 2, 4, 6, 8 in q
+    # Twenty Gauss points do not see exactly where a weight on the rod ends the load: 0.2 %.
+    assert NonlinearTerms(model).potential_energy(q) == pytest.approx(orders[2], rel=4e-3)

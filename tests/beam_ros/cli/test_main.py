@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +23,11 @@ def beam(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         timeout=60,
         check=False,
     )
+
+
+def strictly(ended: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """Read what `--json` printed as a strict reader does, which knows neither NaN nor Infinity."""
+    return json.loads(ended.stdout, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
 
 
 def test_help_lists_the_verbs_and_needs_nothing(tmp_path: Path) -> None:
@@ -75,7 +81,7 @@ def test_a_fault_of_the_users_is_one_line_and_status_2(
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"], "something was left behind"
 
 
-def test_simulate_identify_and_info_work_together(tmp_path: Path) -> None:
+def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path) -> None:
     quick = (
         "-p",
         "excitation.duration:=3.0",
@@ -88,15 +94,28 @@ def test_simulate_identify_and_info_work_together(tmp_path: Path) -> None:
     assert (made.returncode, made.stdout.strip()) == (0, "first")
     found = beam(tmp_path, "identify", "first", "--json")
     assert found.returncode == 0, found.stderr
-    assert json.loads(found.stdout)["modes"][0]["frequency_hz"] == pytest.approx(4.3839, rel=1e-3)
+    assert strictly(found)["modes"][0]["frequency_hz"] == pytest.approx(4.3839, rel=1e-3)
     told = beam(tmp_path, "info", "first")
     assert told.returncode == 0
     assert "hub/measured" in told.stdout
     assert "log_chirp" in told.stdout
+    counted = strictly(beam(tmp_path, "info", "first", "--json"))
+    csv = beam(tmp_path, "export", "first", "--csv", "tables").stdout.split()
+    measured = [path for path in csv if "measured" in path]
+    signals = {signal["topic"]: signal for signal in counted["signals"]}
+    assert len(measured) == 1
+    n_lines = len((tmp_path / measured[0]).read_text().splitlines())
+    assert n_lines == 1 + signals["/hub/measured"]["samples"]
+    flat = beam(tmp_path, "export", "first", "--flat-bag", "flat")
+    assert (flat.returncode, flat.stdout.strip()) == (0, "flat")
+    mended = beam(tmp_path, "recover", "first", "--to", "second")
+    assert mended.returncode == 0
+    assert mended.stdout.splitlines()[0].startswith(f"second: {counted['message_count']} messages over ")
+    assert "nothing was amiss" in mended.stdout
 
 
 def test_model_prints_frequencies_and_their_aliases_in_the_frames(tmp_path: Path) -> None:
-    theory = json.loads(beam(tmp_path, "model", "--json").stdout)
+    theory = strictly(beam(tmp_path, "model", "--json"))
     assert theory["frequencies_hz"][2] == pytest.approx(79.358, abs=1e-3)
     assert theory["aliases_hz"][2] == pytest.approx(20.642, abs=1e-3)
     assert "20.64 Hz" in beam(tmp_path, "model").stdout

@@ -122,9 +122,10 @@ def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> 
     values[-1] = 0.0
     values -= np.hanning(600) * values.sum() / np.hanning(600).sum()
     _wait_for_clock(rigs)
+    starts = {}
     for rig in "ab":
-        start_ns = rigs.node.get_clock().now().nanoseconds + 1_000_000_000
-        for chunk in messages.split_sequence(f"run-{rig}", start_ns, 1_000_000, values):
+        starts[rig] = rigs.node.get_clock().now().nanoseconds + 1_000_000_000
+        for chunk in messages.split_sequence(f"run-{rig}", starts[rig], 1_000_000, values):
             outputs[rig].publish(messages.sequence_chunk(types, chunk, "acceleration"))
     rigs.wait(
         lambda: all(states[rig] and states[rig][-1]["state"] == "done" for rig in "ab"),
@@ -136,12 +137,17 @@ def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> 
     for rig in "ab":
         order = [state["state"] for state in states[rig]]
         seen[rig] = [s for k, s in enumerate(order) if k == 0 or order[k - 1] != s]
-        samples = np.concatenate([decode_batch(data).accelerations for data in applied[rig]])
+        batches = [decode_batch(data) for data in applied[rig]]
+        samples = np.concatenate([batch.accelerations for batch in batches])
+        stamps = np.concatenate([b.stamp_ns + b.period_ns * np.arange(len(b)) for b in batches])
         moving = np.flatnonzero(samples)
         # The line carries single precision: 6e-8 of a value.
         np.testing.assert_allclose(
             samples[moving[0] - 1 : moving[0] - 1 + 600], values, rtol=1e-7, atol=1e-12
         )
+        # A sequence begins with a tick of the device, 1 ms long; its clock is mapped to better than 0.2 ms.
+        assert abs(stamps[moving[0] - 1] - starts[rig]) < 1_200_000
+        assert np.all(np.abs(np.diff(stamps) - 1_000_000) < 100_000)
     # The topic keeps its last message only, so that a listener may miss a state, but never the order.
     assert seen["a"][-2:] == seen["b"][-2:] == ["running", "done"]
 

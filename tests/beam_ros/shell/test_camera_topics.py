@@ -1,0 +1,80 @@
+"""What is published says when it was seen: stamps against a hub whose motion is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.messages import BagTypes, read_displacement
+from beam_ros.messages.stamps import stamp_ns
+from beam_ros.rig.rig import Rig
+
+pytest.importorskip("rclpy", reason="the shell needs rclpy")
+from beam_ros.shell.camera_topics import CameraOutput
+
+START = 1_700_000_000_000_000_000
+SPEED = 0.2  # [m/s]: a frame stamped 1 ms late shows a hub 0.3 px away
+EXPOSURE_S, READOUT_S, LATENCY_S = 0.002, 0.006, 0.003
+
+
+def published(with_images: bool, **values: object) -> tuple[Rig, dict[str, list]]:
+    """Film a hub that travels at a constant speed, the beam straight, for 50 ms; return what came on each topic."""
+    quiet = {"simulation.displacement_noise": 0.0, "camera.noise": 0.0}
+    rig = Rig.from_file().with_values({"camera.exposure": EXPOSURE_S, **quiet, **values})
+    model, came = rig.beam_model(), {}
+
+    def snapshots(stamps) -> Snapshots:
+        times = np.asarray(stamps, dtype=np.int64)
+        zero = np.zeros(len(times))
+        return Snapshots(
+            times, SPEED * (times - START) * 1e-9, zero, zero, np.zeros((len(times), model.n_modes))
+        )
+
+    def offer(topic: str) -> SimpleNamespace:
+        return SimpleNamespace(publish=came.setdefault(topic, []).append)
+
+    node = SimpleNamespace(rig=rig, types=BagTypes(), offer=offer)
+    CameraOutput(node, model, snapshots, START, with_images=with_images).publish_until(START + 50_000_000)
+    return rig, came
+
+
+# From the stamp to the beginning of the first row's exposure [s].
+BEGINS = {"start": 0.0, "mid": -0.5 * (READOUT_S + EXPOSURE_S), "end": -(READOUT_S + EXPOSURE_S)}
+
+
+@pytest.mark.parametrize("meaning", BEGINS)
+def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(meaning) -> None:
+    rig, came = published(
+        True, **{"camera.readout": READOUT_S, "camera.stamp": meaning, "camera.latency": LATENCY_S}
+    )
+    camera = rig.camera_parameters()
+    images, infos = came["camera/image_raw"], came["camera/camera_info"]
+    assert [stamp_ns(image) for image in images] == [stamp_ns(info) for info in infos]
+    assert len(images) == 5
+    assert set(np.diff([stamp_ns(image) for image in images])) == {10_000_000}
+    for image in images:
+        pixels = np.asarray(image.data).reshape(image.height, image.width).astype(float)
+        bright = np.where(pixels > camera.background + 40.0, pixels - camera.background, 0.0)
+        for height in rig.numbers("markers.heights"):
+            row = camera.origin_px[1] - camera.pixels_per_metre * height
+            around = bright[round(row) - 8 : round(row) + 9]
+            column = np.sum(around * np.arange(image.width)) / np.sum(around)
+            opens = (stamp_ns(image) - START) * 1e-9 - LATENCY_S + BEGINS[meaning]
+            middle = opens + READOUT_S * row / (camera.height - 1) + 0.5 * EXPOSURE_S
+            # 0.03 px are 0.1 ms at this speed: rounding to grey levels, and the rows that a marker covers.
+            assert column == pytest.approx(
+                camera.origin_px[0] + camera.pixels_per_metre * SPEED * middle, abs=0.03
+            )
+
+
+@pytest.mark.parametrize("readout", [0.0, READOUT_S])
+def test_a_displacement_is_stamped_in_the_middle_of_its_exposure(readout) -> None:
+    rig, came = published(False, **{"camera.readout": readout})
+    found = [read_displacement(message) for message in came["beam/displacement"]]
+    assert len(found) == 5 * (1 if readout == 0.0 else len(rig.marker_names))
+    for one in found:
+        np.testing.assert_allclose(one.positions, SPEED * (one.stamp_ns - START) * 1e-9, atol=1e-9)
+    assert found[-1].stamp_ns - START == pytest.approx(40e6 + (1e6 if readout == 0.0 else 7e6), abs=1.2e6)

@@ -1,0 +1,135 @@
+"""Which tests can notice a mutation: those that run its line, and those beside its module."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from functools import cached_property
+from pathlib import Path
+
+import coverage
+
+from tests.mutants.mutations import Mutation, Position, span
+
+Lines = set[int]
+
+
+class CoverageMap:
+    """What ``coverage_map.py`` has measured.
+
+    Parameters
+    ----------
+    cache : Path -- where the measurement lies
+    root : Path -- the tree that it belongs to
+    """
+
+    def __init__(self, cache: Path, root: Path) -> None:
+        self._root = root
+        self._data = coverage.CoverageData(str(cache / "coverage"))
+        self._data.read()
+        self.durations_s: dict[str, float] = json.loads((cache / "durations.json").read_text())
+
+    def tests(self, mutation: Mutation, budget_s: float) -> dict[str, float]:
+        """Choose the tests for a mutation.
+
+        Returns
+        -------
+        dict of str to float -- duration [s] of each test, in the order in which they should run: quick files
+            first, and no more than `budget_s` in all
+        """
+        source = (self._root / mutation.path).read_text()
+        chosen: set[str] = set()
+        for context in self._contexts(mutation, source):
+            chosen |= self._tests_of(context)
+        in_file: dict[str, float] = {}
+        for test in chosen:
+            in_file[_file(test)] = in_file.get(_file(test), 0.0) + self.durations_s[test]
+        kept: dict[str, float] = {}
+        for test in sorted(chosen, key=lambda t: (in_file[_file(t)], _file(t), self.durations_s[t])):
+            if not kept or sum(kept.values()) + self.durations_s[test] <= budget_s:
+                kept[test] = self.durations_s[test]
+        return kept
+
+    def _contexts(self, mutation: Mutation, source: str) -> set[str]:
+        tree = ast.parse(source)
+        statement, is_in_function = _statement(tree, source, mutation.position)
+        by_line = self._data.contexts_by_lineno(mutation.path)
+        if is_in_function:
+            lines = set(range(statement[0], statement[1] + 1))
+            return {context for line in lines for context in by_line.get(line, ())}
+        # Run once, at import: whoever uses the name that the statement gives can notice.
+        name = _name_given(tree, mutation.position[0])
+        used = re.compile(rf"\b{re.escape(name)}\b")
+        contexts: set[str] = set()
+        for path in sorted(self._data.measured_files()):
+            text = (self._root / path).read_text()
+            numbers = {k for k, line in enumerate(text.splitlines(), 1) if used.search(line)}
+            if numbers:
+                inside = _lines_in_functions(ast.parse(text)) & numbers
+                measured = self._data.contexts_by_lineno(path)
+                contexts |= {context for line in inside for context in measured.get(line, ())}
+        return contexts
+
+    def _tests_of(self, context: str) -> set[str]:
+        """Tests behind a context: one test, or a file's where a shared fixture or a cached function ran."""
+        test, _, phase = context.partition(" (")
+        if test in self.durations_s and not phase.startswith("setup"):
+            return self._in_file[_file(test)] if self._is_cached(_file(test)) else {test}
+        return self._in_file.get(_file(test), set())
+
+    @cached_property
+    def _in_file(self) -> dict[str, set[str]]:
+        found: dict[str, set[str]] = {}
+        for test in self.durations_s:
+            found.setdefault(_file(test), set()).add(test)
+        return found
+
+    def _is_cached(self, file: str) -> bool:
+        return re.search(r"^@(functools\.)?(lru_)?cache", (self._root / file).read_text(), re.M) is not None
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]
+
+
+def _statement(tree: ast.Module, source: str, position: Position) -> tuple[tuple[int, int], bool]:
+    """First and last line of the innermost statement at a position, and whether a function holds it."""
+    lines, is_in_function = (position[0], position[0]), False
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        for child in ast.iter_child_nodes(node):
+            if not hasattr(child, "lineno"):
+                pending.append(child)
+                continue
+            first, last = span(child, source)
+            if not first <= position < last:
+                continue
+            if isinstance(child, ast.stmt):
+                body = getattr(child, "body", None)
+                lines = (child.lineno, max(child.lineno, body[0].lineno - 1) if body else last[0])
+            is_in_function |= isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and child in node.body
+            is_in_function |= isinstance(node, ast.Lambda)
+            pending.append(child)
+    return lines, is_in_function
+
+
+def _name_given(tree: ast.Module, line: int) -> str:
+    """Name that a statement outside functions gives: of a constant, a field or a function's default."""
+    name = "?"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or line):
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            name = getattr(node, "name", None) or getattr(target, "id", None) or name
+    return name
+
+
+def _lines_in_functions(tree: ast.Module) -> Lines:
+    inside: Lines = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+            body = node.body if isinstance(node.body, list) else [node.body]
+            for part in body:
+                inside |= set(range(part.lineno, (part.end_lineno or part.lineno) + 1))
+    return inside

@@ -1,0 +1,143 @@
+"""The tests of every module are found: in the mirrored tree, or by a row of the table here."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("beam_model", "beam_ident", "beam_ros")
+
+TESTED_IN = (
+    # room, modules, file of their tests (from the tests of the room's package)
+    ("beam_model", "errors", "test_parameters"),
+    ("beam_model", "frequency_response", "galerkin/test_model"),
+    ("beam_model/galerkin", "matrices", "galerkin/test_model"),
+    ("beam_ident/data", "bandwidth prior", "modal_estimation/test_time_domain"),
+    ("beam_ident/data", "stored_form", "test_stored_results"),
+    ("beam_ident/design", "summary", "design/test_prediction"),
+    ("beam_ident/evaluation", "hold_out model_comparison", "modal_estimation/test_time_domain"),
+    ("beam_ident/excitation", "moves sampled sines sweeps windows", "excitation/test_motions"),
+    ("beam_ident/excitation", "crest_optimisation noise seeds", "excitation/test_multisine"),
+    ("beam_ident/figures", "canvas excitation poles responses validation", "figures/test_figures"),
+    ("beam_ident/figures", "identification", "report/test_identification"),
+    ("beam_ident/modal", "frequency_response", "modal/test_model"),
+    ("beam_ident/modal", "identification_result", "test_result_members"),
+    ("beam_ident/modal", "regression", "modal_estimation/test_time_domain"),
+    ("beam_ident/modal", "structure", "modal/test_realisation"),
+    (
+        "beam_ident/modal_estimation",
+        "fitted_model mode_gates mode_scan variable_projection",
+        "modal_estimation/test_time_domain",
+    ),
+    ("beam_ident/modal_estimation", "mode_search pole_projection", "modal_estimation/test_frequency_domain"),
+    ("beam_ident/modal_estimation", "record_levels", "modal_estimation/test_several_records"),
+    ("beam_ident/noise", "input_noise", "modal_estimation/test_time_domain"),
+    ("beam_ident/noise", "line_misfit", "transfer_function_estimation/test_frequency_domain"),
+    ("beam_ident/noise", "noise_model record_fit", "modal_estimation/test_several_records"),
+    ("beam_ident/noise", "scores", "evaluation/test_step_comparison"),
+    ("beam_ident/numerics", "chain_response", "numerics/test_rational_response"),
+    ("beam_ident/numerics", "linear_least_squares", "test_bad_data"),
+    ("beam_ident/responses", "signal_pair", "responses/test_spectral"),
+    ("beam_ident/subspace", "po_moesp", "subspace/test_model"),
+    ("beam_ident/transfer_function", "multi_input_model", "transfer_function_estimation/test_multi_input"),
+    ("beam_ident/transfer_function", "output_prediction", "transfer_function/test_model"),
+    ("beam_ident/transfer_function", "sampled_controller", "transfer_function_estimation/test_clsrivc"),
+    (
+        "beam_ident/transfer_function_estimation",
+        "additive_fit",
+        "transfer_function_estimation/test_multi_input",
+    ),
+    ("beam_ident/transfer_function_estimation", "delay_search", "transfer_function_estimation/test_delay"),
+    (
+        "beam_ident/transfer_function_estimation",
+        "record_share srivc state_variable_filter",
+        "transfer_function_estimation/test_estimation",
+    ),
+    ("beam_ros", "errors", "cli/test_main"),
+    ("beam_ros/bags", "metadata recording_mark", "bags/test_recovery"),
+    ("beam_ros/bags", "replay", "bags/test_bag_player"),
+    ("beam_ros/bags", "summary", "bags/test_reading"),
+    ("beam_ros/cli", "options", "cli/test_main"),
+    ("beam_ros/cli/live", "call up", "launching/test_up"),
+    ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
+    ("beam_ros/cli/offline", "export identify info model recover simulate", "cli/test_main"),
+    ("beam_ros/cli/offline", "calibrate", "calibration/test_from_bag"),
+    ("beam_ros/cli/offline", "design", "excitation/test_plan"),
+    ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
+    ("beam_ros/excitation", "recipes", "excitation/test_plan"),
+    ("beam_ros/hub", "contract host_clock", "hub/simulated/test_simulated_hub"),
+    ("beam_ros/hub", "parameters", "hub/test_sequences"),
+    ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
+    ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
+    ("beam_ros/launching", "client processes", "launching/test_demo"),
+    ("beam_ros/measurements", "frames", "offline/test_simulation"),
+    (
+        "beam_ros/messages",
+        "batches camera clocks commands health joint_states marker_clouds message_types stamps texts trajectories",
+        "messages/test_messages",
+    ),
+    ("beam_ros/nodes", "bag_player", "bags/test_bag_player"),
+    ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
+    ("beam_ros/nodes", "firmware_emulator hub_driver simulator", "nodes/test_contract"),
+    ("beam_ros/nodes", "identifier", "launching/test_demo"),
+    ("beam_ros/offline", "identification", "offline/test_simulation"),
+    ("beam_ros/process", "environment executables folders progress", "cli/test_main"),
+    ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
+    ("beam_ros/shell", "hub_topics", "nodes/test_contract"),
+    ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
+    ("beam_ros/shell", "node", "nodes/test_parameters"),
+    ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
+    ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),
+    (
+        "beam_ros/vision/tracking",
+        "appearance marker_state rivals spot_search spots",
+        "vision/tracking/test_tracker",
+    ),
+)
+"""Modules without a file of tests of their own name, and where they are tested."""
+
+
+def own_tests(module: Path) -> Path:
+    """Where the mirrored tree has the tests of a module."""
+    return ROOT / "tests" / module.parent / f"test_{module.name}.py"
+
+
+def has_function(path: Path) -> bool:
+    """Whether a module does anything: names and types alone need no tests."""
+    return any(isinstance(node, ast.FunctionDef) for node in ast.walk(ast.parse(path.read_text())))
+
+
+@cache
+def modules() -> set[Path]:
+    """All modules of the three packages, from the tree's root and without suffix."""
+    paths = [
+        path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.stem != "__init__"
+    ]
+    return {path.relative_to(ROOT).with_suffix("") for path in paths if has_function(path)}
+
+
+def in_table() -> dict[Path, Path]:
+    """From a module of the table to its tests."""
+    return {
+        Path(room) / name: ROOT / "tests" / Path(room).parts[0] / f"{file}.py"
+        for room, names, file in TESTED_IN
+        for name in names.split()
+    }
+
+
+def test_every_module_has_tests_beside_it_or_a_row_in_the_table() -> None:
+    mirrored = {module for module in modules() if own_tests(module).exists()}
+    missing = sorted(map(str, modules() - mirrored - set(in_table())))
+    assert not missing, f"write tests/<package>/<room>/test_<module>.py, or add a row to {__name__}.TESTED_IN"
+
+
+def test_the_table_names_no_module_twice_and_none_that_is_gone_or_has_tests_of_its_own() -> None:
+    listed = [Path(room) / name for room, names, _ in TESTED_IN for name in names.split()]
+    assert sorted(listed) == sorted(set(listed))
+    assert [str(module) for module in listed if module not in modules() or own_tests(module).exists()] == []
+
+
+def test_the_tables_files_of_tests_exist() -> None:
+    assert [str(file) for file in set(in_table().values()) if not file.exists()] == []
