@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import AnyArray, BoolArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import finite_row, require_output, require_record
 from beam_ident.data.frequency_record import TAIL_POWERS, Folding, FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
@@ -71,7 +70,7 @@ class PeriodicResponse:
     spectrum: ComplexArray
     spectrum_variance: FloatArray
     input_spectrum: ComplexArray
-    is_excited: NDArray[np.bool_]
+    is_excited: BoolArray
     drift: FloatArray
 
     @property
@@ -475,7 +474,7 @@ def _covariance(
     return np.asarray(covariance), float(width * (n_periods - 1))
 
 
-def _moving_mean(values: NDArray[Any], width: int) -> NDArray[Any]:
+def _moving_mean(values: AnyArray, width: int) -> AnyArray:
     """Return the mean over ``width`` neighbouring lines, fewer of them on one side at the ends."""
     n = len(values)
     total = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])

@@ -16,10 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, svd
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses
@@ -284,7 +283,7 @@ def _hankel(values: FloatArray, rows: int, at: IndexArray) -> FloatArray:
     return np.concatenate([values[at + i].T for i in range(rows)])
 
 
-def _continuous(discrete: NDArray[np.generic], period_s: float) -> ComplexArray:
+def _continuous(discrete: AnyArray, period_s: float) -> ComplexArray:
     """Return continuous-time poles, the unstable ones mirrored, as a set closed under conjugation.
 
     A negative real pole has no continuous counterpart of its own order; its real decay stands for it.

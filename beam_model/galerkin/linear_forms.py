@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
-from beam_model.arrays import ComplexArray, FloatArray
+from beam_model.arrays import AnyArray, ComplexArray, FloatArray
 from beam_model.errors import BeamModelError, BeamParameterError
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ class StateSpace:
         )
 
 
-def _origin_radius(values: NDArray[Any]) -> float:
+def _origin_radius(values: AnyArray) -> float:
     # A double pole at the origin splits by the square root of rounding; elastic poles are far outside.
     return 1e-5 * float(np.max(np.abs(values), initial=0.0))
 

@@ -19,9 +19,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from beam_ros.arrays import FloatArray
+from beam_ros.arrays import Float32Array, FloatArray
 from beam_ros.vision.tracking.refinement import cumulative_normal
 
 _PHASES_U = 32
@@ -62,7 +61,7 @@ class Aperture(NamedTuple):
     top: int
     width: int
     height: int
-    weights: npt.NDArray[np.float32]
+    weights: Float32Array
     sums: tuple[float, float, float]
     gain_u: float
     gain_v: float
