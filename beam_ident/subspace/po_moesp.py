@@ -29,7 +29,7 @@ _MAX_COLUMNS = 8000  # of the Hankel matrices, spread over longer records: a sta
 _COLUMNS_PER_ROW = 1.5
 _WINDOW_STEP = 4  # between the windows of the portfolio
 _N_WINDOWS = 4
-_LEAST_DAMPING = 1e-6
+_MIN_DAMPING = 1e-6
 _SURPLUS = 4  # poles beyond the order from which the best are chosen
 _MAX_STATES = 2_000_000  # of pole responses at once: bounds the memory
 
@@ -299,5 +299,5 @@ def _continuous(discrete: AnyArray, period_s: float) -> ComplexArray:
         ]
     )
     poles = poles / period_s
-    least = _LEAST_DAMPING * np.maximum(np.abs(poles), 1e-9 / period_s)
+    least = _MIN_DAMPING * np.maximum(np.abs(poles), 1e-9 / period_s)
     return np.asarray(-np.maximum(np.abs(poles.real), least) + 1j * poles.imag)

@@ -51,9 +51,9 @@ class PoleResidueForm:
     double_integrator: FloatArray
     direct: FloatArray
 
-    def frequency_response(self, frequencies: ArrayLike) -> ComplexArray:
+    def frequency_response(self, omegas: ArrayLike) -> ComplexArray:
         """Return H at omega [rad/s], shape (n_frequencies, n_outputs)."""
-        s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))[:, None]
+        s = 1j * np.atleast_1d(np.asarray(omegas, dtype=np.float64))[:, None]
         elastic = (1.0 / (s - self.poles[None, :])) @ self.residues
         return np.asarray(elastic + self.integrator / s + self.double_integrator / s**2 + self.direct)
 
@@ -107,9 +107,9 @@ class StateSpace:
     input_unit: str
     output_names: tuple[str, ...]
 
-    def frequency_response(self, frequencies: ArrayLike) -> ComplexArray:
+    def frequency_response(self, omegas: ArrayLike) -> ComplexArray:
         """Return H at omega [rad/s], shape (n_frequencies, n_outputs)."""
-        s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+        s = 1j * np.atleast_1d(np.asarray(omegas, dtype=np.float64))
         states = np.linalg.solve(s[:, None, None] * np.eye(self.B.size) - self.A, self.B[None, :, None])
         return np.asarray(states[:, :, 0] @ self.C.T + self.D)
 
@@ -269,7 +269,7 @@ def _modal(model: BeamModel) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     """Return C, K, Gamma and c of q'' + C q' + K q = -Gamma alpha'' - c alpha'."""
     mass = model.basis.modal_mass
     matrices = model.matrices
-    K = np.diag(model.basis.frequencies**2)
+    K = np.diag(model.basis.natural_frequencies**2)
     return matrices.C[1:, 1:] / mass, K, model.participation_factors, matrices.C[1:, 0] / mass
 
 
