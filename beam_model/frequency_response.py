@@ -15,8 +15,8 @@ class FrequencyResponse:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (n_frequencies,)
-        omega [rad/s].
+    omegas : ndarray, shape (n_frequencies,)
+        [rad/s]
     heights : ndarray, shape (n_heights,)
         Above the clamp [m].
     values : ndarray of complex, shape (n_frequencies, n_heights)
@@ -27,7 +27,7 @@ class FrequencyResponse:
         "m" for a hub position, "N" for a force on the hub.
     """
 
-    frequencies: FloatArray
+    omegas: FloatArray
     heights: FloatArray
     values: ComplexArray
     quantity: str

@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IndexArray = NDArray[np.intp]
+Int32Array = NDArray[np.int32]
+ByteArray = NDArray[np.uint8]
+StructuredArray = NDArray[np.void]
 StampArray = NDArray[np.int64]
 """Stamps [ns]."""
 ImageArray = NDArray[Any]

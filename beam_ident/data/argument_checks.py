@@ -14,7 +14,7 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # of the largest value: less is no movement
-_SMALLEST = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
+_MIN_SIZE = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
 
 
 def require_record(record: object) -> None:
@@ -141,10 +141,10 @@ def require_whole_number(name: str, value: Any, least: int, most: int | None = N
 def require_size(what: str, values: FloatArray) -> None:
     """Raise EstimationError for values that are not zero and whose squares leave the range of numbers."""
     size = float(np.max(np.abs(values), initial=0.0))
-    if size > 0.0 and not _SMALLEST < size < 1.0 / _SMALLEST:
+    if size > 0.0 and not _MIN_SIZE < size < 1.0 / _MIN_SIZE:
         raise EstimationError(
             f"{what} reaches {size:.3g}, whose square is beyond what can be computed with; expected "
-            f"{_SMALLEST:g} to {1.0 / _SMALLEST:g}. Check its unit, or its sensor"
+            f"{_MIN_SIZE:g} to {1.0 / _MIN_SIZE:g}. Check its unit, or its sensor"
         )
 
 

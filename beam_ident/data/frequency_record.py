@@ -22,9 +22,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.data.stored_form import read, written
 from beam_ident.errors import RecordError
 
@@ -32,7 +31,7 @@ SCHEMA = 2
 TAIL_POWERS = (-2, -1, 0, 1, 2)
 
 
-def _fixed(values: Any, kind: Any) -> NDArray[Any]:
+def _fixed(values: Any, kind: Any) -> AnyArray:
     result = np.array(values, dtype=kind, copy=True)
     result.setflags(write=False)
     return result
@@ -62,7 +61,7 @@ class Folding:
         """Weight of the strongest image of every line, shape (n_lines,)."""
         return np.asarray(np.max(np.abs(self.weights), axis=1, initial=0.0))
 
-    def lines(self, keep: NDArray[Any]) -> Folding:
+    def lines(self, keep: AnyArray) -> Folding:
         """Return the folding of some of the lines."""
         return Folding(self.omegas[keep], self.weights[keep], self.tails[keep])
 
@@ -196,7 +195,7 @@ class FrequencyRecord:
         object.__setattr__(self, "warnings", tuple(self.warnings))
         self._complete_names(shape)
 
-    def _numbers(self, what: str, kind: type[np.generic]) -> NDArray[Any]:
+    def _numbers(self, what: str, kind: type[np.generic]) -> AnyArray:
         try:
             return np.asarray(getattr(self, what), dtype=kind)
         except (TypeError, ValueError) as err:

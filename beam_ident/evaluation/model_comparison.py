@@ -16,7 +16,7 @@ from beam_ident.arrays import FloatArray
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 
-_LARGEST_RATIO = 1.25  # modes farther apart than this are different modes
+_MAX_RATIO = 1.25  # modes farther apart than this are different modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +69,7 @@ def compare_models(first: ModalModel, second: ModalModel) -> ModelComparison:
     distance = np.abs(np.log(first.natural_frequencies[:, None] / second.natural_frequencies[None, :]))
     rows, columns = linear_sum_assignment(distance)
     pairs = tuple(
-        (int(i), int(j))
-        for i, j in zip(rows, columns, strict=True)
-        if distance[i, j] < np.log(_LARGEST_RATIO)
+        (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] < np.log(_MAX_RATIO)
     )
     left = [i for i, _ in pairs]
     right = [j for _, j in pairs]

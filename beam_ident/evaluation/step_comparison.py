@@ -24,7 +24,7 @@ Model = ModalModel | TransferFunctionModel
 
 _DECAYS = 5.0  # time constants of the slowest pole until a step response is told
 _SAMPLES_PER_PERIOD = 20.0
-_MOST_SAMPLES = 20_000
+_MAX_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def _default_times(models: Mapping[str, Model], drive: InputSignal | None) -> Fl
             )
         start, end = 0.0, _DECAYS / slowest
     step = 2.0 * np.pi / (_SAMPLES_PER_PERIOD * max(float(np.max(np.abs(poles), initial=0.0)), 1e-300))
-    n = int(np.clip(np.ceil((end - start) / step), 100, _MOST_SAMPLES))
+    n = int(np.clip(np.ceil((end - start) / step), 100, _MAX_SAMPLES))
     return np.asarray(np.linspace(start, end, n + 1), dtype=np.float64)
 
 

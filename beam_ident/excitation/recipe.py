@@ -35,7 +35,7 @@ RECIPES: dict[str, type[Recipe]] = {}
 """Every kind of recipe by the name under which it is stored."""
 
 _SCHEMA = 1
-_MOST_SAMPLES = 50_000_000
+_MAX_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -163,10 +163,10 @@ class Recipe(ABC):
                 f"{type(self).__name__}: period_s is {period_s}; expected between 0 and a quarter of the "
                 f"{self.duration_s} s"
             )
-        if self.duration_s / period_s > _MOST_SAMPLES:
+        if self.duration_s / period_s > _MAX_SAMPLES:
             raise ExcitationError(
                 f"{type(self).__name__}: period_s is {period_s}, which makes {self.duration_s / period_s:.3g} "
-                f"samples; expected at most {_MOST_SAMPLES:.0e}; give times in seconds"
+                f"samples; expected at most {_MAX_SAMPLES:.0e}; give times in seconds"
             )
         n = round(self.duration_s / period_s) + 2
         # Half a tick late, so that the first difference is still at rest.

@@ -24,7 +24,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.modal_analysis.stabilisation import ResponseForm, checked_form
 
 _ITERATIONS = 50
-_FEWEST = 5
+_MIN_LINES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +88,9 @@ def circle_fit(
     ).between(near_hz - 0.5 * width_hz, near_hz + 0.5 * width_hz)
     seen = np.isfinite(chosen.response[:, 0, 0])
     omegas = chosen.omegas[seen]
-    if len(omegas) < _FEWEST:
+    if len(omegas) < _MIN_LINES:
         raise EstimationError(
-            f"{len(omegas)} lines within {width_hz} Hz around {near_hz} Hz; a circle needs at least {_FEWEST}"
+            f"{len(omegas)} lines within {width_hz} Hz around {near_hz} Hz; a circle needs at least {_MIN_LINES}"
         )
     points = chosen.response[seen, 0, 0] * (1j * omegas) ** power
     centre, radius = _circle(points)

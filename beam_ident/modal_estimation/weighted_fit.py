@@ -37,12 +37,12 @@ from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_STEPS = 15
 _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
-_LARGEST_STEP = 0.1  # of a natural frequency
-_FARTHEST = 6.0  # standard deviations by which weights alone may move a pole
-_FARTHEST_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
+_MAX_STEP = 0.1  # of a natural frequency
+_MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
+_MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
 _DRAWS = 8  # each has thousands of independent samples
-_MOST_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
-_LEAST_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
+_MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
+_MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class WeightedFit:
         point = _Point(fit.omegas, fit.zetas, fit.clock, fit.coefficients)
         travelled = np.zeros(len(fit.covariance))
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
-        farthest = _FARTHEST if self.smoothing is None else _FARTHEST_WITH_INPUT
+        farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
         for step in range(1, _MAX_STEPS + 1):
             linear = self._linearise(point)
             design, right = self._with_priors(linear, point)
@@ -136,7 +136,7 @@ class WeightedFit:
                 if self.smoothing is not None:
                     reason = f"{reason}. Check the sigma that is stated for the input"
                 return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
-            if not np.max(np.abs(change[: len(fit.omegas)])) < _LARGEST_STEP:
+            if not np.max(np.abs(change[: len(fit.omegas)])) < _MAX_STEP:
                 break
             point = self._moved(point, change)
             if float(np.linalg.norm(design @ change)) < _STEP_TOLERANCE * np.sqrt(len(change)):
@@ -290,7 +290,7 @@ class WeightedFit:
         """Move the outputs' own variances to where the innovations have unit power."""
         for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
             power = float(np.mean(np.square(own)))
-            least = _LEAST_VARIANCE * float(np.mean(np.square(plain)))
+            least = _MIN_VARIANCE * float(np.mean(np.square(plain)))
             self.variances[output] = max(self.variances[output] * power / self.freedom, least)
 
     def _cleaned(
@@ -349,7 +349,7 @@ class WeightedFit:
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
-        spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MOST_FEIGNED))
+        spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MAX_FEIGNED))
         return np.asarray((spread @ spread.T) * np.outer(scale, scale))
 
     def _left_noise(

@@ -21,7 +21,7 @@ _FAR = 5.0  # robust standard deviations
 _GROSS = 10.0  # those of one sample that is worth a word by itself
 _TO_SIGMA = 1.4826  # of Gaussian noise, from the median absolute deviation
 _NEIGHBOURS = 25  # samples on each side
-_FEWEST = 3  # samples that are worth a word
+_MIN_COUNT = 3  # samples that are worth a word
 
 
 def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
@@ -63,7 +63,7 @@ def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
     for name, records in outputs:
         seen = [own.residuals for own in records if not are_rounding(own.measured, own.residuals)]
         count = sum(len(outliers(residuals)) for residuals in seen)
-        if count >= _FEWEST or (count and any(len(outliers(residuals, _GROSS)) for residuals in seen)):
+        if count >= _MIN_COUNT or (count and any(len(outliers(residuals, _GROSS)) for residuals in seen)):
             found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
     if not found:
         return ""

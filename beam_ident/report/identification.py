@@ -344,10 +344,10 @@ def _provenance_table(provenance: Mapping[str, Any]) -> str:
 
 
 def _figure(figure: Figure, caption: str) -> str:
-    import matplotlib
+    from matplotlib import rc_context
 
     buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "beam_ident", "svg.fonttype": "path", "path.simplify": True}):
+    with rc_context({"svg.hashsalt": "beam_ident", "svg.fonttype": "path", "path.simplify": True}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]

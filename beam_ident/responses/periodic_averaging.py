@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import AnyArray, BoolArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import finite_row, require_output, require_record
 from beam_ident.data.frequency_record import TAIL_POWERS, Folding, FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
@@ -32,11 +31,11 @@ from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
 from beam_ident.responses.steady_periods import drift_of_periods, input_changes, unsteady_warnings
 
-_MOST_MISSING = 0.02
+_MAX_MISSING = 0.02
 _LINE_TOLERANCE = 1e-6  # of a period: how whole a number of samples must be
 _EXCITED = 1e-3  # of the strongest line: what counts as excited where nobody says
 _IMAGE_FLOOR = 1e-6  # of the line: images that matter less go into the tail
-_MOST_IMAGES = 32
+_MAX_IMAGES = 32
 _IMAGES_ABOVE = 8  # multiples of the input's rate up to which images are looked at
 _AUDIBLE = 15.0  # times the noise's power: below this a line of the input holds nothing but noise
 _ENOUGH_FREEDOM = 40.0  # degrees of freedom at which a variance weighs almost as a known one
@@ -71,7 +70,7 @@ class PeriodicResponse:
     spectrum: ComplexArray
     spectrum_variance: FloatArray
     input_spectrum: ComplexArray
-    is_excited: NDArray[np.bool_]
+    is_excited: BoolArray
     drift: FloatArray
 
     @property
@@ -241,10 +240,10 @@ def _steady(
     for output in outputs:
         values = np.array(output.values[keep][:n])
         missing = ~np.isfinite(values)
-        if np.mean(missing) > _MOST_MISSING:
+        if np.mean(missing) > _MAX_MISSING:
             raise EstimationError(
                 f"output {output.name!r}: {np.mean(missing):.1%} of the samples are missing; a periodic response "
-                f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
+                f"bridges at most {_MAX_MISSING:.0%}. Fit a model instead: identify() leaves them out"
             )
         values[missing] = np.interp(times[:n][missing], times[:n][~missing], values[~missing])
         require_output(output.name, values)
@@ -441,7 +440,7 @@ class _Lines:
         )
         importance[:, len(turns) // 2] = 0.0
         importance[others == 0] = 0.0
-        kept = min(_MOST_IMAGES, int(np.max(np.count_nonzero(importance > _IMAGE_FLOOR, axis=1), initial=0)))
+        kept = min(_MAX_IMAGES, int(np.max(np.count_nonzero(importance > _IMAGE_FLOOR, axis=1), initial=0)))
         order = np.argsort(-importance, axis=1)[:, :kept]
         image_omegas = np.take_along_axis(omegas, order, axis=1)
         image_weights = np.take_along_axis(weights, order, axis=1)
@@ -475,7 +474,7 @@ def _covariance(
     return np.asarray(covariance), float(width * (n_periods - 1))
 
 
-def _moving_mean(values: NDArray[Any], width: int) -> NDArray[Any]:
+def _moving_mean(values: AnyArray, width: int) -> AnyArray:
     """Return the mean over ``width`` neighbouring lines, fewer of them on one side at the ends."""
     n = len(values)
     total = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])

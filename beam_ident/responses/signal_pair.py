@@ -21,7 +21,7 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import Instants, regular_period
 
-_MOST_MISSING = 0.02
+_MAX_MISSING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +61,10 @@ def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal
             "a regular grid. Fit a model instead: identify() takes any stamps"
         )
     missing = ~np.isfinite(values)
-    if np.mean(missing) > _MOST_MISSING:
+    if np.mean(missing) > _MAX_MISSING:
         raise EstimationError(
             f"output {output.name!r}: {np.mean(missing):.1%} of the samples are missing; a non-parametric response "
-            f"bridges at most {_MOST_MISSING:.0%}. Fit a model instead: identify() leaves them out"
+            f"bridges at most {_MAX_MISSING:.0%}. Fit a model instead: identify() leaves them out"
         )
     values[missing] = np.interp(times[missing], times[~missing], values[~missing])
     require_output(output.name, values)

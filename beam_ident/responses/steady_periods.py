@@ -9,10 +9,9 @@ have little noise, by whether they differ at one place of the period more than e
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc as f_sf
 
-from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.arrays import BoolArray, ComplexArray, FloatArray
 
 _UNSTEADY = 1e-4  # chance that noise alone changes steady periods as much
 _MUCH = 2.0  # times the power that noise explains: below this deviations grow little
@@ -21,7 +20,7 @@ _UNLIKE = 10.0  # times the power of the usual block: what noise does not differ
 _HARMLESS = 1e-6  # of the signal's power, for an input; of its amplitude, for an output
 
 
-def drift_of_periods(spectra: ComplexArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def drift_of_periods(spectra: ComplexArray) -> tuple[FloatArray, BoolArray]:
     """Return how far the first period stands from the last, and whether noise fails to explain it.
 
     Parameters

@@ -16,10 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, svd
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses
@@ -30,7 +29,7 @@ _MAX_COLUMNS = 8000  # of the Hankel matrices, spread over longer records: a sta
 _COLUMNS_PER_ROW = 1.5
 _WINDOW_STEP = 4  # between the windows of the portfolio
 _N_WINDOWS = 4
-_LEAST_DAMPING = 1e-6
+_MIN_DAMPING = 1e-6
 _SURPLUS = 4  # poles beyond the order from which the best are chosen
 _MAX_STATES = 2_000_000  # of pole responses at once: bounds the memory
 
@@ -284,7 +283,7 @@ def _hankel(values: FloatArray, rows: int, at: IndexArray) -> FloatArray:
     return np.concatenate([values[at + i].T for i in range(rows)])
 
 
-def _continuous(discrete: NDArray[np.generic], period_s: float) -> ComplexArray:
+def _continuous(discrete: AnyArray, period_s: float) -> ComplexArray:
     """Return continuous-time poles, the unstable ones mirrored, as a set closed under conjugation.
 
     A negative real pole has no continuous counterpart of its own order; its real decay stands for it.
@@ -300,5 +299,5 @@ def _continuous(discrete: NDArray[np.generic], period_s: float) -> ComplexArray:
         ]
     )
     poles = poles / period_s
-    least = _LEAST_DAMPING * np.maximum(np.abs(poles), 1e-9 / period_s)
+    least = _MIN_DAMPING * np.maximum(np.abs(poles), 1e-9 / period_s)
     return np.asarray(-np.maximum(np.abs(poles.real), least) + 1j * poles.imag)

@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -31,7 +30,7 @@ class OutputPrediction:
     offset : float -- the constant in the prediction
     """
 
-    inside: NDArray[np.bool_]
+    inside: BoolArray
     times_s: FloatArray
     measured: FloatArray
     predicted: FloatArray

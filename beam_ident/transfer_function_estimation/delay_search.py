@@ -27,7 +27,7 @@ from beam_ident.transfer_function_estimation.state_variable_filter import (
 )
 
 _STEPS_PER_SAMPLE = 2
-_LONGEST = 0.25  # of the shortest record
+_MAX_DELAY = 0.25  # of the shortest record
 _REACH = 4.0  # standard deviations of a prior
 _SWEEPS = 2  # over the inputs, where several have unknown delays
 _CANDIDATES = 4
@@ -54,7 +54,7 @@ def delay_candidates(problem: OutputErrorProblem, cutoffs: list[float]) -> list[
 
 def _range(problem: OutputErrorProblem, path: int) -> tuple[float, float]:
     prior = problem.paths[path].delay
-    longest = _LONGEST * problem.shortest
+    longest = _MAX_DELAY * problem.shortest
     if math.isinf(prior.sd):
         return 0.0, longest
     low = max(prior.mean - _REACH * prior.sd, 0.0)

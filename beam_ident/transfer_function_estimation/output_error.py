@@ -39,8 +39,8 @@ from beam_ident.transfer_function_estimation.record_share import (
 _MIN_SAMPLES = 20
 _NOISE_FLOOR = 1e-11
 _MAX_POLE = 1e4  # of the Nyquist frequency
-_LEAST_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
-_EARLIEST = 1.0  # sampling periods: an estimated delay may come out this much below zero
+_MIN_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
+_MAX_ADVANCE = 1.0  # sampling periods: an estimated delay may come out this much below zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,13 +257,15 @@ class OutputErrorProblem:
         largest = _MAX_POLE * self.nyquist / self.scale
         for upper, n in zip(uppers, self.orders, strict=True):
             if (
-                np.any(upper.real > -_LEAST_DAMPING * np.abs(upper))
+                np.any(upper.real > -_MIN_DAMPING * np.abs(upper))
                 or len(full_roots(upper)) != n
                 or np.max(np.abs(upper)) > largest
             ):
                 return refused
         delays = self.delays(theta)
-        if any(delays[k] < -_EARLIEST * self.period or delays[k] > self.shortest for k in self.free_delays):
+        if any(
+            delays[k] < -_MAX_ADVANCE * self.period or delays[k] > self.shortest for k in self.free_delays
+        ):
             return refused
         forced = [own.forced(uppers, self.scale, delays, slopes) for own in self.experiments]
         responses = tuple(joined(parts) for parts in zip(*forced, strict=True))

@@ -13,9 +13,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.arrays import BoolArray, ComplexArray, FloatArray
 from beam_ident.data.argument_checks import require_input, require_output
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
@@ -134,7 +133,7 @@ class Nuisances:
         return self.has_offset + self.has_ramp + (n_poles if self.has_free_response else 0)
 
 
-def usable_samples(output: OutputSignal, drives: list[InputSignal]) -> NDArray[np.bool_]:
+def usable_samples(output: OutputSignal, drives: list[InputSignal]) -> BoolArray:
     """Return which samples of an output lie, exposure included, where all inputs are known."""
     keep = output.is_valid
     for drive in drives:

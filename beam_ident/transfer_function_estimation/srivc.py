@@ -48,7 +48,7 @@ _INSTRUMENTED = 1  # cut-offs behind which instrumental variables are tried
 FINALISTS = 3  # starts behind filters that are refined, at most
 WHITE = 0.01  # level of the whiteness test below which residuals do not look like noise
 _SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
-_MOST_STEPS_BESIDE = 40  # on each side
+_MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
 _WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
 _NO_START = (
@@ -209,7 +209,7 @@ class _Chain:
         problem.scale = state.scale
         step = 0.5 * problem.period
         fastest = float(np.max(np.abs(np.concatenate(state.uppers)))) * state.scale
-        reach = min(math.ceil(2.0 * np.pi / fastest / step) + _SAMPLES_BESIDE, _MOST_STEPS_BESIDE)
+        reach = min(math.ceil(2.0 * np.pi / fastest / step) + _SAMPLES_BESIDE, _MAX_STEPS_BESIDE)
         thetas = np.tile(state.theta, (2 * reach + 1, 1))
         thetas[:, place] += step * np.arange(-reach, reach + 1)
         tried = [

@@ -123,11 +123,11 @@ def suggest_marker_heights(
     return np.asarray(grid[chosen[best]])
 
 
-def aliases(frequencies: ArrayLike, frame_rate: float) -> FloatArray:
+def aliases(frequencies_hz: ArrayLike, frame_rate: float) -> FloatArray:
     """Return where frequencies [Hz] appear in frames taken at ``frame_rate`` [Hz], between 0 and half of it."""
     if not frame_rate > 0.0:
         raise BeamParameterError("frame_rate", frame_rate, "Hz", "above 0")
-    f = np.asarray(frequencies, dtype=np.float64)
+    f = np.asarray(frequencies_hz, dtype=np.float64)
     return np.asarray(np.abs(f - frame_rate * np.round(f / frame_rate)))
 
 
@@ -219,7 +219,9 @@ def predict_loads(
     tip = modal.sum(axis=1) - a * model.residual_terms([L])[0]
     curvature = q @ model.shape([0.0], 2)[0] - a * model.residual_terms([0.0], 2)[0]
     damping = model.matrices.C[1:, 1:] / model.basis.modal_mass
-    second = -rates @ damping.T - q * model.basis.frequencies**2 - a[:, None] * model.participation_factors
+    second = (
+        -rates @ damping.T - q * model.basis.natural_frequencies**2 - a[:, None] * model.participation_factors
+    )
     force = model.parameters.total_mass * a + second @ model.basis.participation
     return PredictedLoads(
         tip_deflection=float(np.abs(tip).max()),

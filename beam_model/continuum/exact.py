@@ -25,13 +25,13 @@ from beam_model.parameters import BeamParameters
 
 _DERIVATIVES = {"displacement": 0, "deflection": 0, "slope": 1, "curvature": 2}
 # Below this |B|^(1/4) the power series is used: 12 terms reach (2.5^4)^12/51!, below rounding.
-_SERIES_LIMIT = 2.5
+_MAX_SERIES_ARGUMENT = 2.5
 _SERIES_TERMS = 12
 
 
 def exact_frequency_response(
     parameters: BeamParameters,
-    frequencies: ArrayLike,
+    omegas: ArrayLike,
     heights: ArrayLike,
     drive: str = "motion",
     quantity: str = "displacement",
@@ -42,7 +42,7 @@ def exact_frequency_response(
     ----------
     parameters : BeamParameters
         A beam without gravity, markers and prescribed damping ratios: those have no closed form.
-    frequencies : array_like, shape (n_frequencies,)
+    omegas : array_like, shape (n_frequencies,)
         omega [rad/s], above 0.
     heights : array_like, shape (n_heights,)
         Above the clamp [m].
@@ -61,13 +61,13 @@ def exact_frequency_response(
         raise BeamParameterError("drive", drive, "", '"motion" or "force"')
     if quantity not in (*_DERIVATIVES, "hub"):
         raise BeamParameterError("quantity", quantity, "", f"one of {', '.join([*_DERIVATIVES, 'hub'])}")
-    omega = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    omega = np.atleast_1d(np.asarray(omegas, dtype=np.float64))
     if not np.all(omega > 0.0):
-        raise BeamParameterError("frequencies", float(np.min(omega)), "rad/s", "above 0")
+        raise BeamParameterError("omegas", float(np.min(omega)), "rad/s", "above 0")
     z = np.array(parameters.check_heights(np.atleast_1d(np.asarray(heights, dtype=np.float64))))
     values = np.empty((omega.size, z.size), dtype=np.complex128)
     s = np.asarray(1j * omega, dtype=np.complex128)
-    is_low = _wave_number(parameters, s) < _SERIES_LIMIT
+    is_low = _wave_number(parameters, s) < _MAX_SERIES_ARGUMENT
     for rows in (np.flatnonzero(is_low), np.flatnonzero(~is_low)):
         if rows.size:
             solution = _BeamAtFrequencies(parameters, s[rows], use_series=bool(is_low[rows[0]]))

@@ -25,7 +25,7 @@ from beam_model.arrays import FloatArray
 # Roots of a beam's characteristic equations lie about pi apart; where a tip inertia makes two of them
 # approach each other they still stay farther apart than this.
 _SCAN_STEP = 0.01
-_SMALLEST_ROOT = 1e-3
+_MIN_ROOT = 1e-3
 
 
 def characteristic_function(
@@ -85,7 +85,7 @@ def free_hub_characteristic_function(b: FloatArray | float, hub_mass_ratio: floa
 def _find_roots(function: Callable[[FloatArray | float], FloatArray], n_roots: int) -> FloatArray:
     """Return the first ``n_roots`` positive zeros, each refined to the last digit."""
     roots: list[float] = []
-    start = _SMALLEST_ROOT
+    start = _MIN_ROOT
     while len(roots) < n_roots:
         grid = np.arange(start, start + 4.0 * np.pi * (n_roots - len(roots) + 1), _SCAN_STEP)
         values = function(grid)

@@ -22,7 +22,7 @@ from beam_model.galerkin.model import BeamModel
 from beam_model.galerkin.stepping import HubAndBeam, LinearStepper
 from beam_model.parameters import check_number
 
-_MOST_EVENTS = 200
+_MAX_EVENTS = 200
 # Slower than this the hub counts as at rest [m/s]: a picometre per millisecond.
 _STILL = 1e-9
 
@@ -81,20 +81,20 @@ class PositionServo:
         [N s/m], on the velocity error.
     integral : float
         [N/(m s)].
-    maximum_force : float
+    max_force : float
         Saturation [N]; the integral stops while the force is saturated.
     """
 
     proportional: float
     derivative: float
     integral: float = 0.0
-    maximum_force: float = float("inf")
+    max_force: float = float("inf")
 
     def __post_init__(self) -> None:
         check_number("servo.proportional", self.proportional, "N/m", above=0.0)
         check_number("servo.derivative", self.derivative, "N s/m", at_least=0.0)
         check_number("servo.integral", self.integral, "N/(m s)", at_least=0.0)
-        check_number("servo.maximum_force", self.maximum_force, "N", above=0.0, allow_infinite=True)
+        check_number("servo.max_force", self.max_force, "N", above=0.0, allow_infinite=True)
 
 
 class AxisStepper:
@@ -138,7 +138,7 @@ class AxisStepper:
         matrices = replace(matrices, C=C)
         self._M, self._C = matrices.M, C
         self._modal_K = np.diag(matrices.K)[1:]
-        frequencies = model.basis.frequencies
+        frequencies = model.basis.natural_frequencies
         A, B = matrices.state_space()
         scale = np.concatenate([[frequencies[0]], frequencies, np.ones(n + 1)])
         self._moving = LinearStepper(A, B, self.period, scale)
@@ -194,7 +194,7 @@ class AxisStepper:
             raise BeamModelError("this axis has no servo: make the AxisStepper with servo=PositionServo(...)")
         error = position - self.position
         wanted = servo.proportional * error + servo.derivative * (velocity - self.velocity) + self._integral
-        self.force = float(np.clip(wanted, -servo.maximum_force, servo.maximum_force))
+        self.force = float(np.clip(wanted, -servo.max_force, servo.max_force))
         if self.force == wanted:
             self._integral += servo.integral * error * self.period
         self.step(self.force)
@@ -213,7 +213,7 @@ class AxisStepper:
     def _advance(self, duration: float, force: float) -> tuple[FloatArray, bool, float]:
         """Return state, whether it is held and its direction after ``duration``, event by event."""
         state, is_held, direction, left = self.state.copy(), self.is_held, self._direction, duration
-        for _ in range(_MOST_EVENTS):
+        for _ in range(_MAX_EVENTS):
             if is_held:
                 state, spent = self._until_release(state, force, left)
                 if spent == left and not self._is_released(state, force):

@@ -196,7 +196,7 @@ class NonlinearMotionStepper:
         self._terms = terms
         self._n = model.n_modes
         mass = model.basis.modal_mass
-        self._C, self._K = model.matrices.C / mass, model.basis.frequencies**2
+        self._C, self._K = model.matrices.C / mass, model.basis.natural_frequencies**2
         self._gain = model.participation_factors
         self.hub_velocity = 0.0
 

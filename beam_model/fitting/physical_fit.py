@@ -28,7 +28,7 @@ from beam_model.galerkin.model import BeamModel
 from beam_model.parameters import BeamParameters, Damping, check_number
 
 DEFAULT_DISCREPANCY = 0.003
-DEFAULT_MAXIMUM_CONDITION = 30.0
+MAX_CONDITION = 30.0
 
 _FREE = ("stiffness", "viscous", "internal", "tip_mass", "clamp_compliance")
 _UNITS = {
@@ -58,10 +58,10 @@ class ModalMeasurement:
 
     Attributes
     ----------
-    frequencies, damping_ratios : ndarray, shape (n_modes,)
+    natural_frequencies, damping_ratios : ndarray, shape (n_modes,)
         omega [rad/s] and zeta of modes 1 to n_modes without a gap.
     covariance : ndarray, shape (2 n_modes, 2 n_modes)
-        Of [frequencies, damping_ratios].
+        Of [natural_frequencies, damping_ratios].
     heights : ndarray, shape (n_heights,)
         Of the residues' markers [m]; empty without residues.
     residues : ndarray, shape (n_heights, n_modes)
@@ -70,7 +70,7 @@ class ModalMeasurement:
         Of ``residues`` row by row.
     """
 
-    frequencies: FloatArray
+    natural_frequencies: FloatArray
     damping_ratios: FloatArray
     covariance: FloatArray
     heights: FloatArray
@@ -80,7 +80,7 @@ class ModalMeasurement:
     @classmethod
     def from_arrays(
         cls,
-        frequencies: ArrayLike,
+        natural_frequencies: ArrayLike,
         damping_ratios: ArrayLike,
         covariance: ArrayLike,
         heights: ArrayLike = (),
@@ -88,10 +88,15 @@ class ModalMeasurement:
         residue_covariance: ArrayLike | None = None,
     ) -> ModalMeasurement:
         """Return a measurement after a check of its shapes, signs and covariances."""
-        omega, zeta = _vector("frequencies", frequencies), _vector("damping_ratios", damping_ratios)
+        omega, zeta = (
+            _vector("natural_frequencies", natural_frequencies),
+            _vector("damping_ratios", damping_ratios),
+        )
         z = _vector("heights", heights)
         if omega.size == 0 or not np.all(np.diff(omega) > 0.0) or not omega[0] > 0.0:
-            raise BeamParameterError("frequencies", omega.tolist(), "rad/s", "positive and increasing")
+            raise BeamParameterError(
+                "natural_frequencies", omega.tolist(), "rad/s", "positive and increasing"
+            )
         if zeta.shape != omega.shape:
             raise BeamParameterError("damping_ratios", zeta.size, "", f"one for each of {omega.size} modes")
         if z.size and (residues is None or residue_covariance is None):
@@ -162,7 +167,7 @@ def fit_beam(
     *,
     height_uncertainty: float | None = None,
     model_discrepancy: float = DEFAULT_DISCREPANCY,
-    maximum_condition: float = DEFAULT_MAXIMUM_CONDITION,
+    max_condition: float = MAX_CONDITION,
 ) -> PhysicalFit:
     """Fit the free parameters of a beam to its identified modes.
 
@@ -180,7 +185,7 @@ def fit_beam(
         along with the parameters.
     model_discrepancy : float
         Standard deviation of theory against truth, relative, in every frequency.
-    maximum_condition : float
+    max_condition : float
         Above it the fit is refused.
 
     Raises
@@ -199,16 +204,16 @@ def fit_beam(
     names = tuple(dict.fromkeys(free))
     _check_question(measurement, names, priors, height_uncertainty)
     check_number("model_discrepancy", model_discrepancy, "", at_least=0.0)
-    check_number("maximum_condition", maximum_condition, "", above=1.0)
+    check_number("max_condition", max_condition, "", above=1.0)
     uses_residues = measurement.heights.size > 0
     uses_damping = "viscous" in names or "internal" in names
-    n, n_names = measurement.frequencies.size, len(names)
+    n, n_names = measurement.natural_frequencies.size, len(names)
     n_heights = measurement.heights.size if uses_residues else 0
     factor = _scales(nominal, measurement, names)
     length_scale = height_uncertainty if height_uncertainty is not None else 1.0
 
     omega_covariance = measurement.covariance[:n, :n] + np.diag(
-        (model_discrepancy * measurement.frequencies) ** 2
+        (model_discrepancy * measurement.natural_frequencies) ** 2
     )
     covariance = measurement.covariance.copy()
     covariance[:n, :n] = omega_covariance
@@ -224,7 +229,7 @@ def fit_beam(
         values = x[:n_names] * factor
         beam = replace(_beam(nominal, names, values), damping=nominal.damping)
         basis = modes(beam)
-        deviation = measurement.frequencies - basis.frequencies
+        deviation = measurement.natural_frequencies - basis.natural_frequencies
         if uses_damping:
             off = measurement.damping_ratios - _damping_ratios(beam, basis, names, values)
             deviation = np.concatenate([deviation, off])
@@ -267,11 +272,11 @@ def fit_beam(
         raise PhysicalFitError(f"the data do not depend on {blind}: leave it out of the fit or give a prior")
     _, singular, directions = np.linalg.svd(reduced / lengths, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    if condition > maximum_condition:
+    if condition > max_condition:
         mix = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, directions[-1], strict=True))
         raise PhysicalFitError(
             f"the data cannot tell {' and '.join(names)} apart: condition {condition:.3g}, expected at most "
-            f"{maximum_condition:g} (singular values {np.array2string(singular, precision=3)}, weakest direction "
+            f"{max_condition:g} (singular values {np.array2string(singular, precision=3)}, weakest direction "
             f"{mix}); fix one of them, or give residues or a tighter prior"
         )
     posterior = np.linalg.inv(reduced.T @ reduced)
@@ -288,7 +293,7 @@ def fit_beam(
         condition=condition,
         chi_squared=float(2.0 * solution.cost),
         degrees_of_freedom=J.shape[0] - J.shape[1],
-        frequency_residuals=measurement.frequencies / ModalBasis(fitted, n).frequencies - 1.0,
+        frequency_residuals=measurement.natural_frequencies / ModalBasis(fitted, n).natural_frequencies - 1.0,
         parameters=fitted,
     )
 
@@ -369,7 +374,7 @@ def _observables(parameters: BeamParameters, drive: str, heights: FloatArray, n_
     if drive == "motion":
         model = BeamModel(parameters, n_modes)
         r = model.motion_residues(heights) if heights.size else np.zeros((0, n_modes))
-        return np.concatenate([np.log(model.basis.frequencies), r.ravel()])
+        return np.concatenate([np.log(model.basis.natural_frequencies), r.ravel()])
     model = BeamModel(parameters, n_modes + 12)
     squared, V = linalg.eigh(model.matrices.K, model.matrices.M)
     omega, V = np.sqrt(squared[1 : n_modes + 1]), V[:, 1 : n_modes + 1]
@@ -411,7 +416,7 @@ _LOWER = {
 
 def _scales(nominal: BeamParameters, measurement: ModalMeasurement, names: tuple[str, ...]) -> FloatArray:
     """Return the parameters' typical sizes, so that the search sees numbers of order 1."""
-    first = float(measurement.frequencies[0])
+    first = float(measurement.natural_frequencies[0])
     sizes = {
         "stiffness": nominal.time_scale**-2,
         "viscous": 0.02 * nominal.mass_per_length * first,
@@ -463,7 +468,7 @@ def _damping_ratios(
     viscous = given.get("viscous", beam.damping.viscous) + beam.damping.air
     internal = given.get("internal", beam.damping.internal) * beam.flexural_rigidity
     C = viscous * np.diag(basis.strip_overlap) + internal * np.diag(basis.curvature_overlap)
-    return np.asarray(C / (2.0 * basis.modal_mass * basis.frequencies))
+    return np.asarray(C / (2.0 * basis.modal_mass * basis.natural_frequencies))
 
 
 def _check_question(

@@ -102,7 +102,7 @@ class TheoryComparison:
 
 def compare_with_theory(
     parameters: BeamParameters,
-    frequencies: ArrayLike,
+    natural_frequencies: ArrayLike,
     standard_deviations: ArrayLike,
     budget: UncertaintyBudget | None = None,
 ) -> TheoryComparison:
@@ -112,15 +112,15 @@ def compare_with_theory(
     ----------
     parameters : BeamParameters
         The beam as it is known without the experiment.
-    frequencies, standard_deviations : array_like, shape (n_modes,)
+    natural_frequencies, standard_deviations : array_like, shape (n_modes,)
         Identified omega and its statistical standard deviation [rad/s].
     budget : UncertaintyBudget, optional
     """
     budget = UncertaintyBudget() if budget is None else budget
-    measured = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    measured = np.atleast_1d(np.asarray(natural_frequencies, dtype=np.float64))
     sigma = np.atleast_1d(np.asarray(standard_deviations, dtype=np.float64))
     if not np.all(np.isfinite(measured)) or not np.all(measured > 0.0):
-        raise BeamParameterError("frequencies", measured.tolist(), "rad/s", "finite and above 0")
+        raise BeamParameterError("natural_frequencies", measured.tolist(), "rad/s", "finite and above 0")
     if sigma.shape != measured.shape or not np.all(sigma >= 0.0):
         raise BeamParameterError(
             "standard_deviations", sigma.tolist(), "rad/s", f"{measured.size} values of at least 0"

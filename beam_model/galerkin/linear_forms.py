@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
-from beam_model.arrays import ComplexArray, FloatArray
+from beam_model.arrays import AnyArray, ComplexArray, FloatArray
 from beam_model.errors import BeamModelError, BeamParameterError
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ class PoleResidueForm:
     double_integrator: FloatArray
     direct: FloatArray
 
-    def frequency_response(self, frequencies: ArrayLike) -> ComplexArray:
+    def frequency_response(self, omegas: ArrayLike) -> ComplexArray:
         """Return H at omega [rad/s], shape (n_frequencies, n_outputs)."""
-        s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))[:, None]
+        s = 1j * np.atleast_1d(np.asarray(omegas, dtype=np.float64))[:, None]
         elastic = (1.0 / (s - self.poles[None, :])) @ self.residues
         return np.asarray(elastic + self.integrator / s + self.double_integrator / s**2 + self.direct)
 
@@ -107,9 +107,9 @@ class StateSpace:
     input_unit: str
     output_names: tuple[str, ...]
 
-    def frequency_response(self, frequencies: ArrayLike) -> ComplexArray:
+    def frequency_response(self, omegas: ArrayLike) -> ComplexArray:
         """Return H at omega [rad/s], shape (n_frequencies, n_outputs)."""
-        s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+        s = 1j * np.atleast_1d(np.asarray(omegas, dtype=np.float64))
         states = np.linalg.solve(s[:, None, None] * np.eye(self.B.size) - self.A, self.B[None, :, None])
         return np.asarray(states[:, :, 0] @ self.C.T + self.D)
 
@@ -190,7 +190,7 @@ class StateSpace:
         )
 
 
-def _origin_radius(values: NDArray[Any]) -> float:
+def _origin_radius(values: AnyArray) -> float:
     # A double pole at the origin splits by the square root of rounding; elastic poles are far outside.
     return 1e-5 * float(np.max(np.abs(values), initial=0.0))
 
@@ -269,7 +269,7 @@ def _modal(model: BeamModel) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     """Return C, K, Gamma and c of q'' + C q' + K q = -Gamma alpha'' - c alpha'."""
     mass = model.basis.modal_mass
     matrices = model.matrices
-    K = np.diag(model.basis.frequencies**2)
+    K = np.diag(model.basis.natural_frequencies**2)
     return matrices.C[1:, 1:] / mass, K, model.participation_factors, matrices.C[1:, 0] / mass
 
 

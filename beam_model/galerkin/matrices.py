@@ -36,7 +36,7 @@ class ModalBasis:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (n_modes,)
+    natural_frequencies : ndarray, shape (n_modes,)
         omega_i [rad/s].
     modal_mass : float
         m_b [kg], the same for every mode.
@@ -66,7 +66,7 @@ class ModalBasis:
                 n_modes, parameters.tip_mass_ratio, parameters.tip_inertia_ratio, parameters.clamp_compliance
             )
             self._uniform = shapes
-            self.frequencies: FloatArray = shapes.roots**2 / parameters.time_scale
+            self.natural_frequencies: FloatArray = shapes.roots**2 / parameters.time_scale
             self.strip_integral: FloatArray = L * shapes.integral()
             self.strip_overlap: FloatArray = L * shapes.overlap()
             self.curvature_overlap: FloatArray = shapes.curvature_overlap() / L**3
@@ -79,7 +79,7 @@ class ModalBasis:
             vectors = vectors * np.where(rise < 0.0, -1.0, 1.0) * np.sqrt(self.modal_mass / strip)
             self._elements, self._vectors = elements, vectors
             self._static_vector = elements.solve(elements.load)
-            self.frequencies = np.sqrt(squared) / parameters.time_scale
+            self.natural_frequencies = np.sqrt(squared) / parameters.time_scale
             self.strip_integral = L * (elements.strip_load @ vectors)
             self.strip_overlap = L * (vectors.T @ elements.strip_mass @ vectors)
             self.curvature_overlap = (vectors.T @ elements.bending @ vectors) / L**3
@@ -125,7 +125,7 @@ class ModalParameters:
 
     Attributes
     ----------
-    frequencies : ndarray, shape (1 + n,)
+    natural_frequencies : ndarray, shape (1 + n,)
         omega_r [rad/s]; the first, 0, is the rigid body.
     vectors : ndarray, shape (1 + n, 1 + n)
         phi_r over [alpha, q_1 .. q_n], one mode a column, scaled to M_r = 1.
@@ -136,7 +136,7 @@ class ModalParameters:
         couples the modes. (The thesis's line for C_r prints K in place of C.)
     """
 
-    frequencies: FloatArray
+    natural_frequencies: FloatArray
     vectors: FloatArray
     masses: FloatArray
     stiffnesses: FloatArray
@@ -165,7 +165,7 @@ class GalerkinMatrices:
         squared, V = linalg.eigh(self.K, self.M)
         squared[0] = 0.0
         return ModalParameters(
-            frequencies=np.sqrt(squared),
+            natural_frequencies=np.sqrt(squared),
             vectors=V,
             masses=np.einsum("ir,ij,jr->r", V, self.M, V),
             stiffnesses=np.einsum("ir,ij,jr->r", V, self.K, V),
@@ -192,7 +192,7 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     int xi phi_i phi_j (thesis eq. (2.39)); xi_a the same and, because air resists the absolute motion, the
     hub's row xi_a [L, int phi_i]; eta gives eta int EI phi_i'' phi_j''.
     """
-    n = basis.frequencies.size
+    n = basis.natural_frequencies.size
     damping = parameters.damping
     mass, E = basis.modal_mass, basis.participation
     M = np.zeros((n + 1, n + 1))
@@ -200,10 +200,10 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     M[0, 1:] = M[1:, 0] = E
     M[1:, 1:] = mass * np.eye(n)
     K = np.zeros((n + 1, n + 1))
-    K[1:, 1:] = np.diag(mass * basis.frequencies**2)
+    K[1:, 1:] = np.diag(mass * basis.natural_frequencies**2)
     ratios = np.array([damping.modal_ratio(mode) for mode in range(n)])
     C = np.zeros((n + 1, n + 1))
-    C[1:, 1:] = np.diag(2.0 * ratios * basis.frequencies * mass)
+    C[1:, 1:] = np.diag(2.0 * ratios * basis.natural_frequencies * mass)
     C[1:, 1:] += (damping.viscous + damping.air) * basis.strip_overlap
     C[1:, 1:] += damping.internal * parameters.flexural_rigidity * basis.curvature_overlap
     C[0, 0] = damping.air * parameters.length

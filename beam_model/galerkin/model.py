@@ -26,7 +26,7 @@ from beam_model.parameters import BeamParameters
 Drive = Literal["motion", "force"]
 Quantity = Literal["displacement", "deflection", "slope", "curvature", "hub"]
 
-MAXIMUM_MODES = 100
+MAX_MODES = 100
 _DERIVATIVES = {"displacement": 0, "deflection": 0, "slope": 1, "curvature": 2}
 
 
@@ -63,12 +63,12 @@ class BeamModel:
 
     def __init__(self, parameters: BeamParameters, n_modes: int = 5) -> None:
         is_integer = isinstance(n_modes, (int, np.integer)) and not isinstance(n_modes, bool)
-        if not is_integer or not 1 <= n_modes <= MAXIMUM_MODES:
+        if not is_integer or not 1 <= n_modes <= MAX_MODES:
             raise BeamParameterError(
                 "n_modes",
                 n_modes,
                 "",
-                f"a whole number from 1 to {MAXIMUM_MODES}",
+                f"a whole number from 1 to {MAX_MODES}",
                 "Five modes reach 257 Hz on the default rig.",
             )
         self.parameters = parameters
@@ -87,7 +87,7 @@ class BeamModel:
     def poles(self) -> ComplexArray:
         """Poles of the clamped beam with positive imaginary part, lowest first, shape (n_modes,) [rad/s]."""
         C = self.matrices.C[1:, 1:] / self.basis.modal_mass
-        omega = self.basis.frequencies
+        omega = self.basis.natural_frequencies
         ratio = np.diag(C) / (2.0 * omega)
         uncoupled = omega * (-ratio + 1j * np.sqrt(np.asarray(1.0 - ratio**2, dtype=np.complex128)))
         if self.is_proportional:
@@ -102,14 +102,14 @@ class BeamModel:
     @cached_property
     def natural_frequencies(self) -> FloatArray:
         """Natural frequencies of the clamped beam, |pole|, shape (n_modes,) [rad/s]."""
-        return self.basis.frequencies if self.is_proportional else np.abs(self.poles)
+        return self.basis.natural_frequencies if self.is_proportional else np.abs(self.poles)
 
     @cached_property
     def damping_ratios(self) -> FloatArray:
         """Damping ratios of the clamped beam, shape (n_modes,)."""
         if self.is_proportional:
             diagonal = np.diag(self.matrices.C)[1:] / self.basis.modal_mass
-            return np.asarray(diagonal / (2.0 * self.basis.frequencies), dtype=np.float64)
+            return np.asarray(diagonal / (2.0 * self.basis.natural_frequencies), dtype=np.float64)
         return np.asarray(-self.poles.real / np.abs(self.poles), dtype=np.float64)
 
     @cached_property
@@ -175,13 +175,13 @@ class BeamModel:
         damping eta the term is R/(1 + eta s).
         """
         heights = self._check(heights)
-        compliance = self.participation_factors / self.basis.frequencies**2
+        compliance = self.participation_factors / self.basis.natural_frequencies**2
         kept = self.basis.shape(heights, derivative) @ compliance
         return np.asarray(self.basis.static_shape(heights, derivative) - kept, dtype=np.float64)
 
     def frequency_response(
         self,
-        frequencies: ArrayLike,
+        omegas: ArrayLike,
         heights: ArrayLike,
         drive: Drive = "motion",
         quantity: Quantity = "displacement",
@@ -192,7 +192,7 @@ class BeamModel:
 
         Parameters
         ----------
-        frequencies : array_like, shape (n_frequencies,)
+        omegas : array_like, shape (n_frequencies,)
             omega [rad/s].
         heights : array_like, shape (n_heights,)
             Above the clamp [m].
@@ -207,7 +207,7 @@ class BeamModel:
             raise BeamParameterError("drive", drive, "", '"motion" or "force"')
         if quantity not in (*_DERIVATIVES, "hub"):
             raise BeamParameterError("quantity", quantity, "", f"one of {', '.join([*_DERIVATIVES, 'hub'])}")
-        omega = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+        omega = np.atleast_1d(np.asarray(omegas, dtype=np.float64))
         heights = self._check(heights)
         s = 1j * omega
         M, C, K = self.matrices.M, self.matrices.C, self.matrices.K
@@ -229,7 +229,7 @@ class BeamModel:
             impedance = s**2 * M[0, 0] + s * C[0, 0] + reaction
             if with_residuals:
                 E = self.basis.participation
-                kept = float(np.sum(E**2 / self.basis.frequencies**2)) / self.basis.modal_mass
+                kept = float(np.sum(E**2 / self.basis.natural_frequencies**2)) / self.basis.modal_mass
                 impedance = impedance - s**4 / lag * (self.basis.static_reaction() - kept)
             per_hub = per_hub / impedance[:, None]
         unit = "m" if drive == "motion" else "N"
@@ -243,9 +243,9 @@ class BeamModel:
         mass = self.basis.modal_mass
         size = 2 * n + has_velocity + has_lag
         A, B = np.zeros((size, size)), np.zeros(size)
-        A[: 2 * n, : 2 * n] = _companion(self.basis.frequencies, self.matrices.C[1:, 1:] / mass)
+        A[: 2 * n, : 2 * n] = _companion(self.basis.natural_frequencies, self.matrices.C[1:, 1:] / mass)
         B[n : 2 * n] = -self.participation_factors
-        scale = np.concatenate([self.basis.frequencies, np.ones(size - n)])
+        scale = np.concatenate([self.basis.natural_frequencies, np.ones(size - n)])
         if has_velocity:
             A[n : 2 * n, 2 * n] = -self.matrices.C[1:, 0] / mass
             B[2 * n] = 1.0
@@ -270,8 +270,8 @@ class BeamModel:
 
     def _force_scale(self) -> FloatArray:
         # The hub's position against its velocity: as a mode of the lowest frequency would compare them.
-        lowest = self.basis.frequencies[0]
-        return np.concatenate([[lowest], self.basis.frequencies, np.ones(self.n_modes + 1)])
+        lowest = self.basis.natural_frequencies[0]
+        return np.concatenate([[lowest], self.basis.natural_frequencies, np.ones(self.n_modes + 1)])
 
     def _check(self, heights: ArrayLike) -> FloatArray:
         return np.array(self.parameters.check_heights(np.atleast_1d(np.asarray(heights, dtype=np.float64))))

@@ -21,9 +21,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.arrays import FloatArray, IndexArray, Int32Array, StampArray
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.hub.contract import SampleBatch, SequenceChunk
 from beam_ros.interfaces import graph
@@ -95,8 +94,8 @@ class _Layout:
     rest: np.dtype[Any]
     first_size: int
     size: int
-    count_words: NDArray[np.intp]
-    counts: NDArray[np.int32]
+    count_words: IndexArray
+    counts: Int32Array
     values: tuple[tuple[str, int, int], ...]
 
 

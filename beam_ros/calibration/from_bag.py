@@ -36,9 +36,9 @@ from beam_ros.vision.errors import CalibrationError
 
 HUB_ENCODER = "hub/measured"
 
-_LEAST_REST_S = 0.8
+_MIN_REST_S = 0.8
 """A reference that stands still for less is passing by."""
-_LEAST_FRAMES = 10
+_MIN_FRAMES = 10
 _STEP_S = 0.05
 """Motion is looked for over this time."""
 _STILL_RESOLUTIONS = 4.0
@@ -109,7 +109,7 @@ def find_rests(stamps_ns: StampArray, positions: FloatArray, tolerance_m: float)
     rests = []
     for first, last in itertools.pairwise(borders.tolist()):
         duration_s = (int(stamps_ns[last - 1]) - int(stamps_ns[first])) * 1e-9
-        if not moving[first] and duration_s >= _LEAST_REST_S:
+        if not moving[first] and duration_s >= _MIN_REST_S:
             rests.append(
                 Rest(int(stamps_ns[first]), int(stamps_ns[last - 1]), float(np.mean(positions[first:last])))
             )
@@ -185,8 +185,8 @@ def calibrate_from_bags(
             raise CalibrationError(
                 warnings[-1]
                 if swings
-                else f"{path}: {sensor.name} rests {len(rests)} times for {_LEAST_REST_S:g} s or more, and in none "
-                f"of them are there {_LEAST_FRAMES} frames with every marker; expected the hub to stop at several "
+                else f"{path}: {sensor.name} rests {len(rests)} times for {_MIN_REST_S:g} s or more, and in none "
+                f"of them are there {_MIN_FRAMES} frames with every marker; expected the hub to stop at several "
                 "positions for a second or more each"
             )
         used.append(str(path))
@@ -279,7 +279,7 @@ def _capture(
         chosen = np.flatnonzero((seen.stamps_ns >= rest.start_ns) & (seen.stamps_ns <= rest.end_ns) & whole)[
             -frames:
         ]
-        if len(chosen) < _LEAST_FRAMES:
+        if len(chosen) < _MIN_FRAMES:
             continue
         # The noise of a frame shows in third differences, which leave next to nothing of a swing: their
         # coefficients 1, 3, 3, 1 square to 20.

@@ -12,7 +12,7 @@ import numpy as np
 from beam_ros.arrays import ImageArray
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.checkerboard import (
-    MINIMUM_PICTURES,
+    MIN_PICTURES,
     Checkerboard,
     LensFit,
     ScaleFit,
@@ -90,7 +90,7 @@ def calibrate_from_board(
         lens = lens_fit.lens
     else:
         warnings.append(
-            f"no tilted pictures: the lens is taken for perfect; {MINIMUM_PICTURES} or more give its distortion"
+            f"no tilted pictures: the lens is taken for perfect; {MIN_PICTURES} or more give its distortion"
         )
     scale = _scale(pictures, board, lens, plane)
     if scale.tilt > _LARGE_TILT:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beam_ros.arrays import ByteArray
 from beam_ros.interfaces import graph
 from beam_ros.messages.message_types import MessageTypes
 from beam_ros.messages.stamps import header
 
 
-def image(types: MessageTypes, stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
+def image(types: MessageTypes, stamp_ns: int, pixels: ByteArray) -> Any:
     """Build an Image from pixels: mono8 of shape (height, width), bgr8 of shape (height, width, 3)."""
     height, width = pixels.shape[:2]
     return types.make(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beam_ros.arrays import StructuredArray
 from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
@@ -32,7 +32,7 @@ class MarkerCloud:
     """What ``beam/markers`` says: the frame's stamp [ns, UNIX] and a row of ``MARKER_DTYPE`` per marker."""
 
     stamp_ns: int
-    rows: NDArray[np.void]
+    rows: StructuredArray
 
 
 def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:

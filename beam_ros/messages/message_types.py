@@ -11,9 +11,9 @@ import importlib
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from beam_ros.arrays import FloatArray
+from beam_ros.arrays import ByteArray, FloatArray
 from beam_ros.errors import RosMissingError
 
 
@@ -93,7 +93,7 @@ class BagTypes:
         """Hold numbers as an array of float64."""
         return np.ascontiguousarray(values, dtype=np.float64)
 
-    def octets(self, values: bytes) -> NDArray[np.uint8]:
+    def octets(self, values: bytes) -> ByteArray:
         """Hold bytes as an array of uint8."""
         return np.frombuffer(values, dtype=np.uint8)
 

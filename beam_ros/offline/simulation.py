@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beam_ros import messages
+from beam_ros.arrays import ByteArray
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import RigUnavailableError
@@ -43,7 +43,7 @@ def simulate(
     path: Path,
     *,
     with_camera: bool = False,
-    on_frame: Callable[[Exposure, NDArray[np.uint8]], None] | None = None,
+    on_frame: Callable[[Exposure, ByteArray], None] | None = None,
     on_progress: Callable[[float, float], None] = lambda done_s, total_s: None,
 ) -> int:
     """Run the rig's excitation on the simulated rig and write the bag.
@@ -177,7 +177,7 @@ def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     return measure
 
 
-def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], NDArray[np.uint8]]:
+def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
     from beam_ros.vision.rendering.frames import SceneRenderer
 
     seed = rig.simulation.seed

@@ -43,7 +43,7 @@ _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
 _LARGE_OFFSET_SD_S = 0.2e-3
 """A time known no better than this is told: it turns the phase of a mode at 28 Hz by 2 degrees."""
-_LEAST_SEEN = 0.5
+_MIN_SEEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _remarks(
             "the times are not theirs"
         )
     for name, counts in zip(names, reasons, strict=True):
-        if counts.get("ok", 0) < _LEAST_SEEN * n_frames:
+        if counts.get("ok", 0) < _MIN_SEEN * n_frames:
             yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"
 
 

@@ -28,13 +28,13 @@ PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 SHARED_MEMORY = Path("/dev/shm")
 
 _CHOICES_OF_THE_USER = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-_LEAST_FREE_SEGMENTS = 4
+_MIN_FREE_SEGMENTS = 4
 _NEWBORN_S = 60.0
 _LOCK_OF_SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})_el")
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _KEPT_BYTES = 256 * 2**20
-_LARGEST_ON_HEAP_BYTES = 32 * 2**20
+_MAX_ON_HEAP_BYTES = 32 * 2**20
 """The most that glibc accepts for its threshold."""
 
 
@@ -42,7 +42,7 @@ def keep_freed_memory() -> None:
     """Let this process keep up to 256 MB of freed memory; without effect where the C library is not glibc."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, _LARGEST_ON_HEAP_BYTES)
+        mallopt(_M_MMAP_THRESHOLD, _MAX_ON_HEAP_BYTES)
         mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
@@ -61,7 +61,7 @@ def widen_shared_memory(environ: MutableMapping[str, str], folder: Path = SHARED
     remove_orphans(size, folder)
     if any(environ.get(name) for name in _CHOICES_OF_THE_USER):
         return
-    if not folder.is_dir() or shutil.disk_usage(folder).free < _LEAST_FREE_SEGMENTS * size:
+    if not folder.is_dir() or shutil.disk_usage(folder).free < _MIN_FREE_SEGMENTS * size:
         return
     environ[PROFILE_VARIABLE] = str(PROFILE)
 

@@ -10,15 +10,13 @@ import time
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
+from beam_ident.arrays import FloatArray
 from beam_model import AxisStepper, BeamModel, BeamParameters, Damping, PositionServo
 from beam_model.galerkin.stepping import ForceStepper, discretise
 from benchmarks.ident.rig import flat
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
-
-Array = NDArray[np.float64]
 
 PERIOD_S, FRAME_S, EXPOSURE_S = 1e-3, 10e-3, 5e-3
 HEIGHTS = np.array([0.010, 0.225, 0.285])
@@ -56,7 +54,7 @@ class ForcedHub:
             [[lowest], self.model.natural_frequencies, np.ones(self.model.n_modes + 1)]
         )
 
-    def film(self, forces: Array) -> tuple[Array, Array, Array]:
+    def film(self, forces: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return hub positions at the ticks, stamps, and displacements averaged over exposures, (n, 3)."""
         model = self.model
         A, B, scale = self.A, self.B, self.scale
@@ -77,7 +75,9 @@ class ForcedHub:
         averaged = (total[2 * centres + width] - total[2 * centres - width]) / (2 * width)
         return states[:, 0], centres * PERIOD_S, averaged
 
-    def outputs(self, seed: int, stamps: Array, clean: Array, quiet: float = 1.0) -> tuple[OutputSignal, ...]:
+    def outputs(
+        self, seed: int, stamps: FloatArray, clean: FloatArray, quiet: float = 1.0
+    ) -> tuple[OutputSignal, ...]:
         """Return what a camera with noise of 5 um says."""
         values = clean + quiet * CAMERA_SD * np.random.default_rng(seed).standard_normal(clean.shape)
         return tuple(
@@ -121,7 +121,7 @@ class SoftServoCase(AgainstBound):
         )
 
     @cached_property
-    def bound(self) -> Array:
+    def bound(self) -> FloatArray:
         """Return the standard deviations that records state."""
         return stated_bound(lambda seed: flat(identify(self.record(seed), n_modes=self.n_modes).model)[1])
 
@@ -164,12 +164,12 @@ class FreeHubCase(AgainstBound):
         )
 
     @cached_property
-    def bound(self) -> Array:
+    def bound(self) -> FloatArray:
         """Return the standard deviations that records state."""
         return stated_bound(lambda seed: self.flat(identify(self.record(seed), "force", n_modes=3).model)[1])
 
     @staticmethod
-    def flat(model: ModalModel) -> tuple[Array, Array]:
+    def flat(model: ModalModel) -> tuple[FloatArray, FloatArray]:
         """Return frequencies, damping ratios and gains, and their standard deviations."""
         parts = (model.natural_frequencies, model.damping_ratios, model.gains)
         sds = (model.natural_frequency_sd, model.damping_ratio_sd, model.gain_sd)

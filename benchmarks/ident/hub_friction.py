@@ -6,13 +6,11 @@ import time
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beam_ident import InputSignal, LogChirp, TimeRecord, TransferFunctionModel, estimate_common_poles
+from beam_ident.arrays import FloatArray
 from benchmarks.ident.forced_hub import PERIOD_S, ForcedHub
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
-
-Array = NDArray[np.float64]
 
 
 class FrictionCase(AgainstBound):
@@ -36,7 +34,7 @@ class FrictionCase(AgainstBound):
         self.truth = np.concatenate([np.abs(modes), -modes.real / np.abs(modes), [-poles[1].real]])
 
     @cached_property
-    def bound(self) -> Array:
+    def bound(self) -> FloatArray:
         """Standard deviations stated for a record of the middle."""
         return stated_bound(lambda seed: self.flat(self.estimate(seed))[1])
 
@@ -50,7 +48,7 @@ class FrictionCase(AgainstBound):
         return estimate_common_poles(self.record(seed), 5, 6, n_integrators=1).models[0]
 
     @staticmethod
-    def flat(model: TransferFunctionModel) -> tuple[Array, Array]:
+    def flat(model: TransferFunctionModel) -> tuple[FloatArray, FloatArray]:
         """Return frequencies [rad/s], damping ratios and the friction's rate [rad/s], and their deviations."""
         omega, zeta, omega_sd, zeta_sd = model.modes()
         poles, pole_sd = model.real_poles()

@@ -6,9 +6,9 @@ import ast
 import runpy
 import sys
 import types
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.arrays import Float32Array, FloatArray, StampArray
 from beam_ros.hub.contract import AxisEventKind, AxisState, Outcome, RequestKind, SampleBatch
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.parameters import HubParameters
@@ -78,7 +77,7 @@ class TickBatch:
     applied: FloatArray
     position_counts: StampArray
     velocity_counts: StampArray
-    efforts: NDArray[np.float32]
+    efforts: Float32Array
 
     def __len__(self) -> int:
         """Return the number of ticks."""

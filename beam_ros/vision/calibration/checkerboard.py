@@ -18,7 +18,7 @@ from beam_ros.arrays import FloatArray, ImageArray
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.errors import CalibrationError
 
-MINIMUM_PICTURES = 5
+MIN_PICTURES = 5
 _CORNER_WINDOW_PX = 5
 
 
@@ -145,10 +145,10 @@ def fit_lens(images: Sequence[ImageArray], board: Checkerboard) -> LensFit:
             found.append(find_corners(image, board))
         except CalibrationError:
             continue
-    if len(found) < MINIMUM_PICTURES:
+    if len(found) < MIN_PICTURES:
         raise CalibrationError(
             f"the checkerboard was found in {len(found)} of {len(images)} pictures; expected at least "
-            f"{MINIMUM_PICTURES}, tilted in different directions"
+            f"{MIN_PICTURES}, tilted in different directions"
         )
     flat = np.hstack([board.corners(), np.zeros((board.columns * board.rows, 1))]).astype(np.float32)
     height, width = next(iter(sizes))

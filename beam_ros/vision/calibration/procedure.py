@@ -19,7 +19,7 @@ from beam_ros.arrays import FloatArray
 from beam_ros.vision.calibration.linear import LinearCalibration, matrix_of_two, mean_position
 from beam_ros.vision.errors import CalibrationError
 
-MINIMUM_POINTS = 3
+MIN_POINTS = 3
 RECOMMENDED_POINTS = 20
 SWING_NOISES = 10.0
 """A beam whose markers scatter by more than so many standard deviations of the noise is not at rest, ..."""
@@ -100,9 +100,9 @@ def fit_line(points: Sequence[CalibrationPoint]) -> LineFit:
     American Journal of Physics 72 (2004) 367, eq. (13), uncorrelated errors; Deming's line where the ratio of
     the two standard deviations is the same for all points.
     """
-    if len(points) < MINIMUM_POINTS:
+    if len(points) < MIN_POINTS:
         raise CalibrationError(
-            f"calibration has {len(points)} points; expected at least {MINIMUM_POINTS}, better "
+            f"calibration has {len(points)} points; expected at least {MIN_POINTS}, better "
             f"{RECOMMENDED_POINTS} in both directions: capture more positions"
         )
     x = np.array([point.reference_m for point in points])
@@ -322,9 +322,9 @@ class CalibrationProcedure:
         CalibrationError -- too few points or no straight line, as ``fit_line``; or markers that move in
             opposite directions
         """
-        if len(self._points) < MINIMUM_POINTS:
+        if len(self._points) < MIN_POINTS:
             raise CalibrationError(
-                f"calibration has {len(self._points)} points; expected at least {MINIMUM_POINTS}, better "
+                f"calibration has {len(self._points)} points; expected at least {MIN_POINTS}, better "
                 f"{RECOMMENDED_POINTS} in both directions: capture more positions"
             )
         lines = tuple(fit_line([point[k] for point in self._points]) for k in range(self.n_markers))

@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.errors import ImageFormatError
@@ -59,7 +58,7 @@ def image_view(
     data: Any,
     *,
     is_bigendian: bool = False,
-) -> npt.NDArray[Any]:
+) -> ImageArray:
     """See the bytes of an Image message as an array.
 
     Parameters
@@ -146,7 +145,7 @@ def grey_image(
     return _converted(np.ascontiguousarray(view), code)
 
 
-def grey_frame(frame: npt.NDArray[Any]) -> ImageArray:
+def grey_frame(frame: ImageArray) -> ImageArray:
     """Reduce a frame that OpenCV captured or decoded to one grey channel.
 
     Parameters
@@ -178,7 +177,7 @@ def grey_frame(frame: npt.NDArray[Any]) -> ImageArray:
     return _converted(frame, cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY)
 
 
-def _converted(pixels: npt.NDArray[Any], code: int) -> ImageArray:
+def _converted(pixels: ImageArray, code: int) -> ImageArray:
     try:
         return np.asarray(cv2.cvtColor(pixels, code))
     except cv2.error as err:

@@ -19,7 +19,7 @@ from beam_ros.vision.camera.images import grey_frame
 from beam_ros.vision.errors import ImageFormatError, VideoError
 
 _NS = 1_000_000_000
-_LATEST_S = 9_150_000_000
+_MAX_STAMP_S = 9_150_000_000
 """Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
 
 
@@ -172,7 +172,7 @@ def read_frame_times(path: Path) -> tuple[int, ...]:
                     f"{path}: line {number} is {line!r}; expected a time in seconds first"
                 ) from err
             continue
-        if not (seconds.is_finite() and abs(seconds) < _LATEST_S):
+        if not (seconds.is_finite() and abs(seconds) < _MAX_STAMP_S):
             raise VideoError(
                 f"{path}: line {number} is {line!r}; expected a time in seconds that ends before the year 2260"
             )

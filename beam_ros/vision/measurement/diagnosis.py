@@ -17,8 +17,8 @@ from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringCh
 LEVELS = ("OK", "WARN", "ERROR")
 
 _LATENCY_FRAMES = 1000
-_MOST_LOST_SHARE = 0.01
-_LONGEST_LATENCY_S = 0.5
+_MAX_LOST_SHARE = 0.01
+_MAX_LATENCY_S = 0.5
 _STAMP_AHEAD_S = 0.005
 
 
@@ -146,7 +146,7 @@ class Diagnosis:
                     "one camera whose stamps rise",
                 )
             )
-        if since["missing"] > _MOST_LOST_SHARE * (since["missing"] + since["measured"]):
+        if since["missing"] > _MAX_LOST_SHARE * (since["missing"] + since["measured"]):
             found.append(
                 Complaint(
                     "WARN",
@@ -172,12 +172,12 @@ class Diagnosis:
                     )
                 )
             latency_s = float(np.median(self._latencies_ns)) * 1e-9
-            if not -_STAMP_AHEAD_S <= latency_s <= _LONGEST_LATENCY_S:
+            if not -_STAMP_AHEAD_S <= latency_s <= _MAX_LATENCY_S:
                 found.append(
                     Complaint(
                         "WARN",
                         f"frames are {latency_s:.3g} s old when they are measured: expected 0 to "
-                        f"{_LONGEST_LATENCY_S:g} s; check the camera's clock, camera.stamp and camera.latency",
+                        f"{_MAX_LATENCY_S:g} s; check the camera's clock, camera.stamp and camera.latency",
                     )
                 )
         return found

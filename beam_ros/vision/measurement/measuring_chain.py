@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from beam_ros.arrays import FloatArray
+from beam_ros.arrays import FloatArray, ImageArray
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import Displacement, LinearCalibration
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
@@ -191,7 +190,7 @@ class MeasuringChain:
             self._past_frames = 0
         return step.is_usable
 
-    def measure(self, stamp_ns: int, image: npt.NDArray[Any]) -> Measurement:
+    def measure(self, stamp_ns: int, image: ImageArray) -> Measurement:
         """Measure a frame that was admitted.
 
         Parameters

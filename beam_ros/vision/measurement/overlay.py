@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from beam_ros.arrays import ByteArray, ImageArray
 from beam_ros.vision.tracking.tracker import FrameResult
 
 _VALID = (80, 220, 80)
@@ -18,13 +17,13 @@ _SUB_PIXEL_BITS = 4
 
 
 def draw_overlay(
-    image: npt.NDArray[Any],
+    image: ImageArray,
     result: FrameResult,
     names: Sequence[str],
     *,
     marker_diameter_px: float,
     rows_px: Sequence[float] | None = None,
-) -> npt.NDArray[np.uint8]:
+) -> ByteArray:
     """Draw what was measured into a colour copy of a frame.
 
     Parameters

@@ -22,10 +22,10 @@ from beam_ros.vision.errors import SynchronisationError
 
 _MAX_ITERATIONS = 30
 _CONVERGED_S = 1e-7
-_MINIMUM_FRAMES = 20
-_LEAST_CORRELATION = 0.8
-_LEAST_OVERLAP = 0.5
-_LEAST_MOTION = 1e-3
+_MIN_FRAMES = 20
+_MIN_CORRELATION = 0.8
+_MIN_OVERLAP = 0.5
+_MIN_MOTION = 1e-3
 """A marker that moves by less than this share of the hub's way stands still."""
 
 
@@ -95,19 +95,19 @@ def synchronise(
                 "value for each of strictly rising times"
             )
     seen = np.isfinite(x)
-    if int(seen.sum()) < _MINIMUM_FRAMES or hub_t.size < _MINIMUM_FRAMES:
+    if int(seen.sum()) < _MIN_FRAMES or hub_t.size < _MIN_FRAMES:
         raise SynchronisationError(
             f"the low marker was seen in {int(seen.sum())} frames and the hub has {hub_t.size} samples; expected at "
-            f"least {_MINIMUM_FRAMES} of each"
+            f"least {_MIN_FRAMES} of each"
         )
     t, x = t[seen], x[seen]
-    if np.ptp(hub_x) == 0 or np.ptp(x) <= _LEAST_MOTION * np.ptp(hub_x):
+    if np.ptp(hub_x) == 0 or np.ptp(x) <= _MIN_MOTION * np.ptp(hub_x):
         raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
     offset, correlation = _coarse_offset(hub_t, hub_x, t, x)
-    if correlation < _LEAST_CORRELATION:
+    if correlation < _MIN_CORRELATION:
         raise SynchronisationError(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
-            f"{_LEAST_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
+            f"{_MIN_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
         )
     return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, correlation_time_s)
 
@@ -134,7 +134,7 @@ def _coarse_offset(hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: Float
     with np.errstate(invalid="ignore", divide="ignore"):
         normalised = (correlate(hub, marker) - sum_h * sum_m / count) / np.sqrt(variance)
     # Little overlap, or an overlap in which next to nothing moved, correlates by chance.
-    is_fair = (count >= _LEAST_OVERLAP * min(hub.size, marker.size)) & (variance > 1e-3 * total)
+    is_fair = (count >= _MIN_OVERLAP * min(hub.size, marker.size)) & (variance > 1e-3 * total)
     normalised = np.where(is_fair & np.isfinite(normalised), normalised, -1.0)
     best = int(np.argmax(normalised))
     lag = best - (marker.size - 1)
@@ -159,9 +159,9 @@ def _refined(
     for _ in range(_MAX_ITERATIONS):
         at = (1 + drift) * (t - middle) + shift
         inside = (at >= hub_t[0]) & (at <= hub_t[-1])
-        if int(inside.sum()) < _MINIMUM_FRAMES:
+        if int(inside.sum()) < _MIN_FRAMES:
             raise SynchronisationError(
-                f"{int(inside.sum())} frames lie within the hub's record; expected at least {_MINIMUM_FRAMES}"
+                f"{int(inside.sum())} frames lie within the hub's record; expected at least {_MIN_FRAMES}"
             )
         position, velocity = _hermite(hub_t, hub_x, slopes, at[inside])
         linear = np.stack([position, np.ones_like(position)], axis=1)

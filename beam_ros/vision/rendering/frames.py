@@ -14,13 +14,12 @@ from the seed of the tile.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.arrays import ByteArray, Float32Array, FloatArray, ImageArray, IndexArray, StampArray
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.errors import VisionParameterError
 from beam_ros.vision.parameters import CameraParameters
@@ -78,9 +77,7 @@ class _DiscTable:
             for b in range(_PHASES + 1):
                 self.values[a, b] = np.diff(by_rows[:, edges[b]], axis=1) / fine**2
 
-    def average(
-        self, u: FloatArray, v: FloatArray, weights: FloatArray
-    ) -> tuple[npt.NDArray[np.float32], int, int]:
+    def average(self, u: FloatArray, v: FloatArray, weights: FloatArray) -> tuple[Float32Array, int, int]:
         """Weighted mean of the discs centred at (u, v).
 
         Returns
@@ -115,13 +112,13 @@ class _DiscTable:
         return coverage, top - self.half, left - self.half
 
 
-def _strip_profile_table(width_px: float, blur_px: float) -> tuple[npt.NDArray[np.float32], int]:
+def _strip_profile_table(width_px: float, blur_px: float) -> tuple[Float32Array, int]:
     """Cross-section of the blurred strip by pixel, at 1/64 px phases; and its half width [px]."""
     sigma = math.hypot(blur_px, 1e-3)
     half = math.ceil(width_px / 2 + 4 * sigma + 1)
-    pixels = np.arange(-half, half + 2)
+    pixels = np.arange(-half, half + 2, dtype=np.float64)
 
-    def integral(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def integral(x: FloatArray) -> FloatArray:
         # Integral of the cumulative normal: x Phi(x) + phi(x), scaled.
         t = x / sigma
         cumulative = 0.5 * (1 + np.vectorize(math.erf)(t / math.sqrt(2)))
@@ -192,7 +189,7 @@ class SceneRenderer:
         self._tile = self._noise_tile(np.random.default_rng(seed))
         self._canvas = np.full((camera.height, camera.width), camera.background, dtype=np.float32)
 
-    def _noise_tile(self, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    def _noise_tile(self, rng: np.random.Generator) -> ByteArray:
         camera = self.camera
         excess = _TILE_EXCESS_PX if camera.noise_grey > 0 else 0
         shape = (camera.height + excess, camera.width + excess)
@@ -220,7 +217,7 @@ class SceneRenderer:
         *,
         marker_z: npt.ArrayLike | None = None,
         disturbances: Disturbances | None = None,
-    ) -> npt.NDArray[np.uint8]:
+    ) -> ByteArray:
         """Render one frame.
 
         Parameters
@@ -338,25 +335,23 @@ class SceneRenderer:
         weights = self.exposure_weights if x.shape[0] == self.sub_instants else np.ones(1)
         return u, v, weights
 
-    def _background(self, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    def _background(self, rng: np.random.Generator) -> ByteArray:
         camera = self.camera
         top, left = (
             rng.integers(0, _TILE_EXCESS_PX, size=2, endpoint=True) if camera.noise_grey > 0 else (0, 0)
         )
         return np.array(self._tile[top : top + camera.height, left : left + camera.width])
 
-    def _exposed(self, signal: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    def _exposed(self, signal: Float32Array, rng: np.random.Generator) -> ByteArray:
         """Grey levels of a region: signal, white noise, rounding, saturation."""
-        noisy: npt.NDArray[Any] = signal
+        noisy: ImageArray = signal
         if self.camera.noise_grey > 0:
             noisy = signal + np.float32(self.camera.noise_grey) * rng.standard_normal(
                 signal.shape, dtype=np.float32
             )
         return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
 
-    def _strip(
-        self, strip: npt.ArrayLike
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.float32]]:
+    def _strip(self, strip: npt.ArrayLike) -> tuple[IndexArray, IndexArray, Float32Array]:
         """Rows, columns and grey levels of the strip's pixels."""
         x = np.asarray(strip, dtype=np.float64)
         if x.shape != self.strip_heights.shape:

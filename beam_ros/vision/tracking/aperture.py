@@ -19,9 +19,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from beam_ros.arrays import FloatArray
+from beam_ros.arrays import Float32Array, FloatArray
 from beam_ros.vision.tracking.refinement import cumulative_normal
 
 _PHASES_U = 32
@@ -38,7 +37,7 @@ _EDGE_STEP_PX = 0.125
 """Steps of the marker's radius and edge for which weights are tabulated [px]."""
 _RIM = 2.0
 """The weight falls to one half at so many standard deviations of the rim's blur beyond the radius, ..."""
-_LEAST_RIM_PX = 1.25
+_MIN_RIM_PX = 1.25
 """... or at least so far beyond it [px]."""
 _SOFTNESS_PX = 0.8
 """Standard deviation of the weight's fall [px]: less lets the pixel grid through, more lets noise in."""
@@ -62,7 +61,7 @@ class Aperture(NamedTuple):
     top: int
     width: int
     height: int
-    weights: npt.NDArray[np.float32]
+    weights: Float32Array
     sums: tuple[float, float, float]
     gain_u: float
     gain_v: float
@@ -130,7 +129,7 @@ def _weights(
     u: float, v: float, radius_steps: int, edge_steps: int, smear_steps: int
 ) -> tuple[int, int, FloatArray, FloatArray, FloatArray]:
     """First column and row, distances (1, width) and (height, 1) from the point, weights (height, width)."""
-    half_weight = radius_steps * _RADIUS_STEP_PX + max(_RIM * edge_steps * _EDGE_STEP_PX, _LEAST_RIM_PX)
+    half_weight = radius_steps * _RADIUS_STEP_PX + max(_RIM * edge_steps * _EDGE_STEP_PX, _MIN_RIM_PX)
     reach = half_weight + _REACH * _SOFTNESS_PX
     half_length = _SLACK * smear_steps * _SMEAR_STEP_PX / 2
     left, right = math.ceil(u - half_length - reach), math.floor(u + half_length + reach)

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from beam_ros.arrays import ImageArray
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.timing import FrameTiming
@@ -142,7 +142,7 @@ class MarkerTracker:
 
     # -- frames --------------------------------------------------------------------------------------------
 
-    def process(self, image: npt.NDArray[Any], stamp_ns: int) -> FrameResult:
+    def process(self, image: ImageArray, stamp_ns: int) -> FrameResult:
         """Measure every marker in a frame.
 
         Parameters
@@ -202,9 +202,7 @@ class MarkerTracker:
             math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
         )
 
-    def _follow(
-        self, image: npt.NDArray[Any], marker: MarkerState, stamp_ns: int, k: int
-    ) -> MarkerMeasurement:
+    def _follow(self, image: ImageArray, marker: MarkerState, stamp_ns: int, k: int) -> MarkerMeasurement:
         """Measure a marker where it should be, or look around for it."""
         light, appearance, gates = marker.light, marker.appearance, marker.gates
         meter, parameters = self._meter, self.parameters
@@ -298,7 +296,7 @@ class MarkerTracker:
         )
 
     def _adapt(
-        self, image: npt.NDArray[Any], marker: MarkerState, light: Light, appearance: Appearance, spot: Spot
+        self, image: ImageArray, marker: MarkerState, light: Light, appearance: Appearance, spot: Spot
     ) -> None:
         """Measure what changes slowly: light, noise, and what follows from them."""
         meter = self._meter
@@ -309,7 +307,7 @@ class MarkerTracker:
 
     def _spots(
         self,
-        image: npt.NDArray[Any],
+        image: ImageArray,
         marker: MarkerState,
         light: Light,
         appearance: Appearance,
@@ -344,7 +342,7 @@ class MarkerTracker:
         return [spot for spot, _ in alike], reason, left + meter.half, right - meter.half
 
     def _search(
-        self, image: npt.NDArray[Any], marker: MarkerState, light: Light, appearance: Appearance
+        self, image: ImageArray, marker: MarkerState, light: Light, appearance: Appearance
     ) -> tuple[Spot | None, Reason]:
         """Look for a marker that is not where it should be."""
         parameters = self.parameters
@@ -380,9 +378,7 @@ class MarkerTracker:
 
     # -- markers that have jumped --------------------------------------------------------------------------
 
-    def _in_whole_row(
-        self, image: npt.NDArray[Any], k: int, own: float = math.nan
-    ) -> list[tuple[Spot, Light]]:
+    def _in_whole_row(self, image: ImageArray, k: int, own: float = math.nan) -> list[tuple[Spot, Light]]:
         """Spots with a marker's appearance in its row from edge to edge, the row as wide as it may have moved."""
         marker, parameters, meter = self._markers[k], self.parameters, self._meter
         light, appearance = marker.light, marker.appearance
@@ -400,7 +396,7 @@ class MarkerTracker:
         window = 0, max(0, math.floor(low) - meter.half), width, min(height, math.ceil(high) + meter.half + 1)
         return alike_spots(meter, image, window, light, appearance, own, (low, high))[0]
 
-    def _rejoin(self, image: npt.NDArray[Any], lost: list[int]) -> list[int]:
+    def _rejoin(self, image: ImageArray, lost: list[int]) -> list[int]:
         """Follow markers that were lost together where they have jumped to, once two frames show them there."""
         markers = self._markers
         if len(lost) < self.n_markers:
@@ -463,7 +459,7 @@ class MarkerTracker:
 
     # -- acquisition ---------------------------------------------------------------------------------------
 
-    def _acquire(self, image: npt.NDArray[Any]) -> dict[int, Reason]:
+    def _acquire(self, image: ImageArray) -> dict[int, Reason]:
         """Find the markers that are not followed; returns the reasons for those that still are not."""
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         background, extreme = self._meter.levels(image)
@@ -491,7 +487,7 @@ class MarkerTracker:
         return reasons
 
     def _name(
-        self, image: npt.NDArray[Any], missing: list[int], found: list[tuple[Spot, Light]]
+        self, image: ImageArray, missing: list[int], found: list[tuple[Spot, Light]]
     ) -> dict[int, Reason]:
         """Name spots by their order along the beam, or by their rows where these are known."""
         if all(self._markers[k].known_row is None for k in missing):
@@ -531,7 +527,7 @@ class MarkerTracker:
             return True
         return self._meter.judge(spot, self._meter.gates(light, marker.appearance)) == "ok"
 
-    def _introduce(self, image: npt.NDArray[Any], marker: MarkerState, spot: Spot, light: Light) -> None:
+    def _introduce(self, image: ImageArray, marker: MarkerState, spot: Spot, light: Light) -> None:
         """Start to follow a spot as this marker."""
         marker.light = light
         if marker.appearance is None:

@@ -115,7 +115,7 @@ def test_a_hub_pressed_against_a_stop_stays_there() -> None:
 
 
 def test_a_servo_follows_its_reference_and_feels_the_beam() -> None:
-    servo = PositionServo(proportional=8000.0, derivative=100.0, integral=2e4, maximum_force=20.0)
+    servo = PositionServo(proportional=8000.0, derivative=100.0, integral=2e4, max_force=20.0)
     axis = AxisStepper(MODEL, PERIOD, HubFriction(viscous=2.0), EndStops(-0.05, 0.05), servo)
     t = np.arange(3000) * PERIOD
     reference = 0.002 * np.sin(2.0 * np.pi * 2.0 * t)
@@ -132,7 +132,7 @@ def test_a_servo_follows_its_reference_and_feels_the_beam() -> None:
 
 
 def test_a_saturated_servo_stays_within_its_force() -> None:
-    servo = PositionServo(1e5, 100.0, 1e6, maximum_force=1.0)
+    servo = PositionServo(1e5, 100.0, 1e6, max_force=1.0)
     axis = AxisStepper(MODEL, PERIOD, servo=servo)
     for _ in range(50):
         assert abs(axis.step_servo(0.01)) <= 1.0
@@ -157,7 +157,7 @@ def test_motion_inside_a_tick_meets_the_next_one() -> None:
         lambda: EndStops(0.1, 0.0),
         lambda: EndStops(-0.1, 0.1, 1.5),
         lambda: PositionServo(0.0, 1.0),
-        lambda: PositionServo(1.0, 1.0, maximum_force=0.0),
+        lambda: PositionServo(1.0, 1.0, max_force=0.0),
         lambda: AxisStepper(MODEL, 0.0),
         lambda: AxisStepper(MODEL, PERIOD, stops=EndStops(0.01, 0.02)),
     ],

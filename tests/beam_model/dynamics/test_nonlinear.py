@@ -18,7 +18,7 @@ def total_energy(model: BeamModel, terms: NonlinearTerms, state: np.ndarray) -> 
     linear = (
         0.5
         * model.basis.modal_mass
-        * (rates @ rates + (model.basis.frequencies * q) @ (model.basis.frequencies * q))
+        * (rates @ rates + (model.basis.natural_frequencies * q) @ (model.basis.natural_frequencies * q))
     )
     return float(linear + terms.potential_energy(q) + terms.kinetic_energy(q, rates))
 

@@ -42,7 +42,10 @@ def measure(
 ) -> ModalMeasurement:
     """What an identification of TRUTH would report; without noise for rng None."""
     model = BeamModel(TRUTH, n_modes)
-    omega, zeta = model.basis.frequencies, np.diag(model.matrices.C)[1:] / (2 * model.basis.modal_mass)
+    omega, zeta = (
+        model.basis.natural_frequencies,
+        np.diag(model.matrices.C)[1:] / (2 * model.basis.modal_mass),
+    )
     zeta = zeta / omega
     heights = np.array(HEIGHTS)
     residues = model.motion_residues(heights)
@@ -164,7 +167,7 @@ def test_what_cannot_be_told_apart_is_refused_with_its_singular_values() -> None
         )
     # Three can; not under a stricter limit.
     with pytest.raises(PhysicalFitError, match="condition"):
-        fit_beam(measure(None), START, ("stiffness", "viscous", "internal"), maximum_condition=1.05)
+        fit_beam(measure(None), START, ("stiffness", "viscous", "internal"), max_condition=1.05)
 
 
 def test_a_weak_prior_is_reported_as_inflation() -> None:

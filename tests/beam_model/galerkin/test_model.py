@@ -67,7 +67,7 @@ def test_coupled_damping_gives_the_poles_of_the_coupled_system() -> None:
     assert not model.is_proportional
     C = model.matrices.C[1:, 1:] / model.basis.modal_mass
     for pole in model.poles:
-        dynamic = pole**2 * np.eye(4) + pole * C + np.diag(model.basis.frequencies**2)
+        dynamic = pole**2 * np.eye(4) + pole * C + np.diag(model.basis.natural_frequencies**2)
         singular = np.linalg.svd(dynamic, compute_uv=False)
         assert singular[-1] < 1e-9 * singular[0]
     assert model.damping_ratios == pytest.approx(-model.poles.real / np.abs(model.poles))
@@ -126,11 +126,11 @@ def test_an_unknown_drive_or_quantity_is_refused(keyword: str, value: str) -> No
 def test_modal_parameters_meet_their_definitions() -> None:
     model = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,))), 5)
     modal = model.matrices.modal_parameters()
-    assert modal.frequencies[0] == 0.0
-    assert modal.frequencies[1:] == pytest.approx(model.free_hub_natural_frequencies, rel=1e-4)
+    assert modal.natural_frequencies[0] == 0.0
+    assert modal.natural_frequencies[1:] == pytest.approx(model.free_hub_natural_frequencies, rel=1e-4)
     assert modal.masses == pytest.approx(np.ones(6))
-    assert modal.stiffnesses == pytest.approx(modal.frequencies**2, abs=1e-6)
+    assert modal.stiffnesses == pytest.approx(modal.natural_frequencies**2, abs=1e-6)
     # C_r = 2 zeta_r omega_r M_r with C, where the source prints K.
-    ratios = np.diag(modal.dampings)[1:] / (2.0 * modal.frequencies[1:])
+    ratios = np.diag(modal.dampings)[1:] / (2.0 * modal.natural_frequencies[1:])
     assert ratios == pytest.approx(model.free_hub_damping_ratios, rel=1e-3)
     assert abs(modal.dampings[0, 0]) < 1e-12
