@@ -16,7 +16,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test verify lint mutants test-matrix clean distclean
+.PHONY: help setup demo test verify lint mutants docs dist test-matrix clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' Makefile
@@ -41,6 +41,16 @@ lint: ## style and types
 mutants: ## seeded mutations of the code against its tests (ARGS="--count 200 --seed 1 --workers 2")
 	@$(SETUP) --extras ros,test,dev -- python -m tests.mutants $(ARGS)
 
+docs: ## the pages of docs/ and the API reference as HTML, into build/docs (warnings are errors)
+	@$(SETUP) --extras rig,docs -- python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo "build/docs/index.html"
+
+dist: ## source archive and wheel into dist/, with their metadata and contents checked
+	@rm -rf dist
+	@$(SETUP) --extras ros,test,dev -- python -m build -o dist
+	@$(SETUP) --extras ros,test,dev -- python -m twine check --strict dist/*
+	@$(SETUP) --extras ros,test,dev -- check-manifest
+
 test-matrix: ## the tests on several Pythons, newest and oldest requirements (MATRIX="3.12-oldest ...")
 	@failed=; tried=; for cell in $(MATRIX); do \
 		python=$${cell%-*}; constraint=.ci/$${cell#*-}.txt; \
@@ -56,7 +66,7 @@ test-matrix: ## the tests on several Pythons, newest and oldest requirements (MA
 	echo "== passed:$$tried"
 
 clean: ## remove what builds, tests and linters left; the environment and your runs stay
-	rm -rf build install log *.egg-info .mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist docs/api install log *.egg-info .mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name .venv -prune -o -name '.venv-*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean ## also remove the environments
