@@ -27,10 +27,10 @@ ROOT = os.path.dirname(os.path.abspath(__file__))
 OLDEST, NEWEST = (3, 10), (3, 13)
 PREFERRED = ("3.12", "3.11", "3.10", "3.13")
 OLDEST_GLIBC = (2, 28)
-EXTRAS = ("report", "rig", "ros", "dask", "test", "dev")
+EXTRAS = ("rig", "ros", "dask", "test", "dev", "docs")
 STAMP = "beam-setup.json"
 LOG = "setup.log"
-OFFLINE = "`python3 bootstrap.py --extras report` sets up what needs no ROS (beam model, simulate, identify)"
+OFFLINE = "`python3 bootstrap.py --extras none` sets up what needs no ROS (beam model, simulate, identify)"
 
 PROBE = r"""
 import json, os, platform, sys, sysconfig
@@ -464,10 +464,12 @@ def parse_extras(text: str) -> list:
     ------
     SetupRefusedError -- an extra that setup.py does not have
     """
-    extras = [extra for extra in text.split(",") if extra]
+    extras = [extra for extra in text.split(",") if extra not in ("", "none")]
     for extra in extras:
         if extra not in EXTRAS:
-            raise SetupRefusedError("unknown extra {!r}; expected some of {}".format(extra, ",".join(EXTRAS)))
+            raise SetupRefusedError(
+                "unknown extra {!r}; expected some of {}, or none".format(extra, ",".join(EXTRAS))
+            )
     return extras
 
 

@@ -1,15 +1,14 @@
 """Name, version, requirements and executables of the suite, for pip and for colcon."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = "beam_ros"
 
-REPORT = ["matplotlib>=3.8"]
-
 # OpenCV 4.11 is the last that takes NumPy 1.26; pip finds it when NumPy is held there.
-RIG = [*REPORT, "opencv-python-headless>=4.6", "pyserial>=3.5"]
+RIG = ["opencv-python-headless>=4.6", "pyserial>=3.5"]
 
 # ROS 2 Jazzy as wheels, pinned: later versions under these names are another distribution. They exist for
 # x86-64 Linux only; elsewhere, and where a ROS 2 is sourced, the machine's own is used.
@@ -32,7 +31,18 @@ TEST = [
     *DASK,
 ]
 
-DEV = ["ruff>=0.17,<0.18", "mypy>=2.4,<3", "cosmic-ray>=8.4,<9", "coverage>=7.13,<8"]
+DEV = [
+    "ruff>=0.17,<0.18",
+    "mypy>=2.4,<3",
+    "cosmic-ray>=8.4,<9",
+    "coverage>=7.13,<8",
+    "build>=1.2",
+    "twine>=6",
+    "check-manifest>=0.50",
+]
+
+# `make docs`; the newest Sphinx for Python 3.10 is 8.1.
+DOCS = ["sphinx>=8.1", "myst-parser>=4", "furo>=2024.8"]
 
 EXECUTABLES = [
     "beam",
@@ -50,7 +60,25 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     description="Simulates, drives, films and identifies a flexible cantilever beam on a moving hub.",
+    long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    author="beam_ros maintainers",
+    maintainer="beam_ros maintainers",
+    maintainer_email="maintainers@beam-ros.invalid",
     license="Apache-2.0",
+    keywords=["system identification", "modal analysis", "flexible beam", "vibration", "vision", "ROS 2"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: OS Independent",
+        "Programming Language :: Python :: 3",
+        "Programming Language :: Python :: 3.10",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     python_requires=">=3.10",
     packages=find_packages(include=["beam_*"]),
     package_data={"": ["py.typed", "*.pyi"], PACKAGE: ["config/*.yaml", "config/*.xml"]},
@@ -68,8 +96,9 @@ setup(
         "mcap>=1.1",
         "ruamel.yaml>=0.17.21",
         "tqdm>=4.60",
+        "matplotlib>=3.6",  # Ubuntu 24.04's
     ],
-    extras_require={"report": REPORT, "rig": RIG, "ros": ROS, "test": TEST, "dask": DASK, "dev": DEV},
+    extras_require={"rig": RIG, "ros": ROS, "test": TEST, "dask": DASK, "dev": DEV, "docs": DOCS},
     entry_points={
         "console_scripts": [f"{name} = {PACKAGE}.process.executables:{name}" for name in EXECUTABLES]
     },

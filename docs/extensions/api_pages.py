@@ -116,7 +116,9 @@ def write_pages(app: Sphinx) -> None:
         for room, modules in rooms.items():
             pages[room] = page_of_room(package, room, modules)
         own = pages.get(package_name) or page_of_room(package, package_name, {})
-        pages[package_name] = own + "\n".join(["", *contents([room for room in rooms if room != package_name])])
+        pages[package_name] = own + "\n".join(
+            ["", *contents([room for room in rooms if room != package_name])]
+        )
     pages["index"] = "\n".join([*heading("API reference", "="), *contents(app.config.api_packages)])
     for old in folder.glob("*.rst"):
         if old.stem not in pages:

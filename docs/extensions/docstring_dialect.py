@@ -30,7 +30,9 @@ def spread_over_two_lines(lines: list[str]) -> list[str]:
     spread: list[str] = []
     in_entries = False
     for place, line in enumerate(lines):
-        is_heading = place + 1 < len(lines) and bool(_UNDERLINE.match(lines[place + 1])) and bool(line.strip())
+        is_heading = (
+            place + 1 < len(lines) and bool(_UNDERLINE.match(lines[place + 1])) and bool(line.strip())
+        )
         if is_heading:
             in_entries = line.strip() in _SECTIONS
         entry, separator, meaning = line.partition(" -- ")

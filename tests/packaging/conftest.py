@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,7 @@ _NOT_OURS = shutil.ignore_patterns(
     ".git",
     ".venv*",
     "build",
+    "dist",
     "install",
     "log",
     "runs",
@@ -33,6 +36,18 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def copy_tree(target: Path) -> Path:
     """Copy what a clone would hold."""
     return Path(shutil.copytree(ROOT, target, ignore=_NOT_OURS))
+
+
+@pytest.fixture
+def setup_arguments(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The arguments that setup.py gives to setuptools."""
+    import setuptools
+
+    given: dict[str, Any] = {}
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
+    runpy.run_path("setup.py")
+    return given
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import pytest
 
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import MODULES
-from tests.packaging.conftest import copy_tree
+from tests.packaging.conftest import ROOT, copy_tree
 from tests.real_processes import MARK, marked_processes
 
 VERSION = "99.1.2"
@@ -92,6 +93,32 @@ def test_a_node_of_the_workspace_runs_and_ends_on_ctrl_c(workspace: Path) -> Non
             os.kill(pid, signal.SIGKILL)
     assert process.returncode == 0, stdout + stderr
     assert "Traceback" not in stdout + stderr
+
+
+def test_colcon_does_not_look_into_the_environment_of_the_recipe(tmp_path: Path) -> None:
+    """Neither into the workspace's nor into the tree's own; into a folder of another name it does look."""
+    recipe = re.search(r"-m venv --system-site-packages (\S+)", (ROOT / "README.md").read_text())
+    assert recipe is not None
+    source = tmp_path / "src" / "beam_ros"
+    source.mkdir(parents=True)
+    for name in ("setup.py", "package.xml", "README.md"):
+        (source / name).write_text((ROOT / name).read_text())
+    for environment in (tmp_path / recipe.group(1), source / ".venv", tmp_path / "other"):
+        package = environment / "lib" / "installed"
+        package.mkdir(parents=True)
+        (package / "package.xml").write_text(
+            (ROOT / "package.xml").read_text().replace("beam_ros", f"in_{environment.name.strip('.')}")
+        )
+    listed = subprocess.run(
+        [sys.executable, "-m", "colcon", "--log-base", str(tmp_path / "log"), "list", "--names-only"],
+        cwd=tmp_path,
+        env=child_environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert listed.stdout.split() == ["beam_ros", "in_other"], listed.stderr
 
 
 def wait_for_log(pid: int) -> None:

@@ -14,8 +14,8 @@ import pytest
 
 from beam_ros.interfaces.graph import NODES, RigKind, nodes_of_rig
 from beam_ros.process.executables import MODULES
+from tests.packaging.conftest import ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGES = ("beam_ros", "beam_model", "beam_ident")
 
 ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, or part of another
@@ -31,18 +31,6 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "control": None,
     "distributed": None,
 }
-
-
-@pytest.fixture
-def setup_arguments(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The arguments that setup.py gives to setuptools."""
-    import setuptools
-
-    given: dict[str, Any] = {}
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(setuptools, "setup", lambda **arguments: given.update(arguments))
-    runpy.run_path("setup.py")
-    return given
 
 
 def manifest() -> ElementTree.Element:
@@ -80,7 +68,7 @@ def test_the_manifest_names_every_package_that_is_imported() -> None:
 
 def test_the_core_requires_nothing_but_the_pure_core(setup_arguments: dict[str, Any]) -> None:
     names = {requirement.split(">")[0] for requirement in setup_arguments["install_requires"]}
-    assert names == {"numpy", "scipy", "rosbags", "mcap", "ruamel.yaml", "tqdm"}
+    assert names == {"numpy", "scipy", "rosbags", "mcap", "ruamel.yaml", "tqdm", "matplotlib"}
 
 
 def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_arguments: dict[str, Any]) -> None:
@@ -91,7 +79,7 @@ def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_argume
         "ros-common-interfaces==5.3.6",
     ]
     assert all("x86_64" in wheel and "Linux" in wheel for wheel in wheels)
-    assert set(extras["report"]) < set(extras["rig"]) < set(extras["ros"])
+    assert set(extras["rig"]) < set(extras["ros"])
 
 
 def test_every_node_of_the_table_has_an_executable(setup_arguments: dict[str, Any]) -> None:
