@@ -42,7 +42,7 @@ mutants: ## seeded mutations of the code against its tests (ARGS="--count 200 --
 	@$(SETUP) --extras ros,test,dev -- python -m tests.mutants $(ARGS)
 
 docs: ## the pages of docs/ and the API reference as HTML, into build/docs (warnings are errors)
-	@$(SETUP) --extras rig,docs -- python -m sphinx -W --keep-going -q -b html docs build/docs
+	@$(SETUP) --extras rig,docs -- python -m sphinx -W --keep-going -q -E -b html docs build/docs
 	@echo "build/docs/index.html"
 
 dist: ## source archive and wheel into dist/, with their metadata and contents checked

@@ -25,7 +25,23 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 myst_heading_anchors = 4
 
 # The packages whose public names get a page for every room.
-api_packages = ["beam_model", "beam_ident", "beam_ros.hub", "beam_ros.vision", "beam_ros.messages"]
+api_packages = [
+    "beam_model",
+    "beam_ident",
+    "beam_ros.interfaces",
+    "beam_ros.rig",
+    "beam_ros.hub",
+    "beam_ros.vision",
+    "beam_ros.messages",
+    "beam_ros.bags",
+    "beam_ros.excitation",
+    "beam_ros.calibration",
+    "beam_ros.offline",
+]
+
+suppress_warnings = [
+    "ref.python"
+]  # two rooms may have a class of one name: its type is then shown without a link
 
 autodoc_typehints = "none"  # types stand in the docstrings, with shapes and units
 autodoc_preserve_defaults = True

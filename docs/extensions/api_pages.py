@@ -1,7 +1,7 @@
 """Write the sources of the API reference: a page for every room that holds public names of a package.
 
-A package's ``__all__`` says which names are public, and the module that defines a name says where it stands.
-Nothing is listed by hand.
+A package's ``__all__`` says which names are public, and the module that defines a name says where it stands. Where a
+package has no ``__all__``, the public names are those of its modules. Nothing is listed by hand.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import re
 from collections import defaultdict
 from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 from types import ModuleType
 from typing import Any
 
@@ -24,20 +25,37 @@ def rooms_of(package: ModuleType) -> dict[str, dict[str, list[str]]]:
 
     Parameters
     ----------
-    package : module -- with ``__all__``
+    package : module
 
     Returns
     -------
-    dict of str to dict of str to list of str -- room, module, names; modules that are in no sub-package
-        belong to the package's own room
+    dict of str to dict of str to list of str -- room, module, names; a room is a package or sub-package
     """
-    rooms: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for name in sorted(package.__all__, key=str.lower):
-        module = module_of(package, name)
-        parts = module.removeprefix(package.__name__).strip(".").split(".")
-        room = f"{package.__name__}.{parts[0]}" if len(parts) > 1 else package.__name__
-        rooms[room][module].append(name)
+    names_of: dict[str, list[str]] = defaultdict(list)
+    if hasattr(package, "__all__"):
+        for name in sorted(package.__all__, key=str.lower):
+            names_of[module_of(package, name)].append(name)
+    else:
+        for found in walk_packages(package.__path__, f"{package.__name__}."):
+            module = import_module(found.name)
+            own = [name for name in vars(module) if is_defined_in(module, name)]
+            names_of[found.name] += sorted(own, key=str.lower)
+    rooms: dict[str, dict[str, list[str]]] = defaultdict(dict)
+    for module_name, names in sorted(names_of.items()):
+        if names:
+            is_room = hasattr(import_module(module_name), "__path__")
+            rooms[module_name if is_room else module_name.rpartition(".")[0]][module_name] = names
     return dict(sorted(rooms.items()))
+
+
+def is_defined_in(module: ModuleType, name: str) -> bool:
+    """Return whether a public class, function or described constant is defined in this very module."""
+    if name.startswith("_"):
+        return False
+    public = getattr(module, name)
+    if isinstance(public, type) or callable(public):
+        return getattr(public, "__module__", "") == module.__name__
+    return ("", name) in ModuleAnalyzer.for_module(module.__name__).find_attr_docs()
 
 
 def module_of(package: ModuleType, name: str) -> str:
@@ -55,14 +73,15 @@ def module_of(package: ModuleType, name: str) -> str:
     return package.__name__
 
 
-def page_of_room(package: ModuleType, room: str, modules: dict[str, list[str]]) -> str:
+def page_of_room(package: ModuleType, room: str, modules: dict[str, list[str]], below: list[str]) -> str:
     """Return the source of one room's page.
 
     Parameters
     ----------
-    package : module -- from which a reader imports the names
+    package : module -- from which a reader imports the names, where it has ``__all__``
     room : str -- dotted name of the sub-package, or of the package itself
     modules : dict of str to list of str -- public names by the module that defines them
+    below : list of str -- rooms whose pages are listed on this one
 
     Returns
     -------
@@ -71,13 +90,15 @@ def page_of_room(package: ModuleType, room: str, modules: dict[str, list[str]]) 
     lines = heading(room if room == package.__name__ else room.rpartition(".")[2], "=")
     if room not in modules:
         lines += [f".. automodule:: {room}", "   :no-members:", ""]
+    lines += contents(below) if below else []
     for module in sorted(modules, key=lambda name: (name != room, name)):
         if module != room:
             lines += heading(module.rpartition(".")[2], "-")
         lines += [f".. automodule:: {module}", "   :no-members:", ""]
-        lines += [f".. currentmodule:: {package.__name__}", ""]
+        source = package if hasattr(package, "__all__") else import_module(module)
+        lines += [f".. currentmodule:: {source.__name__}", ""]
         for name in modules[module]:
-            public = getattr(package, name)
+            public = getattr(source, name)
             if isinstance(public, type):
                 lines += [f".. autoclass:: {name}", "   :members:", ""]
             elif callable(public):
@@ -113,12 +134,9 @@ def write_pages(app: Sphinx) -> None:
     for package_name in app.config.api_packages:
         package = import_module(package_name)
         rooms = rooms_of(package)
-        for room, modules in rooms.items():
-            pages[room] = page_of_room(package, room, modules)
-        own = pages.get(package_name) or page_of_room(package, package_name, {})
-        pages[package_name] = own + "\n".join(
-            ["", *contents([room for room in rooms if room != package_name])]
-        )
+        inner = [room for room in rooms if room != package_name]
+        pages |= {room: page_of_room(package, room, rooms[room], []) for room in inner}
+        pages[package_name] = page_of_room(package, package_name, rooms.get(package_name, {}), inner)
     pages["index"] = "\n".join([*heading("API reference", "="), *contents(app.config.api_packages)])
     for old in folder.glob("*.rst"):
         if old.stem not in pages:
