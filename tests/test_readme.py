@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from beam_ros.cli.main import VERBS
 from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 
 ROOT = Path(__file__).parent.parent
+TESTS = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -24,8 +27,36 @@ def test_every_verb_node_topic_and_service_is_in_the_tables() -> None:
         assert f"`{service}`" in README
 
 
-def test_every_linked_file_is_there() -> None:
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "bags").glob("*.md")):
-        for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
-            if "://" not in target:
-                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+PAGES = (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "bags").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_file_that_a_page_links_or_names_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    for name in re.findall(r"`((?:beam_\w+|tests|docs|benchmarks|examples)/[\w./-]+)`", text):
+        assert (ROOT / name).exists(), f"{page.name} names {name}"
+    for name in re.findall(r"\b(test_\w+\.py)\b", text):
+        assert list((ROOT / "tests").rglob(name)), f"{page.name} names {name}"
+    for name in re.findall(r"`(test_\w+)`", text):
+        assert f"def {name}(" in TESTS, f"{page.name} names {name}"
+
+
+def test_every_room_stands_on_the_page_of_the_architecture() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for package in ("beam_model", "beam_ident", "beam_ros"):
+        for path in (ROOT / package).rglob("__init__.py"):
+            room = path.parent.relative_to(ROOT).as_posix()
+            modules = [file for file in path.parent.glob("*.py") if file.name != "__init__.py"]
+            if room != package and modules:
+                assert f"`{room}`" in page or f"`{room}/" in page, f"the page does not name {room}"
+
+
+def test_every_decision_stands_in_the_list() -> None:
+    folder = ROOT / "docs" / "decisions"
+    listed = re.findall(r"^\d+\. \[(.+)\]\((.+)\)$", (folder / "index.md").read_text(encoding="utf-8"), re.M)
+    assert [name for _, name in listed] == sorted(path.name for path in folder.glob("0*.md"))
+    for number, (title, name) in enumerate(listed, start=1):
+        assert (folder / name).read_text(encoding="utf-8").startswith(f"# {number}. {title}\n")
