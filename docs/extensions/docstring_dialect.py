@@ -7,9 +7,10 @@ the bars of a magnitude stay bars: reStructuredText would take them for a substi
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 _SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises", "Warns", "Other Parameters")
 _UNDERLINE = re.compile(r"\s*-{3,}\s*$")

@@ -1,0 +1,27 @@
+"""The pictures of the pages: made by the project's script, small, and shown somewhere."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PICTURES = ROOT / "docs" / "pictures"
+
+pytest.importorskip("cv2")
+
+
+def test_the_script_makes_every_picture_and_no_other(tmp_path: Path) -> None:
+    made = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))["make_pictures"](tmp_path)
+    assert {path.name for path in made} == {path.name for path in PICTURES.iterdir()}
+    for path in (*made, *PICTURES.iterdir()):
+        assert 10_000 < path.stat().st_size < 200_000, path
+
+
+def test_every_picture_is_shown_on_a_page() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
+    for path in PICTURES.iterdir():
+        assert f"pictures/{path.name})" in shown
