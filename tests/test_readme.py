@@ -7,12 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.cli.main import VERBS
+from beam_ros.cli.main import LIVE, OFFLINE, VERBS
 from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 
 ROOT = Path(__file__).parent.parent
 TESTS = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_module_of_a_verb_is_listed() -> None:
+    for listed, folder in ((LIVE, "live"), (OFFLINE, "offline")):
+        modules = {path.stem for path in (ROOT / "beam_ros" / "cli" / folder).glob("*.py")} - {"__init__"}
+        assert modules == set(listed)
 
 
 def test_every_verb_node_topic_and_service_is_in_the_tables() -> None:
