@@ -60,7 +60,8 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     description="Simulates, drives, films and identifies a flexible cantilever beam on a moving hub.",
-    long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
+    # colcon links this file into its build folder.
+    long_description=Path(__file__).resolve().with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     author="beam_ros maintainers",
     maintainer="beam_ros maintainers",
