@@ -38,7 +38,7 @@ TIP_M = (0.020, 0.004)
 def displacement(rig: Rig, heights: np.ndarray) -> np.ndarray:
     """Return u of the drawn instant [m] at heights [m], both of shape (n_heights,)."""
     model = rig.beam_model()
-    tip = model.shape([rig.number("beam.length")])[0, :2]
+    tip = model.shape([rig.beam.length])[0, :2]
     return HUB_M + model.shape(heights)[:, :2] @ (np.array(TIP_M) / tip)
 
 
@@ -46,16 +46,16 @@ def rig_picture(rig: Rig) -> Figure:
     """Draw the rig as the camera sees it, with the names of what is measured, beside a tracked frame."""
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     sketch, frame = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
-    length, markers = rig.number("beam.length"), np.array(rig.numbers("markers.heights"))
+    length, markers = rig.beam.length, np.array(rig.markers.heights)
     z = np.linspace(0.0, length, 200)
     u = displacement(rig, z)
     sketch.plot(1e3 * u, 1e3 * z, color=STEEL, linewidth=2.5)
     sketch.plot([0.0, 0.0], [0.0, 1e3 * length], color=FAINT, linewidth=1.0, linestyle=(0, (4, 4)))
     sketch.plot(1e3 * displacement(rig, markers), 1e3 * markers, "o", color=MARKER, markersize=8)
-    for name, height in zip(rig.marker_names, markers, strict=True):
+    for name, height in zip(rig.markers.names, markers, strict=True):
         at = 1e3 * displacement(rig, np.array([height]))[0]
         sketch.annotate(name, (at, 1e3 * height), xytext=(10, -3), textcoords="offset points", color=MARKER)
-    half = 500.0 * rig.number("hub.travel")
+    half = 500.0 * rig.hub.travel
     sketch.add_patch(Rectangle((1e3 * HUB_M - 14, -22), 28, 20, facecolor="#e2e8f0", edgecolor=INK))
     sketch.text(1e3 * HUB_M, -12, "hub", ha="center", va="center", color=INK)
     sketch.plot([-half, half], [-24, -24], color=INK, linewidth=2.0)
@@ -70,8 +70,7 @@ def rig_picture(rig: Rig) -> Figure:
     sketch.text(
         1e3 * HUB_M + 14,
         0.4e3 * length,
-        f"steel strip\n{1e3 * length:.0f} x {1e3 * rig.number('beam.width'):.0f} x "
-        f"{1e3 * rig.number('beam.thickness'):.1f} mm",
+        f"steel strip\n{1e3 * length:.0f} x {1e3 * rig.beam.width:.0f} x {1e3 * rig.beam.thickness:.1f} mm",
         color=STEEL,
     )
     sketch.set(xlim=(-half - 20, half + 45), ylim=(-52, 1e3 * length + 26), aspect="equal")
@@ -91,14 +90,14 @@ def arrow(axes: Any, start: tuple[float, float], end: tuple[float, float]) -> No
 def tracked_frame(rig: Rig) -> np.ndarray:
     """Render the drawn instant, track it, and return the middle of its overlay, red, green, blue."""
     camera = rig.camera_parameters()
-    heights = np.array(rig.numbers("markers.heights"))
-    strip = np.linspace(0.0, rig.number("beam.length"), 60)
+    heights = np.array(rig.markers.heights)
+    strip = np.linspace(0.0, rig.beam.length, 60)
     renderer = SceneRenderer(camera, heights, strip_heights=strip)
     rng = np.random.default_rng(1)
     image = renderer.render(displacement(rig, heights), rng, displacement(rig, strip))
     tracker = MarkerTracker(rig.tracker_parameters(), len(heights), FrameTiming(camera))
     found = tracker.process(image, 0)
-    drawn = draw_overlay(image, found, rig.marker_names, marker_diameter_px=camera.marker_diameter_px)
+    drawn = draw_overlay(image, found, rig.markers.names, marker_diameter_px=camera.marker_diameter_px)
     left = round(camera.origin_px[0]) - 60
     return drawn[:, left : left + 270, ::-1]
 
