@@ -71,6 +71,7 @@ TESTED_IN = (
     ("beam_ros/hub", "parameters", "hub/test_sequences"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
+    ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),
     ("beam_ros/launching", "client processes", "launching/test_demo"),
     ("beam_ros/measurements", "frames", "offline/test_simulation"),
     (
