@@ -164,8 +164,6 @@ class PiecewisePolynomial:
 
     def derivative(self) -> PiecewisePolynomial:
         """Return the derivative inside the segments (jumps at the knots are left out)."""
-        if self.degree == 0:
-            return PiecewisePolynomial(self.knots, np.zeros_like(self.coefficients), self.period)
         powers = np.arange(1, self.degree + 1)
         return PiecewisePolynomial(self.knots, self.coefficients[:, 1:] * powers, self.period)
 

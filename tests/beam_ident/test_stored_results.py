@@ -145,3 +145,10 @@ def test_a_recipe_is_known_by_its_kind():
 def test_a_model_of_another_kind_is_refused():
     with pytest.raises(ModelFormatError, match="'free_decay' of schema 1; expected a 'modal_model'"):
         ModalModel.from_dict(stored()["free_decay"].to_dict())
+
+
+@pytest.mark.parametrize("bad", [{"real": [1.0]}, [1.0, 2.0], 3.0])
+def test_complex_numbers_without_both_of_their_parts_are_refused(bad):
+    data = stored()["free_decay"].to_dict() | {"amplitudes": bad}
+    with pytest.raises(ModelFormatError, match="expected the entries 'real' and 'imag'"):
+        restore(data)

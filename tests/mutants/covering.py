@@ -53,11 +53,15 @@ class CoverageMap:
 
     def _contexts(self, mutation: Mutation, source: str) -> set[str]:
         tree = ast.parse(source)
-        statement, is_in_function = _statement(tree, source, mutation.position)
+        statements, is_in_function = _statements(tree, source, mutation.position)
         by_line = self._data.contexts_by_lineno(mutation.path)
         if is_in_function:
-            lines = set(range(statement[0], statement[1] + 1))
-            return {context for line in lines for context in by_line.get(line, ())}
+            # The interpreter leaves no trace of some lines, such as a bare `continue`: then what holds them counts.
+            for first, last in statements:
+                found = {c for line in range(first, last + 1) for c in by_line.get(line, ()) if c}
+                if found:
+                    return found
+            return set()
         # Run once, at import: whoever uses the name that the statement gives can notice.
         name = _name_given(tree, mutation.position[0])
         used = re.compile(rf"\b{re.escape(name)}\b")
@@ -93,9 +97,10 @@ def _file(test: str) -> str:
     return test.partition("::")[0]
 
 
-def _statement(tree: ast.Module, source: str, position: Position) -> tuple[tuple[int, int], bool]:
-    """First and last line of the innermost statement at a position, and whether a function holds it."""
-    lines, is_in_function = (position[0], position[0]), False
+def _statements(tree: ast.Module, source: str, position: Position) -> tuple[list[tuple[int, int]], bool]:
+    """First and last line of the statements around a position, the innermost first; whether a function holds it."""
+    lines: list[tuple[int, int]] = []
+    is_in_function = False
     pending: list[ast.AST] = [tree]
     while pending:
         node = pending.pop()
@@ -106,13 +111,14 @@ def _statement(tree: ast.Module, source: str, position: Position) -> tuple[tuple
             first, last = span(child, source)
             if not first <= position < last:
                 continue
+            is_body = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and child in node.body
+            is_in_function |= is_body or isinstance(node, ast.Lambda)
             if isinstance(child, ast.stmt):
                 body = getattr(child, "body", None)
-                lines = (child.lineno, max(child.lineno, body[0].lineno - 1) if body else last[0])
-            is_in_function |= isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and child in node.body
-            is_in_function |= isinstance(node, ast.Lambda)
+                is_in_header = body is not None and position < span(body[0], source)[0]
+                lines.insert(0, (child.lineno, body[0].lineno - 1 if is_in_header else last[0]))
             pending.append(child)
-    return lines, is_in_function
+    return [(first, max(first, last)) for first, last in lines], is_in_function
 
 
 def _name_given(tree: ast.Module, line: int) -> str:

@@ -113,9 +113,13 @@ def _places(path: str, source: str) -> list[list[Mutation]]:
         operator = get_operator(f"core/{name}")()
         spans = (span for node in nodes for span in operator.mutation_positions(node))
         for occurrence, (start, end) in enumerate(spans):
-            is_border = name.endswith(_BORDERS)
-            if is_border and not re.match(r"\s*-?[\d.]", lines[end[0] - 1][end[1] :]):
+            before, after = lines[start[0] - 1][: start[1]], lines[end[0] - 1][end[1] :]
+            if name.endswith(_BORDERS) and not re.match(r"\s*-?[\d.]", after):
                 continue
+            if name.startswith("ReplaceBinary") and (
+                re.search(r"(^|[(,\[{])\s*$", before) or after[0] == ","
+            ):
+                continue  # the star of an argument, not of a product
             if not any(first <= start < last for first, last in silent):
                 found[start].append(Mutation(path, start, name, occurrence))
     return [found[position] for position in sorted(found)]

@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+import beam_ident
 from beam_ident import (
     AxisLimits,
     BandLimitedNoise,
@@ -243,3 +244,34 @@ def test_unknown_recipes_are_refused():
         Recipe.from_dict({"schema": 1, "kind": "step", "amplitude": 1.0})
     with pytest.raises(ModelFormatError, match="schema is 7"):
         Recipe.from_dict({"schema": 7, "kind": "step"})
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "BandLimitedNoise(low_hz=1.0, high_hz=95.0, length_s=20.0, rms_acceleration=0.3, "
+        "displacement_ceiling=0.001, seed=0, still_s=10.0, fade_s=0.5)",
+        "Doublet(drive='position', amplitude=0.0005, rise_s=0.05, still_s=10.0, width_s=0.1, gap_s=1.0)",
+        "LinearChirp(start_hz=1.0, end_hz=95.0, sweep_s=20.0, acceleration=0.7, displacement_ceiling=0.005, "
+        "still_s=10.0, fade_in_s=1.0, fade_out_s=0.25, velocity_ceiling=None)",
+        "LogChirp(start_hz=1.0, end_hz=95.0, sweep_s=20.0, acceleration=0.7, displacement_ceiling=0.005, "
+        "still_s=10.0, fade_in_s=1.0, fade_out_s=0.25, velocity_ceiling=None)",
+        "Multisine(low_hz=1.0, high_hz=95.0, line_period_s=10.0, n_periods=2, rms_acceleration=0.5, "
+        "displacement_ceiling=0.001, odd_only=False, seed=0, still_s=10.0, fade_s=0.5, detection_group=0, "
+        "phases='random', velocity_ceiling=None, phases_rad=())",
+        "PointToPoint(waypoints=(0.002, -0.002, 0.0), profile='bounded_jerk', speed=0.05, acceleration=0.5, "
+        "jerk=20.0, dwell_s=2.0, still_s=10.0)",
+        "Prbs(drive='acceleration', amplitude=0.3, rise_s=0.0, still_s=10.0, order=11, clock_s=0.005, "
+        "n_periods=1, inverse_repeat=False, high_pass_hz=1.0)",
+        "Pulse(drive='position', amplitude=0.0005, rise_s=0.05, still_s=10.0, width_s=0.1, gap_s=0.1)",
+        "Sine(frequency_hz=4.0, acceleration=0.2, n_cycles=40.0, fade_cycles=4.0, still_s=10.0, "
+        "displacement_ceiling=0.005)",
+        "Step(distance=0.005, rise_s=0.2, hold_s=10.0, still_s=10.0)",
+        "SteppedSine(frequencies_hz=(2.0, 4.0, 8.0, 16.0), acceleration=0.2, displacement_ceiling=0.005, "
+        "settle_cycles=10.0, measure_cycles=10, glide_cycles=2.0, still_s=5.0)",
+    ],
+    ids=lambda written: written.partition("(")[0],
+)
+def test_what_a_recipe_takes_where_nothing_is_said_is_a_promise(written):
+    # A script that names its seed alone must give the same motion next year.
+    assert repr(getattr(beam_ident, written.partition("(")[0])()) == written

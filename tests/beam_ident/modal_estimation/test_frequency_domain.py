@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -151,3 +153,12 @@ def test_a_mode_below_half_the_rate_is_not_taken_for_its_image():
     assert found.model.n_modes == 1
     assert found.model.frequencies_hz[0] == pytest.approx(20.0 / (2.0 * np.pi), rel=1e-3)
     assert found.misfit.is_noise
+
+
+def test_the_noise_is_what_the_record_says_or_what_the_fit_leaves():
+    response = periodic_response(modal_record(noise=2e-6), LINE_PERIOD_S, LINES_HZ).response
+    told = fit_frequency_modes(response, n_modes=2).model
+    np.testing.assert_allclose(told.noise_sd, np.sqrt(np.mean(response.variance[:, :, 0], axis=0)), rtol=1e-9)
+    silent = fit_frequency_modes(dataclasses.replace(response, variance=None), n_modes=2).model
+    # Lines of one weight: the root mean square of both parts of the complex residuals, 2 x 100 numbers to 7 %.
+    np.testing.assert_allclose(silent.noise_sd, told.noise_sd, rtol=0.5)

@@ -54,3 +54,10 @@ def test_the_fourier_gain_of_a_spline_is_that_of_the_signal(hold):
         fine = 20.0 * n + np.arange(16 * n) / 16.0
         found = 2.0 * np.mean(signal(fine) * np.exp(-2j * np.pi * line / n * fine))
         assert found == pytest.approx(hold_gain(hold, 2.0 * np.pi * line / n, 1.0), abs=1e-5)
+
+
+def test_the_derivative_of_held_values_is_zero_inside_the_steps():
+    held = PiecewisePolynomial.from_samples(np.array([0.0, 1.0, 3.0]), np.array([2.0, -1.0, 4.0]), "zoh")
+    times = np.array([0.5, 1.5, 2.5])
+    np.testing.assert_array_equal(held.derivative()(times), 0.0)
+    np.testing.assert_array_equal(held.derivative().antiderivative()(times), 0.0)

@@ -8,6 +8,7 @@ from beam_ident.numerics import rational_response
 from beam_ident.numerics.chain_response import chain_exponential
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, poles_keep_apart, upper_roots
+from tests.beam_ident.truth import averaged_cosine
 
 APART = np.array([-1.0 + 0j, -2.0, -0.2 + 5.0j])
 
@@ -97,3 +98,19 @@ def test_roots_are_those_of_the_polynomial():
     np.testing.assert_allclose(np.poly(full_roots(upper)), polynomial, atol=1e-9)
     assert poles_keep_apart(full_roots(upper))
     assert not poles_keep_apart(np.array([-2.0, -2.0 - 1e-8 + 0j]))
+
+
+@pytest.mark.parametrize("separation", [None, 2.0], ids=["fractions", "chain"])
+@pytest.mark.parametrize("exposure_s", [1e-5, 0.05])
+def test_free_motions_are_means_of_the_textbook_over_the_exposure(monkeypatch, separation, exposure_s):
+    if separation is not None:
+        monkeypatch.setattr(rational_response, "_SEPARATION", separation)
+    elapsed = np.linspace(0.03, 3.0, 40)
+    found = RationalResponse.to_impulse(np.array([-0.2 + 5.0j]), 2.0, elapsed, exposure_s, squares=True)
+    # 1/A is e^(-a t) sin(w t)/w, 1/A^2 is e^(-a t) (sin(w t) - w t cos(w t))/(2 w^3), t in units of 1/scale.
+    averaged = averaged_cosine(elapsed, -0.4 + 10.0j, -0.2j, exposure_s)
+    np.testing.assert_allclose(found.over(0), averaged, atol=1e-9)
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    t = 2.0 * (elapsed[:, None] + 0.5 * exposure_s * nodes)
+    square = np.exp(-0.2 * t) * (np.sin(5.0 * t) - 5.0 * t * np.cos(5.0 * t)) / 250.0
+    np.testing.assert_allclose(found.over_square(0), 0.5 * square @ weights, atol=1e-9)

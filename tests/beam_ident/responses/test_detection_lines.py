@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
-from beam_ident.responses.detection_lines import nonlinear_distortion
+from beam_ident.responses.detection_lines import _between, nonlinear_distortion
 from beam_ident.responses.periodic_averaging import periodic_response
 from tests.beam_ident.periodic import LINE_PERIOD_S, PLANT, TICK_S, multisine
 
@@ -76,3 +76,16 @@ def test_an_excitation_without_detection_lines_is_refused():
         nonlinear_distortion(periodic_response(record, LINE_PERIOD_S, every))
     with pytest.raises(EstimationError, match="significance is 2"):
         analysed(significance=2.0)
+
+
+def test_a_response_between_few_lines_lies_on_the_straight_line_through_them():
+    found = _between(5, np.array([3, 9]), np.array([1.0 + 1.0j, 4.0 - 2.0j]))
+    assert found == pytest.approx(2.0 + 0.0j, abs=1e-12)
+
+
+def test_a_response_between_many_lines_follows_a_resonance():
+    def at(line):
+        return (2.0 + 0.3 * line) / (1.0 + (0.1 - 0.2j) * (line - 20.0) + 0.05 * (line - 20.0) ** 2)
+
+    excited = np.array([13, 15, 17, 19, 23, 25, 27, 29])
+    assert _between(21, excited, at(excited)) == pytest.approx(at(21), rel=1e-9)

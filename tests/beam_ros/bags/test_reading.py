@@ -288,3 +288,15 @@ def test_damage_in_the_middle_of_a_file_never_ends_in_a_foreign_exception(tmp_pa
         except BagError:
             refused += 1
     assert refused > 25  # the chunks' checksums see to it
+
+
+def test_frames_that_were_dropped_are_gaps_of_the_summary(tmp_path):
+    frames = [0, 1, 2, 5, 6, 7, 8, 10, 11]  # two are missing in one place and one in another
+    with BagWriter(tmp_path / "run") as bag:
+        for k in frames:
+            message = messages.displacement(TYPES, START + k * FRAME, NAMES, displacement_row(k))
+            bag.write_message("beam/displacement", START + k * FRAME, message)
+    with Bag(tmp_path / "run") as bag:
+        (signal,) = summarise(bag).signals
+    assert (signal.samples, signal.gaps, signal.lost) == (9, 2, 3)
+    assert (signal.rate_hz, signal.duration_s) == pytest.approx((100.0, 0.11))

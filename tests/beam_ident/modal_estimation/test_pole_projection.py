@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident.modal_estimation.free_decay import _DecayBasis
+from beam_ident.modal_estimation.pole_projection import Part, PoleProblem, fit_poles, scan_poles
+
+
+@pytest.mark.parametrize("is_noise_known", [True, False])
+def test_a_candidate_lowers_the_cost_as_much_as_a_fit_with_it_does(is_noise_known):
+    times = np.arange(400) * 0.01
+    ringing = np.exp(-0.1 * times) * np.cos(20.0 * times) + 0.4 * np.exp(-0.5 * times) * np.sin(55.0 * times)
+    values = ringing + 0.05 * np.random.default_rng(0).standard_normal(400)
+    basis = _DecayBasis(times, 0.0)
+    problem = PoleProblem((basis,), ((Part(0, values, np.full(400, 20.0)),),), is_noise_known)
+    one = fit_poles(problem, np.array([20.0]), np.array([0.005]))
+    omegas, zetas = np.array([54.0, 55.0, 90.0]), np.array([0.01, 0.009, 0.02])
+    found = scan_poles(problem, one, omegas, zetas)
+    fixed = [basis.fixed(0.0).value, basis.modal(one.omegas[0], one.zetas[0], 0.0).value]
+
+    def cost(columns):
+        matrix = 20.0 * np.concatenate(columns, axis=1)
+        left = 20.0 * values - matrix @ np.linalg.lstsq(matrix, 20.0 * values, rcond=None)[0]
+        rss = float(left @ left)
+        return 0.5 * rss if is_noise_known else 0.5 * len(values) * np.log(rss)
+
+    for gain, omega, zeta in zip(found, omegas, zetas, strict=True):
+        expected = cost(fixed) - cost([*fixed, basis.modal(omega, zeta, 0.0).value])
+        assert gain == pytest.approx(expected, rel=1e-6)
