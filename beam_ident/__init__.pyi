@@ -16,6 +16,12 @@ from beam_ident.errors import ExcitationLimitError as ExcitationLimitError
 from beam_ident.errors import IdentificationError as IdentificationError
 from beam_ident.errors import ModelFormatError as ModelFormatError
 from beam_ident.errors import RecordError as RecordError
+from beam_ident.estimators import ESTIMATORS as ESTIMATORS
+from beam_ident.estimators import Estimator as Estimator
+from beam_ident.estimators import EstimatorSettings as EstimatorSettings
+from beam_ident.estimators import estimator_meanings as estimator_meanings
+from beam_ident.estimators import find_estimator as find_estimator
+from beam_ident.estimators import run_estimator as run_estimator
 from beam_ident.evaluation.hold_out import OutputValidation as OutputValidation
 from beam_ident.evaluation.hold_out import ValidationResult as ValidationResult
 from beam_ident.evaluation.hold_out import validate as validate
@@ -79,6 +85,10 @@ from beam_ident.responses.spectral import welch_response as welch_response
 from beam_ident.responses.stepped_sine import SineFit as SineFit
 from beam_ident.responses.stepped_sine import fit_sine as fit_sine
 from beam_ident.responses.stepped_sine import stepped_sine_response as stepped_sine_response
+from beam_ident.results import LineResult as LineResult
+from beam_ident.results import Result as Result
+from beam_ident.results import TimeResult as TimeResult
+from beam_ident.results import models_of as models_of
 from beam_ident.stored_results import restore as restore
 from beam_ident.subspace.model import SubspaceModel as SubspaceModel
 from beam_ident.subspace.model import subspace_model as subspace_model
@@ -92,6 +102,9 @@ from beam_ident.transfer_function_estimation.common_poles import (
     estimate_common_poles as estimate_common_poles,
 )
 from beam_ident.transfer_function_estimation.estimation import MultiInputResult as MultiInputResult
+from beam_ident.transfer_function_estimation.estimation import (
+    SeparateOutputsResult as SeparateOutputsResult,
+)
 from beam_ident.transfer_function_estimation.estimation import (
     TransferFunctionResult as TransferFunctionResult,
 )

@@ -9,7 +9,7 @@ from beam_ident.data.bandwidth import Band
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
-from beam_ident.noise.record_fit import RecordFit
+from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
 
 
@@ -78,7 +78,7 @@ class OutputFit:
 
 
 @dataclass(frozen=True, eq=False)
-class IdentificationResult:
+class IdentificationResult(OverOutputs):
     """A modal model and what is to be known about its estimation.
 
     Attributes
@@ -92,6 +92,7 @@ class IdentificationResult:
     reason : str -- why the iteration ended
     iterations : int
     warnings : tuple of str -- what a reader must know before trusting the numbers
+        Beside these, everything that ``OverOutputs`` lists.
     """
 
     model: ModalModel
@@ -103,41 +104,6 @@ class IdentificationResult:
     reason: str
     iterations: int
     warnings: tuple[str, ...]
-
-    @property
-    def times_s(self) -> tuple[FloatArray, ...]:
-        """Stamps of the samples used, of every output [s]."""
-        return tuple(output.times_s for output in self.outputs)
-
-    @property
-    def measured(self) -> tuple[FloatArray, ...]:
-        """Samples used, of every output."""
-        return tuple(output.measured for output in self.outputs)
-
-    @property
-    def modelled(self) -> tuple[FloatArray, ...]:
-        """What the model says there, of every output."""
-        return tuple(output.modelled for output in self.outputs)
-
-    @property
-    def residuals(self) -> tuple[FloatArray, ...]:
-        """Measured less modelled, of every output."""
-        return tuple(output.residuals for output in self.outputs)
-
-    @property
-    def records(self) -> tuple[tuple[RecordFit, ...], ...]:
-        """What belongs to each record, of every output."""
-        return tuple(output.records for output in self.outputs)
-
-    @property
-    def scores(self) -> tuple[Scores, ...]:
-        """Agreement, of every output."""
-        return tuple(output.scores for output in self.outputs)
-
-    @property
-    def whiteness(self) -> tuple[Whiteness, ...]:
-        """Whiteness of the residuals, of every output."""
-        return tuple(output.whiteness for output in self.outputs)
 
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""

@@ -154,6 +154,15 @@ class ModalModel:
         """Standard deviations of the damping ratios."""
         return self._sd(self.n_modes, self.n_modes)
 
+    def modes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return natural frequencies [rad/s], damping ratios and the standard deviations of both."""
+        return (
+            self.natural_frequencies,
+            self.damping_ratios,
+            self.natural_frequency_sd,
+            self.damping_ratio_sd,
+        )
+
     @property
     def latency_sd(self) -> float:
         """Standard deviation of the latency [s]."""

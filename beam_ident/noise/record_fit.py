@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,55 @@ class RecordFit:
     offset: float
     ramp: float
     noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
+
+
+class OverOutputs:
+    """What a result says over its ``outputs``: a tuple with one of each for every output.
+
+    Attributes
+    ----------
+    times_s, measured, modelled, residuals : tuple of ndarray, each (n_used,) -- stamps in s
+    scores : tuple of Scores
+    whiteness : tuple of Whiteness
+    records : tuple of tuple of RecordFit -- of every output, record by record
+    """
+
+    outputs: tuple[Any, ...]
+
+    @property
+    def times_s(self) -> tuple[FloatArray, ...]:
+        """Stamps of the samples used, of every output [s]."""
+        return tuple(output.times_s for output in self.outputs)
+
+    @property
+    def measured(self) -> tuple[FloatArray, ...]:
+        """Samples used, of every output."""
+        return tuple(output.measured for output in self.outputs)
+
+    @property
+    def modelled(self) -> tuple[FloatArray, ...]:
+        """What the model says there, of every output."""
+        return tuple(output.modelled for output in self.outputs)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """Measured less modelled, of every output."""
+        return tuple(output.residuals for output in self.outputs)
+
+    @property
+    def records(self) -> tuple[tuple[RecordFit, ...], ...]:
+        """What belongs to each record, of every output."""
+        return tuple(output.records for output in self.outputs)
+
+    @property
+    def scores(self) -> tuple[Scores, ...]:
+        """Agreement, of every output."""
+        return tuple(output.scores for output in self.outputs)
+
+    @property
+    def whiteness(self) -> tuple[Whiteness, ...]:
+        """Whiteness of the residuals, of every output."""
+        return tuple(output.whiteness for output in self.outputs)
 
 
 def in_units_of_level(parts: Sequence[FloatArray]) -> FloatArray:

@@ -96,6 +96,11 @@ class SubspaceModel:
         pairs = pairs[np.argsort(np.abs(pairs))]
         return np.asarray(-pairs.real / np.abs(pairs))
 
+    def modes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return natural frequencies [rad/s] and damping ratios; NaN stands for their standard deviations."""
+        unknown = np.full(len(self.natural_frequencies), np.nan)
+        return self.natural_frequencies, self.damping_ratios, unknown, unknown
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
         return written(self, "subspace_model", SCHEMA)

@@ -28,7 +28,7 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.noise.record_fit import RecordFit, pooled_scores
+from beam_ident.noise.record_fit import OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -131,6 +131,48 @@ class MultiInputResult(RationalFit):
     """
 
     model: MultiInputModel
+
+
+@dataclass(frozen=True, eq=False)
+class SeparateOutputsResult(OverOutputs):
+    """A transfer function of every output, each estimated by itself and with poles of its own.
+
+    Attributes
+    ----------
+    outputs : tuple of TransferFunctionResult
+        Beside it, everything that ``OverOutputs`` lists.
+    """
+
+    outputs: tuple[TransferFunctionResult, ...]
+
+    @property
+    def models(self) -> tuple[TransferFunctionModel, ...]:
+        """Transfer function of every output."""
+        return tuple(output.model for output in self.outputs)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every estimation came to its end."""
+        return all(output.converged for output in self.outputs)
+
+    @property
+    def reason(self) -> str:
+        """Why each of them ended."""
+        return "; ".join(f"{output.model.output_name}: {output.reason}" for output in self.outputs)
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all of them."""
+        return sum(output.iterations for output in self.outputs)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know before trusting the numbers."""
+        return tuple(
+            f"Output {output.model.output_name}: {said}"
+            for output in self.outputs
+            for said in output.warnings
+        )
 
 
 @overload

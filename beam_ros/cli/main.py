@@ -11,6 +11,7 @@ import contextlib
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from typing import NoReturn
 
 from beam_ros.errors import faults_of_the_user
@@ -34,7 +35,7 @@ OFFLINE: dict[str, str] = {
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
-    "identify": "a continuous-time model with common poles from a bag",
+    "identify": "a continuous-time model from a bag, by one of several estimators",
 }
 """Verbs that need no ROS graph."""
 
@@ -44,7 +45,14 @@ OK, FAULT_OF_THE_USER, INTERRUPTED = 0, 2, 130
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose refusals are one line."""
+    """Parser whose refusals are one line, and whose help may end with what is looked up only then."""
+
+    listing: Callable[[], str] | None = None
+
+    def format_help(self) -> str:
+        if self.listing is not None:
+            self.epilog = self.listing()
+        return super().format_help()
 
     def error(self, message: str) -> NoReturn:
         self.exit(FAULT_OF_THE_USER, f"{self.prog}: {message}; `{self.prog} --help` shows what is expected\n")
@@ -58,6 +66,7 @@ def _verb_parser(verb: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.listing = getattr(module, "epilog", None)
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
     return parser

@@ -229,6 +229,7 @@ class IdentifierSettings:
 
     bag: str = live("folder of the bag")
     report: str = live("folder for report and model; empty: beside the bag")
+    estimator: str = live("how to estimate; `beam identify --help` lists the estimators")
     modes: int = live("number of modes; 0: from the data", "", 0, 20)
     structure: Literal["auto", "base_motion", "acceleration", "velocity", "force"] = live(
         "which model fits which input"

@@ -48,6 +48,7 @@ class Identifier(RigNode):
         try:
             self._outcome = identify_bag(
                 bag,
+                estimator=rig.identifier.estimator,
                 structure=rig.identifier.structure,
                 n_modes=rig.identifier.modes or None,
                 folder=Path(folder),

@@ -17,12 +17,19 @@ from typing import Any
 import numpy as np
 
 from beam_ident import (
+    EstimatorSettings,
     IdentificationResult,
     InputSignal,
+    LineResult,
+    ModalModel,
     OutputSignal,
     Prior,
+    Result,
     TimeRecord,
-    identify,
+    TimeResult,
+    find_estimator,
+    models_of,
+    run_estimator,
     validate,
 )
 from beam_ident.excitation import describe_recipe
@@ -258,6 +265,7 @@ def theoretical_modes(rig: Rig, structure: str) -> tuple[FloatArray, FloatArray]
 def identify_bag(
     path: Path,
     *,
+    estimator: str = "modal",
     rig: Rig | None = None,
     structure: str = "auto",
     n_modes: int | None = None,
@@ -270,6 +278,7 @@ def identify_bag(
     Parameters
     ----------
     path : Path -- the bag
+    estimator : str -- its name in the table of ``beam_ident.estimators``
     rig : Rig, optional -- None: as the bag says
     structure : str -- "auto" or one of base_motion, acceleration, velocity, force
     n_modes : int, optional -- None: from the data
@@ -285,18 +294,19 @@ def identify_bag(
     ------
     BagError, UsageError, IdentificationError
     """
+    find_estimator(estimator)
     experiment = load_experiment(path, rig, structure)
     unseen = None if validation is None else load_experiment(validation, rig, structure)
     if folder is not None:
         make_folder(folder)
-    result = identify(
-        experiment.record,
+    settings = EstimatorSettings(
         experiment.structure,  # type: ignore[arg-type]
         n_modes,
-        clock_rate=experiment.clock_rate,
-        progress=progress,
+        experiment.clock_rate,
+        progress,
     )
-    content = describe(experiment, result)
+    result = run_estimator(estimator, experiment.record, settings)
+    content = describe(experiment, estimator, result)
     if unseen is not None:
         content["validation"] = _validate(unseen, result)
     if folder is not None:
@@ -305,60 +315,96 @@ def identify_bag(
     return content
 
 
-def describe(experiment: Experiment, result: IdentificationResult) -> dict[str, Any]:
+def describe(experiment: Experiment, estimator: str, result: Result) -> dict[str, Any]:
     """Summarise an identification in plain numbers, beside the theory of its rig."""
-    model = result.model
-    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
-    modes = []
-    for k in range(model.n_modes):
-        nearest = int(np.argmin(np.abs(np.log(omegas / model.natural_frequencies[k]))))
-        hertz = 2.0 * math.pi
-        f, f_sd = model.natural_frequencies[k] / hertz, model.natural_frequency_sd[k] / hertz
-        zeta, zeta_sd = model.damping_ratios[k], model.damping_ratio_sd[k]
-        f_theory, zeta_theory = omegas[nearest] / hertz, zetas[nearest]
-        modes.append(
-            {
-                "frequency_hz": float(f),
-                "frequency_sd_hz": float(f_sd),
-                "damping_ratio": float(zeta),
-                "damping_ratio_sd": float(zeta_sd),
-                "theory_mode": nearest + 1,
-                "theory_frequency_hz": float(f_theory),
-                "theory_damping_ratio": float(zeta_theory),
-                "frequency_z": float((f - f_theory) / f_sd),
-                "damping_ratio_z": float((zeta - zeta_theory) / zeta_sd),
-            }
-        )
-    scores = {
-        output.name: {
-            "fit_percent": output.scores.fit_percent,
-            "r_squared": output.scores.r_squared,
-            "deflection_fit_percent": output.deflection_scores.fit_percent,
-            "deflection_r_squared": output.deflection_scores.r_squared,
-            "noise_sd_m": output.noise_sd,
-            "residuals_are_white": output.whiteness.is_white,
-        }
-        for output in result.outputs
-    }
-    return {
+    content: dict[str, Any] = {
         "schema": SCHEMA,
         "bag": str(experiment.path),
+        "estimator": estimator,
         "structure": experiment.structure,
-        "outputs": list(model.output_names),
-        "modes": modes,
-        "latency_s": model.latency,
-        "latency_sd_s": model.latency_sd,
-        "clock_rate": model.clock_rate,
-        "clock_rate_sd": model.clock_rate_sd,
-        "scores": scores,
+        "outputs": list(experiment.record.output_names),
+        "modes": _modes(experiment, result),
+    }
+    model = models_of(result)[0]
+    if isinstance(model, ModalModel):
+        content |= {
+            "latency_s": model.latency,
+            "latency_sd_s": model.latency_sd,
+            "clock_rate": model.clock_rate,
+            "clock_rate_sd": model.clock_rate_sd,
+        }
+    content["scores"] = _scores(experiment, result)
+    if isinstance(result, LineResult):
+        content["misfit"] = result.misfit.chi_squared / result.misfit.expected
+    return content | {
         "converged": result.converged,
         "warnings": list(result.warnings),
         "notes": list(experiment.notes),
     }
 
 
-def _validate(unseen: Experiment, result: IdentificationResult) -> dict[str, Any]:
-    """Score the model on data that it was not fitted to."""
+def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
+    """Return every mode beside the nearest of theory; by output where each has poles of its own."""
+    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
+    found: dict[tuple[float, ...], Any] = {}
+    for model in models_of(result):
+        modes = model.modes() if hasattr(model, "modes") else ((), (), (), ())
+        found.setdefault(tuple(modes[0]), (model, modes))
+    rows = []
+    hertz = 2.0 * math.pi
+    for model, modes in found.values():
+        for omega, zeta, omega_sd, zeta_sd in zip(*modes, strict=True):
+            nearest = int(np.argmin(np.abs(np.log(omegas / omega))))
+            row = {
+                "frequency_hz": float(omega / hertz),
+                "frequency_sd_hz": float(omega_sd / hertz),
+                "damping_ratio": float(zeta),
+                "damping_ratio_sd": float(zeta_sd),
+                "theory_mode": nearest + 1,
+                "theory_frequency_hz": float(omegas[nearest] / hertz),
+                "theory_damping_ratio": float(zetas[nearest]),
+                "frequency_z": float((omega - omegas[nearest]) / omega_sd),
+                "damping_ratio_z": float((zeta - zetas[nearest]) / zeta_sd),
+            }
+            rows.append(row if len(found) == 1 else {"output": model.output_name, **row})
+    return rows
+
+
+def _scores(experiment: Experiment, result: Result) -> dict[str, dict[str, Any]]:
+    """Return how well every output is reproduced, where the result is one from samples."""
+    if not isinstance(result, TimeResult):
+        return {}
+    parts = (result.scores, result.whiteness, result.residuals)
+    scores = {
+        name: {
+            "fit_percent": own.fit_percent,
+            "r_squared": own.r_squared,
+            "noise_sd_m": float(np.std(residuals)),
+            "residuals_are_white": whiteness.is_white,
+        }
+        for name, own, whiteness, residuals in zip(
+            experiment.record.output_names,
+            *(part if isinstance(part, tuple) else (part,) for part in parts),
+            strict=True,
+        )
+    }
+    for output in result.outputs if isinstance(result, IdentificationResult) else ():
+        scores[output.name] |= {
+            "deflection_fit_percent": output.deflection_scores.fit_percent,
+            "deflection_r_squared": output.deflection_scores.r_squared,
+            "noise_sd_m": output.noise_sd,
+        }
+    return scores
+
+
+def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
+    """Score the model, or the model of every output, on data that it was not fitted to."""
+    for model in models_of(result):
+        if not hasattr(model, "simulate"):
+            raise UsageError(
+                f"--validate needs a model that predicts, and this estimator gives a {type(model).__name__}; leave "
+                "--validate out, or take the estimator modal"
+            )
     scores = {
         output.name: {
             "fit_percent": output.scores.fit_percent,
@@ -367,21 +413,26 @@ def _validate(unseen: Experiment, result: IdentificationResult) -> dict[str, Any
             "residual_over_noise": output.noise_ratio,
             "verdict": output.verdict,
         }
-        for output in validate(result.model, unseen.record).outputs
+        for model in models_of(result)
+        for output in validate(model, unseen.record).outputs
     }
     return {"bag": str(unseen.path), "scores": scores}
 
 
-def _write(
-    folder: Path, experiment: Experiment, result: IdentificationResult, content: dict[str, Any]
-) -> None:
-    from beam_ident.report.identification import write_report
-
+def _write(folder: Path, experiment: Experiment, result: Result, content: dict[str, Any]) -> None:
+    """Write the models and, for what ``identify`` found, the report."""
     model_path, report_path = folder / "model.json", folder / "report.html"
     partial = model_path.with_name(model_path.name + ".partial")
-    document = {"schema": SCHEMA, "model": result.model.to_dict(), "summary": content}
+    stored = [model.to_dict() for model in models_of(result)]
+    models = {"model": stored[0]} if len(stored) == 1 else {"models": stored}
+    document = {"schema": SCHEMA, **models, "summary": content}
     partial.write_text(strict_json(document, indent=1), encoding="utf-8")
     os.replace(partial, model_path)
+    content["model"] = str(model_path)
+    if not isinstance(result, IdentificationResult):
+        return
+    from beam_ident.report.identification import write_report
+
     omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
     highest = 1.5 * float(np.max(result.model.natural_frequencies))
     reference = [
@@ -398,7 +449,7 @@ def _write(
         provenance=_provenance(experiment),
         notes=experiment.notes,
     )
-    content["model"], content["report"] = str(model_path), str(report_path)
+    content["report"] = str(report_path)
 
 
 def _provenance(experiment: Experiment) -> dict[str, str]:
@@ -424,12 +475,19 @@ def format_table(content: Mapping[str, Any]) -> str:
         "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
     ]
     for k, mode in enumerate(content["modes"], start=1):
-        f, f_sd = mode["frequency_hz"], mode["frequency_sd_hz"]
-        decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if f_sd > 0.0 else 6
-        zeta, zeta_sd = 100 * mode["damping_ratio"], 100 * mode["damping_ratio_sd"]
+        f_sd, zeta_sd = mode["frequency_sd_hz"], 100 * mode["damping_ratio_sd"]
+        decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if 0.0 < f_sd < math.inf else 6
         lines.append(
-            f"{k:>4} {f:>13.{decimals}f} +- {f_sd:<8.2g} {mode['theory_frequency_hz']:>13.{decimals}f} "
-            f"{mode['frequency_z']:>+6.1f}      {zeta:>8.5f} +- {zeta_sd:<8.2g} "
-            f"{100 * mode['theory_damping_ratio']:>7.4f} {mode['damping_ratio_z']:>+6.1f}"
+            f"{mode.get('output', k):>4} {mode['frequency_hz']:>13.{decimals}f} +- {_or_dash(f_sd, '<8.2g')} "
+            f"{mode['theory_frequency_hz']:>13.{decimals}f} {_or_dash(mode['frequency_z'], '>+6.1f')}      "
+            f"{100 * mode['damping_ratio']:>8.5f} +- {_or_dash(zeta_sd, '<8.2g')} "
+            f"{100 * mode['theory_damping_ratio']:>7.4f} {_or_dash(mode['damping_ratio_z'], '>+6.1f')}"
         )
     return "\n".join(lines)
+
+
+def _or_dash(value: float, form: str) -> str:
+    """Return a number in a format that begins with alignment and width, or a dash where it is not known."""
+    return (
+        format(value, form) if math.isfinite(value) else format("-", form.replace("+", "").partition(".")[0])
+    )

@@ -1,7 +1,7 @@
-"""Identify a continuous-time model with common poles from a recorded bag.
+"""Identify a continuous-time model from a recorded bag.
 
 Prints the natural frequencies and damping ratios beside the theory of the rig that the bag describes; writes
-model.json and a self-contained report.html into the folder of --report.
+model.json into the folder of --report and, with the estimator modal, a self-contained report.html.
 """
 
 from __future__ import annotations
@@ -21,6 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--validate", type=Path, metavar="BAG", help="another bag to score the model on")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for model.json and report.html")
+    parser.add_argument(
+        "--estimator",
+        default="modal",
+        metavar="NAME",
+        help="how to estimate (default: modal); they are listed below",
+    )
     parser.add_argument("--modes", type=int, help="number of modes (default: from the data)")
     parser.add_argument(
         "--structure",
@@ -32,6 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
+def epilog() -> str:
+    """Return the list of estimators, those of other packages included."""
+    from beam_ident import estimator_meanings
+
+    meanings = estimator_meanings()
+    width = max(map(len, meanings))
+    return "\n".join(
+        ("estimators:", *(f"  {name:<{width}}  {meaning}" for name, meaning in meanings.items()))
+    )
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from beam_ros.offline.identification import format_table, identify_bag
@@ -40,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress("identify", 1.0) as stage:
         result = identify_bag(
             arguments.bag,
+            estimator=arguments.estimator,
             rig=rig,
             structure=arguments.structure,
             n_modes=arguments.modes,
@@ -53,13 +71,16 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(format_table(result))
     for name, score in result["scores"].items():
-        print(
-            f"{name}   FIT {score['fit_percent']:.3f} %, of the deflection {score['deflection_fit_percent']:.2f} %"
-        )
+        deflection = score.get("deflection_fit_percent")
+        of_deflection = "" if deflection is None else f", of the deflection {deflection:.2f} %"
+        print(f"{name}   FIT {score['fit_percent']:.3f} %{of_deflection}")
+    if result.get("misfit"):
+        print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
     for name, score in result.get("validation", {}).get("scores", {}).items():
         print(f"{name} on {arguments.validate}: {score['verdict']}")
     for line in (*result["notes"], *result["warnings"]):
         print(f"note: {line}")
     if arguments.report is not None:
-        print(f"report   {result['report']}\nmodel    {result['model']}")
+        report = result.get("report", "none: it shows what the estimator modal finds")
+        print(f"report   {report}\nmodel    {result['model']}")
     return 0

@@ -1,0 +1,163 @@
+"""The one table of estimators that are called by name, as ``beam identify --estimator NAME`` does.
+
+An estimator is a function from a record and settings to a ``Result``. A new one is a file with that function and
+a line in ``ESTIMATORS``; another package adds its own, without a change here, as an entry point of the group
+``beam_ident.estimators``. Nothing is loaded before it is asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
+
+from beam_ident.errors import EstimationError
+from beam_ident.results import LineResult, Result, TimeResult
+
+if TYPE_CHECKING:
+    from beam_ident.data.batches import Progress
+    from beam_ident.data.prior import Prior
+    from beam_ident.data.records import TimeRecord
+    from beam_ident.modal.structure import StructureKind
+
+GROUP = "beam_ident.estimators"
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """What is known of a record beforehand, and what is wanted; every estimator uses what concerns it.
+
+    Attributes
+    ----------
+    structure : str -- which model goes with the input, as in ``identify``
+    n_modes : int or None -- how many modes, each a pair of poles; None: from the data
+    clock_rate : Prior or None -- what is known of the outputs' clock against the input's
+    progress : callable or None -- called with a phrase and the share done, between 0 and 1
+    """
+
+    structure: StructureKind = "base_motion"
+    n_modes: int | None = None
+    clock_rate: Prior | None = None
+    progress: Progress | None = None
+
+
+class Estimator(Protocol):
+    """What a name in the table stands for."""
+
+    def __call__(self, record: TimeRecord, settings: EstimatorSettings, /) -> Result:
+        """Estimate from a record; raise EstimationError where that cannot be done."""
+
+
+@dataclass(frozen=True)
+class EstimatorEntry:
+    """One line of the table.
+
+    Attributes
+    ----------
+    meaning : str -- for a person who chooses
+    where : str -- module:function
+    result : type -- the contract that its results keep
+    """
+
+    meaning: str
+    where: str
+    result: type[object]
+
+
+ESTIMATORS: dict[str, EstimatorEntry] = {
+    "modal": EstimatorEntry(
+        "modes common to all outputs, maximum likelihood with every noise weighed (identify)",
+        "beam_ident.record_estimators:modal",
+        TimeResult,
+    ),
+    "transfer_function": EstimatorEntry(
+        "B(s)/A(s) e^(-s T) of every output by itself, degrees chosen by BIC (select_transfer_function)",
+        "beam_ident.record_estimators:transfer_function",
+        TimeResult,
+    ),
+    "common_poles": EstimatorEntry(
+        "the same with one A(s) for all outputs, at the delay found first (estimate_common_poles)",
+        "beam_ident.record_estimators:common_poles",
+        TimeResult,
+    ),
+    "po_moesp": EstimatorEntry(
+        "subspace model without iteration, order by BIC, no standard deviations (subspace_model)",
+        "beam_ident.record_estimators:po_moesp",
+        TimeResult,
+    ),
+    "local_polynomial": EstimatorEntry(
+        "modes fitted to a local polynomial frequency response, for long records (fit_frequency_modes)",
+        "beam_ident.record_estimators:local_polynomial",
+        LineResult,
+    ),
+}
+
+
+def estimator_meanings() -> dict[str, str]:
+    """Return every estimator's name and meaning; those of other packages are named, not loaded."""
+    others = _plug_ins()
+    return {name: entry.meaning for name, entry in ESTIMATORS.items()} | {
+        name: f"added by {found.dist.name if found.dist else found.value}"
+        for name, found in sorted(others.items())
+        if name not in ESTIMATORS
+    }
+
+
+def find_estimator(name: str) -> Estimator:
+    """Return an estimator by its name: one of the table, else one that an installed package adds.
+
+    Raises
+    ------
+    EstimationError
+        Nobody has that name, or the package that has it cannot be loaded.
+    """
+    if name in ESTIMATORS:
+        module, _, function = ESTIMATORS[name].where.partition(":")
+        own: Estimator = getattr(import_module(module), function)
+        return own
+    others = _plug_ins()
+    if name not in others:
+        known: Sequence[str] = [*ESTIMATORS, *sorted(set(others) - set(ESTIMATORS))]
+        near = difflib.get_close_matches(name, known, 1, 0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"a package adds one as entry point of {GROUP}"
+        raise EstimationError(f"no estimator {name!r}; expected one of {', '.join(known)}: {hint}")
+    try:
+        added: Estimator = others[name].load()
+    except (ImportError, AttributeError) as err:
+        raise EstimationError(
+            f"estimator {name!r} cannot be loaded from {others[name].value} ({err}); expected an entry point of "
+            f"{GROUP} that can be imported. Install its package anew"
+        ) from err
+    return added
+
+
+def run_estimator(name: str, record: TimeRecord, settings: EstimatorSettings) -> Result:
+    """Estimate from a record with the estimator of a name.
+
+    Parameters
+    ----------
+    name : str -- one of ``estimator_meanings()``
+    record : TimeRecord
+    settings : EstimatorSettings
+
+    Raises
+    ------
+    EstimationError
+        No such estimator, one that returns no ``Result``, or whatever the estimator itself refuses.
+    """
+    found = find_estimator(name)(record, settings)
+    if not isinstance(found, Result):
+        raise EstimationError(
+            f"estimator {name!r} returned a {type(found).__name__}; expected a Result, with converged, reason, "
+            "iterations and warnings"
+        )
+    return found
+
+
+def _plug_ins() -> dict[str, Any]:
+    """Return the entry points of other packages by name; nothing of them is imported."""
+    from importlib.metadata import entry_points
+
+    return {found.name: found for found in entry_points(group=GROUP)}
