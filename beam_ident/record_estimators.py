@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,10 @@ from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.subspace.model import SubspaceModel, subspace_model
 from beam_ident.transfer_function.structure_gates import information_criterion
 from beam_ident.transfer_function_estimation.common_poles import CommonPoleResult, estimate_common_poles
-from beam_ident.transfer_function_estimation.estimation import SeparateOutputsResult
+from beam_ident.transfer_function_estimation.estimation import (
+    SeparateOutputsResult,
+    estimate_transfer_function,
+)
 from beam_ident.transfer_function_estimation.order_selection import select_transfer_function
 
 if TYPE_CHECKING:
@@ -52,23 +55,29 @@ def transfer_function(record: TimeRecord, settings: EstimatorSettings) -> Separa
 
     Notes
     -----
-    As many zeros as poles: a camera at rest sees the base's motion directly, and modes above the band leave a
-    residual term.
+    As many zeros as poles, since a camera at rest sees the base's motion directly and a free base follows its force;
+    two fewer on a fixed structure. A number of modes that is given is taken; what speaks against it stands in
+    the warnings.
     """
+    options: dict[str, Any] = {
+        "has_offset": True,
+        "has_ramp": True,
+        "delay": "estimate",
+        "n_integrators": _INTEGRATORS.get(settings.structure, 0),
+    }
     degrees = _degrees(settings, _MOST_MODES)
+    zeros = [n - _fewer_zeros(settings) for n in degrees]
     chosen = []
     for number, name in enumerate(record.output_names):
-        selection = select_transfer_function(
-            record.select((name,)),
-            degrees,
-            degrees,
-            progress=_part(settings.progress, number, len(record.outputs), name),
-            has_offset=True,
-            has_ramp=True,
-            delay="estimate",
-            n_integrators=_INTEGRATORS.get(settings.structure, 0),
-        )
-        chosen.append(selection.chosen)
+        part, progress = record.select((name,)), _part(settings.progress, number, len(record.outputs), name)
+        try:
+            if settings.n_modes:
+                chosen.append(estimate_transfer_function(part, *degrees, *zeros, **options))
+            else:
+                selection = select_transfer_function(part, degrees, zeros, progress=progress, **options)
+                chosen.append(selection.chosen)
+        except EstimationError as err:
+            raise EstimationError(f"output {name!r}: {err}") from err
     return SeparateOutputsResult(tuple(chosen))
 
 
@@ -88,7 +97,7 @@ def common_poles(record: TimeRecord, settings: EstimatorSettings) -> CommonPoleR
     found = estimate_common_poles(
         record,
         n_poles,
-        n_poles,
+        n_poles - _fewer_zeros(settings),
         has_offset=True,
         has_ramp=True,
         delay=delay,
@@ -144,6 +153,11 @@ def _refuse_drift(settings: EstimatorSettings, why: str) -> None:
             f"structure {settings.structure!r} has poles at zero, and {why}; expected 'base_motion' or 'receptance'. "
             "Take the estimator modal or transfer_function"
         )
+
+
+def _fewer_zeros(settings: EstimatorSettings) -> int:
+    """Return how many zeros fewer than poles, those at zero left aside, the structure has."""
+    return 2 if settings.structure == "receptance" else 0
 
 
 def _degrees(settings: EstimatorSettings, most: int) -> tuple[int, ...]:

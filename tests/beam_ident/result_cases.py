@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from beam_ident import (
+    ESTIMATORS,
+    EstimatorSettings,
     FrequencyRecord,
     InputSignal,
     OutputSignal,
@@ -23,6 +25,7 @@ from beam_ident import (
     fit_frequency_transfer_function,
     identify,
     periodic_response,
+    run_estimator,
     stabilisation_chart,
     subspace_model,
 )
@@ -81,7 +84,9 @@ def looped() -> TimeRecord:
 
 @functools.cache
 def result(name: str) -> Any:
-    """Return the result of an estimator, by its name."""
+    """Return the result of an estimator, by its name or by that of the table."""
+    if name in ESTIMATORS:
+        return run_estimator(name, record(), EstimatorSettings("receptance", 1))
     one = record().select(("y",))
     if name == "identify":
         return identify(record(), "receptance", n_modes=1)
@@ -105,7 +110,15 @@ def result(name: str) -> Any:
     return analyse_modes(chart, [3.2])
 
 
-OVER_SEVERAL_OUTPUTS = ("identify", "estimate_common_poles", "subspace_model", "fit_free_decay")
+BY_NAME = tuple(ESTIMATORS)
+OVER_SEVERAL_OUTPUTS = (
+    "identify",
+    "estimate_common_poles",
+    "subspace_model",
+    "fit_free_decay",
+    *(name for name in BY_NAME if name != "local_polynomial"),
+)
 OVER_ONE_OUTPUT = ("estimate_transfer_function", "several inputs", "estimate_in_closed_loop")
-OVER_LINES = ("fit_frequency_modes", "fit_frequency_transfer_function", "analyse_modes")
+OVER_RECORDS = ("fit_frequency_modes", "local_polynomial")
+OVER_LINES = (*OVER_RECORDS, "fit_frequency_transfer_function", "analyse_modes")
 ALL = OVER_SEVERAL_OUTPUTS + OVER_ONE_OUTPUT + OVER_LINES

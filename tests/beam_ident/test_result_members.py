@@ -1,12 +1,60 @@
-"""What every result has, by the same name and with the same meaning."""
+"""What every result has, by the same name and meaning: the contract in code and its table in the docs."""
 
 from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from beam_ident import InputSignal, OutputSignal, Scores, TimeRecord, Whiteness, subspace_model
+from beam_ident import (
+    ESTIMATORS,
+    InputSignal,
+    LineResult,
+    OutputSignal,
+    Result,
+    Scores,
+    TimeRecord,
+    TimeResult,
+    Whiteness,
+    models_of,
+    restore,
+    subspace_model,
+)
 from tests.beam_ident import result_cases
+
+PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
+OF_TWO_OUTPUTS = set(result_cases.OVER_SEVERAL_OUTPUTS) - {"fit_free_decay"}
+
+
+@pytest.mark.parametrize("contract", [Result, TimeResult, LineResult])
+def test_the_docs_list_the_members_of_every_contract(contract):
+    text = re.search(rf"^\| `{contract.__name__}`.*?\n(?=\| `\w+Result`|\n)", PAGE.read_text(), re.M | re.S)
+    rows = [row.split("|") for row in text[0].splitlines()]
+    listed = [name for row in rows for name in re.findall(r"`(\w+)`", row[2])]
+    assert sorted(listed) == sorted(name for name, own in vars(contract).items() if isinstance(own, property))
+
+
+@pytest.mark.parametrize("name", result_cases.ALL)
+def test_every_result_keeps_its_contract(name):
+    found = result_cases.result(name)
+    assert isinstance(found, Result)
+    assert isinstance(found, TimeResult) == (name not in result_cases.OVER_LINES)
+    assert isinstance(found, LineResult) == (name in result_cases.OVER_LINES)
+
+
+@pytest.mark.parametrize("name", result_cases.BY_NAME)
+def test_what_the_table_promises_is_kept_and_the_models_can_be_stored(name):
+    found = result_cases.result(name)
+    assert isinstance(found, ESTIMATORS[name].result)
+    for model in models_of(found):
+        assert restore(json.loads(json.dumps(model.to_dict(), allow_nan=False))).to_dict() == model.to_dict()
+        omegas, zetas, omega_sd, zeta_sd = model.modes()
+        assert omegas == pytest.approx([20.0], rel=0.01)
+        assert zetas == pytest.approx([0.1], rel=0.1)
+        assert omega_sd.shape == zeta_sd.shape == (1,)
 
 
 @pytest.mark.parametrize("name", result_cases.ALL)
@@ -47,10 +95,10 @@ def test_measured_is_modelled_and_residuals_of_every_output(name):
         assert scores.fit_percent == pytest.approx(Scores.of(measured, residuals).fit_percent)
         assert isinstance(whiteness, Whiteness)
         count += 1
-    assert count == (1 if name == "fit_free_decay" else 2)
+    assert count == (2 if name in OF_TWO_OUTPUTS else 1)
 
 
-@pytest.mark.parametrize("name", ["identify", "estimate_common_poles"])
+@pytest.mark.parametrize("name", ["identify", "estimate_common_poles", "transfer_function"])
 def test_records_say_what_belongs_to_each_of_them_for_every_output(name):
     found = result_cases.result(name)
     assert len(found.records) == len(found.measured)
@@ -61,9 +109,10 @@ def test_records_say_what_belongs_to_each_of_them_for_every_output(name):
 @pytest.mark.parametrize("name", result_cases.OVER_LINES)
 def test_the_response_is_modelled_and_residuals(name):
     found = result_cases.result(name)
-    own = found.records[0] if name == "fit_frequency_modes" else found.record
+    is_of_records = name in result_cases.OVER_RECORDS
+    own = found.records[0] if is_of_records else found.record
     modelled, residuals = found.modelled, found.residuals
-    if name == "fit_frequency_modes":
+    if is_of_records:
         modelled, residuals = modelled[0], residuals[0]
     np.testing.assert_allclose((modelled + residuals).ravel(), own.response.ravel(), rtol=1e-12)
     assert found.misfit.chi_squared == pytest.approx(
