@@ -14,6 +14,8 @@ TESTED_IN = (
     ("beam_model", "errors", "test_parameters"),
     ("beam_model", "frequency_response", "galerkin/test_model"),
     ("beam_model/galerkin", "matrices", "galerkin/test_model"),
+    ("beam_ident", "record_estimators", "test_estimators"),
+    ("beam_ident", "results", "test_result_members"),
     ("beam_ident/data", "bandwidth prior", "modal_estimation/test_time_domain"),
     ("beam_ident/data", "stored_form", "test_stored_results"),
     ("beam_ident/design", "summary", "design/test_prediction"),
