@@ -93,6 +93,7 @@ ESTIMATORS: dict[str, EstimatorEntry] = {
         LineResult,
     ),
 }
+"""The library's own estimators by name; no other package replaces one of them."""
 
 
 def estimator_meanings() -> dict[str, str]:
