@@ -16,9 +16,9 @@ Left out, because nothing that a user can measure depends on them:
 from __future__ import annotations
 
 import ast
-import random
+import hashlib
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -84,18 +84,26 @@ class Mutation:
 
 
 def draw(root: Path, count: int, seed: int) -> list[Mutation]:
-    """Draw mutations from all modules of the three packages, each place at most once."""
-    places: list[list[Mutation]] = []
+    """Draw mutations from all modules of the three packages, each place at most once.
+
+    The draw goes by the text of the lines, so that it stays the same when code moves.
+    """
+    ranked: list[tuple[bytes, list[Mutation]]] = []
+    met: Counter[tuple[str, int]] = Counter()
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
             path = file.relative_to(root).as_posix()
-            if not LEFT_OUT.search(path):
-                places += _places(path, file.read_text())
-    generator = random.Random(seed)
-    generator.shuffle(places)
+            source = file.read_text()
+            for place in _places(path, source) if not LEFT_OUT.search(path) else []:
+                line, column = place[0].position
+                text = source.splitlines()[line - 1]
+                indent = len(text) - len(text.lstrip())
+                met[text.strip(), column - indent] += 1
+                words = f"{seed} {text.strip()} {column - indent} {met[text.strip(), column - indent]}"
+                ranked.append((hashlib.sha256(words.encode()).digest(), place))
     drawn: list[Mutation] = []
-    for place in places:
-        mutation = generator.choice(place)
+    for rank, place in sorted(ranked, key=lambda pair: pair[0]):
+        mutation = place[rank[-1] % len(place)]
         if mutation.apply((root / mutation.path).read_text()) is not None:
             drawn.append(mutation)
         if len(drawn) == count:

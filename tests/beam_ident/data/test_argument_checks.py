@@ -27,6 +27,7 @@ from beam_ident import (
     subspace_model,
     validate,
 )
+from beam_ident.data.argument_checks import require_records
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.responses.periodic_averaging import periodic_response
@@ -167,3 +168,12 @@ def test_values_that_are_no_real_numbers_are_refused(values):
         OutputSignal("y", "m", (0.0, 0.1), values)
     with pytest.raises(RecordError, match="expected real numbers"):
         InputSignal("u", "N", values, np.ones(3))
+
+
+def test_records_of_one_fit_have_the_same_outputs_unless_one_may_lack_them():
+    drive = InputSignal("u", "", (0.0, PERIOD), np.ones(400))
+    first, second = (OutputSignal(name, "m", STAMPS, STAMPS) for name in ("first", "second"))
+    records = [TimeRecord((drive,), (first, second)), TimeRecord((drive,), (first,))]
+    with pytest.raises(EstimationError, match="expected the same outputs in all records"):
+        require_records(records)
+    assert require_records(records, may_lack_outputs=True) == records

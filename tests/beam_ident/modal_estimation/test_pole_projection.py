@@ -3,7 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from beam_ident import Prior
+from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.free_decay import _DecayBasis
+from beam_ident.modal_estimation.frequency_domain import LineBasis
 from beam_ident.modal_estimation.pole_projection import Part, PoleProblem, fit_poles, scan_poles
 
 
@@ -28,3 +32,34 @@ def test_a_candidate_lowers_the_cost_as_much_as_a_fit_with_it_does(is_noise_know
     for gain, omega, zeta in zip(found, omegas, zetas, strict=True):
         expected = cost(fixed) - cost([*fixed, basis.modal(omega, zeta, 0.0).value])
         assert gain == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_candidate_of_a_late_response_counts_as_much_as_a_fit_with_it():
+    omegas, latency = np.linspace(1.0, 100.0, 300), 0.004
+    s = 1j * omegas
+    late = np.exp(-s * latency)
+    response = late * (1.0 / (s**2 + 0.2 * s + 400.0) + 0.5 / (s**2 + 1.0 * s + 3025.0))
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((2, 300))
+    values = np.concatenate([response.real, response.imag]) + noise.ravel()
+    record = FrequencyRecord(omegas, response)
+    basis = LineBasis(record, ModalStructure("receptance", has_residual=False), is_late=True)
+    prior = Prior(latency, 0.0)
+    problem = PoleProblem((basis,), ((Part(0, values, np.full(600, 1e4)),),), latency=prior)
+    one = fit_poles(problem, np.array([20.0]), np.array([0.005]))
+    candidates = np.array([54.0, 55.0, 90.0, one.omegas[0]]), np.array([0.01, 0.009, 0.02, one.zetas[0]])
+    found = scan_poles(problem, one, *candidates)
+
+    def column(omega, zeta):
+        lines = late / (s**2 + 2.0 * zeta * omega * s + omega**2)
+        return 1e4 * np.concatenate([lines.real, lines.imag])
+
+    def cost(*poles):
+        matrix = np.stack([column(*pole) for pole in poles], axis=1)
+        left = 1e4 * values - matrix @ np.linalg.lstsq(matrix, 1e4 * values, rcond=None)[0]
+        return 0.5 * float(left @ left)
+
+    present = (one.omegas[0], one.zetas[0])
+    for gain, *pole in list(zip(found, *candidates, strict=True))[:-1]:
+        assert gain == pytest.approx(cost(present) - cost(present, pole), rel=1e-6)
+    # What is there already lowers nothing, however rounding falls.
+    assert found[-1] < 1e-6 * cost(present)

@@ -47,3 +47,12 @@ def test_a_peak_without_flanks_is_refused():
         half_power_damping(receptance(OMEGA + np.linspace(-0.2, 0.2, 21)))
     with pytest.raises(EstimationError, match="no peak"):
         half_power_damping(receptance(np.linspace(1.0, 20.0, 50)))
+
+
+def test_of_several_outputs_the_first_is_read_where_none_is_named():
+    omegas = np.linspace(50.0, 75.0, 4001)
+    other = 1.0 / (OMEGA**2 - omegas**2 + 2j * 0.03 * OMEGA * omegas)
+    both = np.stack([receptance(omegas).response[:, 0, 0], other], axis=1)[:, :, None]
+    record = FrequencyRecord(omegas, both, output_names=("light", "heavy"))
+    assert half_power_damping(record).damping_ratio == pytest.approx(ZETA, rel=1e-3)
+    assert half_power_damping(record, output_name="heavy").damping_ratio == pytest.approx(0.03, rel=3e-3)

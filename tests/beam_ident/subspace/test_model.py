@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
 from beam_ident.subspace.model import subspace_model
@@ -97,3 +98,16 @@ def test_windows_together_see_what_each_alone_does_not():
     together = subspace_poles([stretch], 6)[-1]
     found = np.sort(np.abs(together[together.imag > 0.0]))
     np.testing.assert_allclose(found, beam.omegas, rtol=3e-2)
+
+
+def test_windows_together_keep_a_real_pole_beside_a_light_mode():
+    plant = signal.TransferFunction([400.0], np.polymul([1.0, 0.4], [1.0, 0.8, 400.0]))
+    drive, times = prbs(4000), PERIOD_S * np.arange(4000)
+    values = signal.lsim(plant, drive, times, interp=False)[1]
+    values = values + 0.02 * np.std(values) * np.random.default_rng(0).standard_normal(4000)
+    stretch = Stretch([InputSignal("u", "", times, drive).signal()], [(times, values)])
+    windows = subspace_poles([stretch], 3)
+    assert len(windows) > 1
+    together = windows[-1]
+    np.testing.assert_allclose(together[together.imag == 0.0], [-0.4], rtol=0.1)
+    np.testing.assert_allclose(together[together.imag > 0.0], [-0.4 + 20.0j], rtol=0.02)

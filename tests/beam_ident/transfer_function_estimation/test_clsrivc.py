@@ -106,3 +106,24 @@ def test_what_does_not_belong_to_the_loop_is_refused():
     later = InputSignal("drive", "", drive.times_s[1:], drive.values[1:])
     with pytest.raises(EstimationError, match="not sampled at the same instants"):
         estimate(TimeRecord((record.input("reference"), later), record.outputs))
+
+
+def test_a_controller_may_be_written_with_any_leading_coefficient():
+    record = loop_record(0, 0.0, 300.0, 1500)
+    twice = dataclasses.replace(
+        CONTROLLER, numerator=2.5 * CONTROLLER.numerator, denominator=2.5 * CONTROLLER.denominator
+    )
+    np.testing.assert_allclose(estimate(record, twice).model.parameters[:5], PARAMETERS, rtol=1e-6)
+
+
+def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
+    record = loop_record(1, 0.0, 60.0, 1500)
+    output = record.outputs[0]
+    late = output.times_s + 0.0
+    share = (late - np.mean(late)) / (late[-1] - late[0])
+    seen = OutputSignal("position", "", late, output.values + 3.0 - 2.0 * share)
+    drifting = TimeRecord(record.inputs, (seen,))
+    both = estimate(drifting, has_offset=True, has_ramp=True).records[0]
+    assert (both.offset, both.ramp) == pytest.approx((3.0, -2.0), abs=0.02)
+    neither = estimate(record).records[0]
+    assert (neither.offset, neither.ramp) == (0.0, 0.0)

@@ -236,3 +236,11 @@ def test_unknown_parameters_and_bad_settings_are_refused() -> None:
         fit_beam(measure(None), TRUTH, model_discrepancy=-1.0)
     with pytest.raises(BeamParameterError, match="standard_deviation"):
         ParameterPrior(1.0, 0.0)
+
+
+def test_condition_and_inflation_of_two_parameters_belong_to_one_angle() -> None:
+    table = identifiability(strip(), ("length", "clamp_compliance"), heights=HEIGHTS)
+    condition = table.singular_values[0] / table.singular_values[1]
+    assert table.condition == pytest.approx(condition, rel=1e-12)
+    # Unit columns with the cosine c: condition^2 = (1 + c)/(1 - c), and both deviations grow by 1/sqrt(1 - c^2).
+    assert table.inflations == pytest.approx(np.full(2, 0.5 * (condition + 1.0 / condition)), rel=1e-9)

@@ -314,3 +314,21 @@ def test_ticks_do_not_depend_on_how_the_time_is_cut():
             counts += axis.advance(min(to, start + 310 * TICK)).position_counts.tolist()
         records.append(counts)
     assert all(record == records[0] for record in records)
+
+
+@pytest.mark.parametrize(
+    ("mode", "limit"), [("acceleration", "max_acceleration"), ("effort", "max_effort"), ("velocity", None)]
+)
+def test_a_command_at_its_limit_is_obeyed_and_one_beyond_it_is_a_fault(mode, limit):
+    def state_after(share):
+        parameters = HubParameters(command_mode=mode, max_effort=4.0)
+        axis = enabled_axis(parameters)
+        # In velocity the first step from rest is what the acceleration allows in a tick.
+        most = parameters.max_acceleration * T if limit is None else getattr(parameters, limit)
+        run_sequence(axis, np.full(5, share * most), extra_ticks=0)
+        return axis.state, axis.reason
+
+    assert "limit" not in state_after(1.0)[1]
+    state, reason = state_after(1.001)
+    assert state == "fault"
+    assert "limit" in reason
