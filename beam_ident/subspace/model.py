@@ -1,4 +1,7 @@
-"""A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them."""
+"""A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them.
+
+Equation numbers are those of docs/transfer-functions.md.
+"""
 
 from __future__ import annotations
 
@@ -153,6 +156,7 @@ def subspace_model(
         raise EstimationError(f"window_s is {window_s}; expected a time > 0, or None for a choice")
     require_whole_number("n_block_rows", n_block_rows, 2)
     stretches = [_stretch(one, records[0]) for one in records]
+    # Poles first, one set for every window; then each set is judged by what it leaves of the outputs.
     windows = subspace_windows(stretches, order, window_s, n_block_rows)
     measured = [
         np.concatenate([own.signals[j][1] for own in stretches]) for j in range(len(records[0].outputs))
@@ -161,6 +165,7 @@ def subspace_model(
     best_misfit = math.inf
     for found in windows:
         numerators, residuals = _numerators(records, found.poles)
+        # The likelihood with a level of its own for every output.
         misfit = sum(
             len(e) * math.log(max(float(e @ e), 1e-300) / float(np.sum((y - y.mean()) ** 2) or 1.0))
             for e, y in zip(residuals, measured, strict=True)
@@ -263,7 +268,10 @@ def _numerators(records: Sequence[TimeRecord], poles: ComplexArray) -> tuple[Flo
                 response = RationalResponse(
                     upper, scale, signal, signal.antiderivative(), instants, squares=False
                 )
+                # Numerators are linear once the poles are known: the columns are s^i/A u, (T.2), under the
+                # inputs' own holds.
                 columns += [response.over(power) for power in range(order, -1, -1)]
+            # Offset and ramp of every record, zero in the others.
             drifts = [np.zeros_like(times) for _ in range(2 * len(records))]
             drifts[2 * number], drifts[2 * number + 1] = np.ones_like(times), times - times.mean()
             rows.append(np.stack(columns + drifts, axis=1))

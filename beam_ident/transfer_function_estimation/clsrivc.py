@@ -13,6 +13,8 @@ the residuals.  It starts at the open-loop estimate and is found by Newton's met
 
 Several records of one loop are one set of equations: every record has its own reference, offset and
 drift, and its residuals their own colour and level, by which it weighs.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -260,6 +262,8 @@ class _Loop:
     def _weigh(self, point: _Point) -> None:
         """Give every record the colour and, where there are several, the level that its residuals have."""
         for own, left in zip(self.records, self._residuals(point), strict=True):
+            # C(q) and, with several records, the level: both are weights only, so that the estimate stays
+            # consistent whatever they are.
             own.noise = autoregression(left) if own.is_regular else np.ones(1)
             own.level = 1.0
             if len(self.records) > 1:
@@ -294,6 +298,8 @@ class _Loop:
         if not np.all(np.isfinite(theta)):
             return None
         upper = upper_roots(np.concatenate([[1.0], theta[: self.n]]))
+        # The gradients of an unstable plant grow without end; Newton's step is halved until this does not
+        # happen.
         if np.any(upper.real >= 0.0) or len(full_roots(upper)) != self.n:
             return None
         references = [own.reference for own in self.records]
@@ -304,6 +310,8 @@ class _Loop:
         for own, simulated_input in zip(self.records, inputs, strict=True):
             measured = (own.measured_drive, own.measured_integral)
             response, slopes = self._gradients(theta, upper, measured, own.instants)
+            # Z: the gradients (T.8) at the input u_s of the loop without noise. It does not know the noise of
+            # y.
             clean = own.clean_drive(simulated_input)
             clean_slopes = self._gradients(theta, upper, (clean, clean.antiderivative()), own.instants)[1]
             simulated.append(response)
@@ -321,6 +329,7 @@ class _Loop:
         """Return B/A and its derivatives by the coefficients, shape (n, n_poles + n_zeros + 1)."""
         n, b = self.n, theta[self.n :]
         response = RationalResponse(upper, self.scale, *signals, instants, squares=True)
+        # (T.8): -s^(n-i) B/A^2 u = -sum_k b_k s^(n-i+k)/A^2 u, from one table of s^k/A^2 u.
         plain = np.stack([response.over(power) for power in range(self.m + 1)], axis=1)
         squares = np.stack([response.over_square(power) for power in range(n + self.m)], axis=1)
         by_a = [-squares[:, n - i : n - i + self.m + 1] @ b for i in range(1, n + 1)]
@@ -354,6 +363,7 @@ class _Loop:
         condition : float
         residuals : ndarray -- whitened, after the nuisances
         """
+        # (T.13), with offset and ramp of every record as their own instruments.
         psi = self._white(self._with_nuisances(point.gradients))
         z = self._white(self._with_nuisances(point.instruments))
         simulated = zip(self.records, point.simulated, strict=True)
@@ -365,7 +375,10 @@ class _Loop:
         step = inverse @ (z.T @ target)
         k = len(point.theta)
         residuals = target - psi[:, k:] @ step[k:]
+        # Less the nuisances only: at the root the step of the coefficients is zero.
         variance = float(residuals @ residuals) / max(len(residuals) - len(step), 1)
+        # (T.14): R is the unit matrix while the residuals are white, else what colour the autoregression has
+        # left.
         score = z.T @ z if is_white else self._score(z, residuals)
         covariance = variance * inverse @ score @ inverse.T / np.outer(size_psi, size_psi)
         return step / size_psi, covariance, float(np.linalg.cond(z.T @ psi)), residuals
@@ -409,6 +422,7 @@ class _Loop:
         parts = self._residuals(point)
         values, residuals = _in_a_row([own.values for own in self.records]), _in_a_row(parts)
         n, m = self.n, self.m
+        # From ascending to descending powers of B, and from units of the scale to rad/s.
         order = np.concatenate([np.arange(n), n + np.arange(m, -1, -1)])
         units = self._units()
         complete = np.zeros((n + m + 2, n + m + 2))
