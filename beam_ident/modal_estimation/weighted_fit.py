@@ -1,8 +1,8 @@
 """The last step of a fit: every sample weighed by the noise as it is.
 
 Least squares with equal weights is unbiased while the input is known and the outputs'
-noise is independent of it, whatever its colour, but it is neither the most precise
-estimate nor are its plain intervals right.  Once residuals are there, they tell the noise:
+noise is independent of it, of any colour, but it is neither the most precise
+estimate nor are its plain intervals right.  The residuals of such a fit show the noise:
 
 - with a known input, an autoregression of every output's residuals whitens residuals
   and derivatives alike (generalised least squares);
@@ -43,7 +43,7 @@ _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
 _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
 _DRAWS = 8  # each has thousands of independent samples
-_MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
+_MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
 _MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
 
@@ -113,7 +113,7 @@ class WeightedFit:
         return self.smoothing is not None or any(len(colour) > 1 for colour in self.colours)
 
     def result(self) -> ModalFit:
-        """Return the fit under the noise as it is; the given one where that is not to be had.
+        """Return the fit weighed by its noise, or the given fit where that does not succeed.
 
         Notes
         -----
@@ -332,14 +332,14 @@ class WeightedFit:
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray
     ) -> FloatArray:
-        """Return the covariance without the information that noise in the derivatives only feigns.
+        """Return the covariance (I.18), without the information that noise in the derivatives only feigns.
 
         Notes
         -----
-        Of the information H at the most likely input, G is that of what is left of the noise
+        Of the information H at the most likely input, N is that of what is left of the noise
         there, which is independent of the weighed residuals.  So the score varies with H and
-        answers to a change of the parameters with ``H - G``: the covariance is ``(H - G)^-1 H
-        (H - G)^-1``, with G from a few seeded draws (Fuller, Measurement Error Models, 1987).
+        answers to a change of the parameters with ``H - N``: the covariance is ``(H - N)^-1 H
+        (H - N)^-1``, with N from a few seeded draws (Fuller, Measurement Error Models, 1987).
         """
         shared = []
         for found in point.coefficients:

@@ -1,4 +1,4 @@
-"""The exact response of a chain of first-order sections, whatever its poles, equal ones included.
+"""The exact response of a chain of first-order sections for any poles, equal ones included.
 
 ``x_1 = s u / (p - p_1)``, ``x_2 = s x_1 / (p - p_2)``, ... with ``s`` the unit of frequency and ``p`` the
 Laplace variable: no fraction is split, so that nothing cancels where poles meet.  The

@@ -1,4 +1,4 @@
-"""The local polynomial method: a frequency response from one record, whatever its excitation.
+"""The local polynomial method: a frequency response from one record under any excitation.
 
 The transient that leaks into every line is a smooth function of frequency and is estimated along
 (Pintelon and Schoukens 2012, ch. 7).
@@ -18,7 +18,7 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
 
-_MAX_DEGREE = 10  # of local polynomials: beyond it their powers tell nothing apart
+_MAX_DEGREE = 10  # of local polynomials: beyond it their powers are alike
 
 
 def local_polynomial_response(

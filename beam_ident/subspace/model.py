@@ -45,7 +45,7 @@ class SubspaceModel:
     denominator : ndarray, shape (order + 1,) -- 1, a_1 .. a_n, descending powers of s
     numerators : ndarray, shape (n_outputs, n_inputs, order + 1)
         Descending powers of s; least squares on exact responses under the inputs' holds.
-    singular_values : ndarray -- of the projected outputs; a gap tells the order
+    singular_values : ndarray -- of the projected outputs; a gap shows the order
     period_s, window_s : float -- sampling of the Hankel matrices, and the time that half of one covers [s]
     scores : tuple of Scores -- of the simulated outputs
     input_names, output_names : tuple of str
@@ -201,11 +201,11 @@ def _model(
         whiteness.append(Whiteness.of(in_units_of_level(parts)))
         if not information_criterion(parts, n_parameters) < criterion_of_nothing(signals, True, True):
             warnings.append(
-                f"Output {output.name}: the model explains no more than chance would: by BIC none at all is better."
+                f"Output {output.name}: the model explains no more than chance would: BIC prefers no model."
             )
         if is_coloured(whiteness[-1], measured[-1], residuals[j]):
             warnings.append(
-                f"Output {output.name}: the residuals are not white: take the poles for a start, or ask for more."
+                f"Output {output.name}: the residuals are not white: use the poles as a start, or ask for more."
             )
     return SubspaceModel(
         poles=found.poles,
@@ -238,7 +238,7 @@ def _stretch(record: TimeRecord, like: TimeRecord) -> Stretch:
         output = record.output(name)
         keep = output.is_valid & (output.times_s >= first) & (output.times_s <= last)
         if np.count_nonzero(keep) < 2:
-            raise EstimationError(f"output {output.name!r} has no two samples while all inputs are known")
+            raise EstimationError(f"output {output.name!r} has < 2 samples while all inputs are known")
         require_output(output.name, output.values[keep])
         signals.append((output.times_s[keep], output.values[keep]))
     return Stretch([source.signal(margin_s=0.0) for source in sources], signals)

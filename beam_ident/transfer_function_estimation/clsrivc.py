@@ -4,8 +4,8 @@ Under feedback the input contains the output's noise, and an estimator that trea
 input as given is biased as soon as that noise has a colour.  The closed-loop simplified
 refined instrumental variable method (Gilson, Garnier, Young and Van den Hof 2008) takes its
 instruments from a *simulated* loop instead: the known external reference drives the known
-sampled controller and the present model without noise.  These instruments do not
-know the noise whatever its colour, and what they pin down is the plant alone.
+sampled controller and the present model without noise.  These instruments are
+independent of the noise, of any colour, so that the estimate is that of the plant alone.
 
 The estimate is the root of ``Z^T C(q) (y - B/A u) = 0``: u the measured input under its hold,
 Z the gradients of the model at the simulated input, C(q) an autoregression that whitens
@@ -121,7 +121,7 @@ def estimate_in_closed_loop(
     ------
     EstimationError
         An input that is not held over the controller's period, signals that do not match,
-        a plant with direct feedthrough, or whatever ``estimate_transfer_function`` refuses.
+        a plant with direct feedthrough, or anything that ``estimate_transfer_function`` refuses.
 
     Notes
     -----
@@ -153,7 +153,7 @@ def estimate_in_closed_loop(
 
 
 class _LoopRecord:
-    """What one record says of the loop, and the noise that it has."""
+    """One record of the loop, and the noise that it has."""
 
     def __init__(
         self,
@@ -465,7 +465,7 @@ class _Loop:
     def _record_fits(
         self, point: _Point, parts: Sequence[FloatArray], white: FloatArray
     ) -> tuple[RecordFit, ...]:
-        """Return what every record says of the estimate."""
+        """Return the fit of every record at the estimate."""
         nuisances = self._nuisances(point) if self.n_own else np.zeros((len(parts), 0))
         return tuple(
             RecordFit(

@@ -204,7 +204,7 @@ class OutputErrorProblem:
         return problem
 
     def unweighed_residuals(self, state: OutputErrorState) -> FloatArray:
-        """Return what a state leaves of the output, whatever it is weighed by."""
+        """Return what a state leaves of the output, without weights."""
         return np.asarray(self.values - state.matrix @ state.coefficients)
 
     def standardised(self, residuals: FloatArray) -> FloatArray:
