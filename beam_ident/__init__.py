@@ -1,7 +1,8 @@
 """Continuous-time identification of vibrating structures from sampled records.
 
-Every name is loaded from its room when it is first asked for: whoever makes a record or an excitation
-does not wait for SciPy and the estimators. The names stand in ``__init__.pyi``, where type checkers find them too.
+Every name is loaded from its room when it is first used, so that a program which only makes records or
+excitations does not wait for SciPy and the estimators. The names stand in ``__init__.pyi``, where type
+checkers find them too.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def transfer_function(record: TimeRecord, settings: EstimatorSettings) -> Separa
         part, progress = record.select((name,)), _part(settings.progress, number, len(record.outputs), name)
         try:
             if settings.n_modes:
-                chosen.append(estimate_transfer_function(part, *degrees, *zeros, **options))
+                chosen.append(estimate_transfer_function(part, degrees[0], zeros[0], **options))
             else:
                 selection = select_transfer_function(part, degrees, zeros, progress=progress, **options)
                 chosen.append(selection.chosen)

@@ -1,4 +1,4 @@
-"""Whatever was stored, back again: the one function for those who do not know what a file holds."""
+"""Stored results of any kind, read back: one function for files whose contents are not known."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def restore(data: Mapping[str, Any]) -> Stored:
     Raises
     ------
     ModelFormatError
-        Nothing that this version stores, or whatever the type's own ``from_dict`` refuses.
+        Not something that this version stores, or something that the type's own ``from_dict`` refuses.
     """
     if isinstance(data, Mapping) and "type" not in data and "kind" in data:
         return Recipe.from_dict(data)
     found = data.get("type") if isinstance(data, Mapping) else type(data).__name__
     if not isinstance(data, Mapping) or not isinstance(found, str) or found not in _READERS:
         raise ModelFormatError(
-            f"no stored result, but {found!r}; expected a mapping whose type is one of {', '.join(_READERS)}, or an "
-            "excitation recipe"
+            f"not a stored result, but {found!r}; expected a mapping whose type is one of {', '.join(_READERS)}, or "
+            "an excitation recipe"
         )
     return _READERS[found](data)

@@ -102,7 +102,7 @@ def finite_row(what: str, values: Any) -> FloatArray:
         row = row if np.iscomplexobj(row) else np.asarray(row, dtype=np.float64)
     except (TypeError, ValueError) as err:
         raise EstimationError(
-            f"{what} are no numbers ({err}); expected a row of finite real numbers"
+            f"{what} are not numbers ({err}); expected a row of finite real numbers"
         ) from err
     if np.iscomplexobj(row) or row.ndim != 1:
         kind = "complex" if np.iscomplexobj(row) else f"of shape {row.shape}"
@@ -114,7 +114,7 @@ def finite_row(what: str, values: Any) -> FloatArray:
 
 
 def require_time(name: str, value: Any) -> None:
-    """Raise EstimationError for what is no finite time of 0 or more [s]."""
+    """Raise EstimationError unless a value is a finite time of 0 or more [s]."""
     is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     if not is_number or not (math.isfinite(value) and value >= 0.0):
         raise EstimationError(f"{name} is {value!r}; expected a time of 0 or more [s]")
@@ -131,7 +131,7 @@ def require_arrival(drive: InputSignal, delay_s: float, output: OutputSignal) ->
 
 
 def require_whole_number(name: str, value: Any, least: int, most: int | None = None) -> None:
-    """Raise EstimationError for what is no whole number between two bounds, both included."""
+    """Raise EstimationError unless a value is a whole number between two limits, both included."""
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool | np.bool_)
     if not is_whole or value < least or (most is not None and value > most):
         bounds = f"at least {least}" if most is None else f"{least} to {most}"

@@ -1,7 +1,7 @@
 """Where an input excites: the band in which modes can be looked for.
 
-The search for modes runs at true frequencies over the band of the *input*, whatever
-the rate of the outputs, so that a mode above half the outputs' rate is found where
+The search for modes runs at true frequencies over the band of the *input*, at any
+rate of the outputs, so that a mode above half the outputs' rate is found where
 it is and not at its alias.
 """
 

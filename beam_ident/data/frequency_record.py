@@ -1,7 +1,7 @@
 """Frequency data: responses line by line, with what is known of their noise.
 
 A record of frequency data holds the response of every output to every input at discrete
-lines, made from time records by the estimators or given by whoever measured it, and the
+lines, made from time records by the estimators or measured elsewhere, and the
 covariance of its noise.  A fit takes one or several of them.
 
 A line that comes from sampled, held signals is not quite ``G(j omega)``.  A held input has
@@ -199,7 +199,7 @@ class FrequencyRecord:
         try:
             return np.asarray(getattr(self, what), dtype=kind)
         except (TypeError, ValueError) as err:
-            raise RecordError(f"frequency record {self.name!r}: {what} are no numbers ({err})") from err
+            raise RecordError(f"frequency record {self.name!r}: {what} are not numbers ({err})") from err
 
     def _refuse(self, what: str) -> None:
         raise RecordError(f"frequency record {self.name!r}: {what}")
@@ -243,7 +243,7 @@ class FrequencyRecord:
 
     @property
     def fit_warnings(self) -> tuple[str, ...]:
-        """What whoever fits a model to these lines must know."""
+        """What a reader must know of a model that is fitted to these lines."""
         if self.shared_lines <= 1.0:
             return tuple(self.warnings)
         return (

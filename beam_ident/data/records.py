@@ -35,7 +35,7 @@ def _numbers(name: str, what: str, values: Any) -> FloatArray:
         if not np.iscomplexobj(found):
             return np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as err:
-        raise RecordError(f"signal {name!r}: {what} are no numbers ({err}); expected real numbers") from err
+        raise RecordError(f"signal {name!r}: {what} are not numbers ({err}); expected real numbers") from err
     raise RecordError(f"signal {name!r}: {what} are complex; expected real numbers")
 
 

@@ -51,8 +51,8 @@ def checked_entries(data: Mapping[str, Any], name: str, schema: int) -> Mapping[
     """Return the entries of a mapping that states this type and schema, or raise ModelFormatError."""
     if not isinstance(data, Mapping):
         raise ModelFormatError(
-            f"a {type(data).__name__} is no stored result; expected the mapping that to_dict() returns (json.loads() "
-            "makes one of JSON text)"
+            f"a {type(data).__name__} is not a stored result; expected the mapping that to_dict() returns "
+            "(json.loads() makes one of JSON text)"
         )
     if data.get("type") != name or data.get("schema") != schema:
         raise ModelFormatError(
@@ -161,7 +161,7 @@ def _array(kind: type[np.generic], value: Any, where: str) -> Any:
     try:
         return np.asarray(value, dtype=kind)
     except (TypeError, ValueError) as err:
-        raise ValueError(f"{where} is no array of numbers ({err})") from err
+        raise ValueError(f"{where} is not an array of numbers ({err})") from err
 
 
 def _number(value: Any, where: str) -> float:

@@ -118,7 +118,7 @@ def _limit_of_each(model: ModalModel, limits: float | Mapping[str, float] | None
     for name, limit in limits.items():
         if name not in model.output_names:
             raise ExcitationError(
-                f"limits: {name!r} is no output of the model; expected {', '.join(model.output_names)}"
+                f"limits: {name!r} is not an output of the model; expected {', '.join(model.output_names)}"
             )
         if not limit > 0.0:
             raise ExcitationError(f"limits: {name} is {limit!r}; expected a number > 0")
@@ -202,7 +202,7 @@ def half_power_bands(
 
     Notes
     -----
-    A record of length T tells frequencies 1 / T apart; of a periodic signal, only its excited lines
+    A record of length T resolves frequencies 1 / T apart; of a periodic signal, only its excited lines
     carry information, so that more periods do not resolve more.
     """
     frequencies = np.asarray(natural_frequencies, dtype=np.float64).ravel() / (2.0 * np.pi)

@@ -174,8 +174,8 @@ def _level(quantity: str, unit: str, values: FloatArray) -> SignalLevel:
     return SignalLevel(quantity, unit, float(np.max(np.abs(values))), rms, crest_factor(values))
 
 
-def _band(frequencies: FloatArray, density: FloatArray) -> tuple[float, float]:
+def _band(frequencies_hz: FloatArray, density: FloatArray) -> tuple[float, float]:
     width = min(_SMOOTHING, len(density))
     smoothed = np.convolve(density, np.full(width, 1.0 / width), mode="same")
     inside = np.flatnonzero(smoothed >= _BAND_FLOOR * np.max(smoothed))
-    return float(frequencies[inside[0]]), float(frequencies[inside[-1]])
+    return float(frequencies_hz[inside[0]]), float(frequencies_hz[inside[-1]])

@@ -22,7 +22,7 @@ from beam_ident.transfer_function.model import TransferFunctionModel
 
 Model = ModalModel | TransferFunctionModel
 
-_DECAYS = 5.0  # time constants of the slowest pole until a step response is told
+_DECAYS = 5.0  # time constants of the slowest pole that a step response is followed for
 _SAMPLES_PER_PERIOD = 20.0
 _MAX_SAMPLES = 20_000
 

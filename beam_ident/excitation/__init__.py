@@ -1,4 +1,4 @@
-"""Excitations as exact recipes: what the hub is told to do, known to the last digit.
+"""Excitations as recipes, from which the motion of the hub follows exactly.
 
 ``Recipe.sample`` gives accelerations held over a period, whose exact integration ends at rest at
 home; ``Recipe.sample_input`` gives a held force or voltage.  Both are checked against limits, and against

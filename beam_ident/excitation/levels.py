@@ -85,7 +85,7 @@ class LevelRecipe(Recipe):
             return super()._accelerations(period_s)
         if self.drive == "force":
             raise ExcitationError(
-                f"{type(self).__name__}: drive is 'force', which is no motion; use sample_input(period_s)"
+                f"{type(self).__name__}: drive is 'force', which is not a motion; use sample_input(period_s)"
             )
         ticks = self._ticks(period_s)[1:]
         if self.drive == "velocity":

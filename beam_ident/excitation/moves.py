@@ -93,7 +93,7 @@ class PointToPoint(Recipe):
         self._require(len(points) >= 2, "waypoints", points, "at least two displacements, the last one 0")
         self._require(points[-1] == 0.0, "waypoints", points, "the last one to be 0: the axis ends at home")
         moves = np.diff((0.0, *points))
-        self._require(bool(np.all(moves != 0.0)), "waypoints", points, "each one other than the one before")
+        self._require(bool(np.all(moves != 0.0)), "waypoints", points, "each different from the one before")
         self._one_of("profile", PROFILES)
         self._positive("speed", "acceleration", "jerk")
         self._not_negative("dwell_s", "still_s")

@@ -91,7 +91,7 @@ class Multisine(Recipe):
             group == 0 or self.odd_only,
             "detection_group",
             group,
-            "0 unless odd_only, which a random-odd one is",
+            "0, or odd_only=True: lines are left out among odd ones only",
         )
         self._one_of("phases", PHASES)
         n_lines = len(self.lines_hz)

@@ -45,7 +45,7 @@ class Recipe(ABC):
     Raises
     ------
     ExcitationError
-        A field is no finite number, no whole number, or outside what the signal needs.
+        A field is not a finite number, not a whole number, or outside its limits.
     """
 
     kind: ClassVar[str]
@@ -74,7 +74,7 @@ class Recipe(ABC):
         """Return the displacement [m] at any times [s], zero outside the recipe."""
 
     def line_spacing_hz(self, near_hz: float) -> float:
-        """Return the spacing of the frequencies that this signal tells apart around one of them [Hz]."""
+        """Return the spacing of the frequencies that this signal resolves around one of them [Hz]."""
         del near_hz  # the same everywhere, but for signals made of chosen frequencies
         return 1.0 / self.duration_s
 
@@ -135,7 +135,7 @@ class Recipe(ABC):
         """
         if not isinstance(data, Mapping):
             raise ModelFormatError(
-                f"a {type(data).__name__} is no stored recipe; expected the mapping that to_dict() returns"
+                f"a {type(data).__name__} is not a stored recipe; expected the mapping that to_dict() returns"
             )
         content = dict(data)
         schema, kind = content.pop("schema", None), content.pop("kind", None)

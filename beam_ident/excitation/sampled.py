@@ -1,4 +1,4 @@
-"""Sampled excitations: what an axis or an actuator is given, known to the last digit."""
+"""Sampled excitations: what an axis or an actuator is given, exactly."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class SampledExcitation:
 
 @dataclass(frozen=True, eq=False)
 class HeldInput:
-    """A recipe sampled as a held input that is no motion: a force, a voltage.
+    """A recipe sampled as a held input other than a motion: a force, a voltage.
 
     Attributes
     ----------

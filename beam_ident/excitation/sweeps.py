@@ -1,6 +1,6 @@
 """Chirps: one sine whose frequency sweeps over the band.
 
-A sweep has the lowest crest factor of all broadband signals, tells the eye what happens when,
+A sweep has the lowest crest factor of all broadband signals, shows to the eye what happens when,
 and drives one mode after the other.
 """
 

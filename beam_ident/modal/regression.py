@@ -5,6 +5,8 @@ the rest: gains, residues, offsets, ramps and free responses.  This module build
 the columns of that linear problem and their exact derivatives with respect to
 ``log omega``, ``zeta`` and the instant of measurement.  Outputs that share stamps
 share columns.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -169,6 +171,7 @@ class _PreparedRecord:
             return known
         grid, structure = self.grids[number], self.structure
         stretch = 1.0 / (1.0 + clock.rate)
+        # (I.6), and its derivatives by latency and rate in the last two fields.
         late = grid.times - clock.latency - self.middle
         times = self.middle + late * stretch
         instants = Instants.on(self.drive, times, grid.exposure_s)
@@ -205,16 +208,19 @@ class _PreparedRecord:
         sampling = self._sampling(number, clock)
         sampled = self.responses(poles, gradients).sample(sampling.instants, self.drive_integral, gradients)
         power, column = structure.differentiations, poles[:, None]
+        # (I.5): one real column for every mode, Im(factor x).
         factor = column**power * structure.sign / column.imag
         values = np.ascontiguousarray(np.imag(factor * sampled.values))
         forced: tuple[FloatArray, ...] = (values,)
         by_log_omega, by_zeta = (
             column,
+            # dp/d log omega = p, dp/dzeta = omega (-1 - j zeta / sqrt(1 - zeta^2)).
             omegas[:, None] * (-1.0 - 1j * (zetas / np.sqrt(1.0 - zetas**2))[:, None]),
         )
         if sampled.pole_slopes is not None and sampled.time_slopes is not None:
             slopes = sampled.pole_slopes
             if power:
+                # d(p^k x)/dp = p^k (dx/dp + k x / p); below, Im(p) in the denominator of (I.5) moves as well.
                 slopes = slopes + power / column * sampled.values
             by_pole = [
                 np.imag(factor * d * slopes) - values * (d.imag / column.imag)
@@ -225,6 +231,7 @@ class _PreparedRecord:
                 by_time += structure.sign * sampling.direct[1]
             forced = (values, *by_pole, by_time)
         if power == 2:
+            # The direct term of (I.5), k = 2.
             values += structure.sign * (sampling.direct[0] - self.rest)
         free: tuple[ComplexArray, ...] = ()
         if structure.has_free_response:
@@ -418,6 +425,8 @@ class ModalRegression:
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
         n_free = 2 * len(parts) if structure.has_free_response else 0
+        # A mode touches its residue's column and, in every record, the two of its free motion: the rest of
+        # the derivative is zero and is not stored.
         touched = [np.zeros((2, 1 + n_free, n_rows)) for _ in range(n_modes)] if gradients else []
         indices = [np.zeros(1 + n_free, dtype=np.intp) for _ in range(n_modes)]
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)

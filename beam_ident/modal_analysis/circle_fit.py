@@ -113,7 +113,7 @@ def _circle(points: ComplexArray) -> tuple[complex, float]:
     (x, y, rest), _, rank, _ = np.linalg.lstsq(matrix, np.abs(z) ** 2, rcond=1e-10)
     square = rest + x * x + y * y
     if rank < 3 or not square > 0.0:
-        raise EstimationError("the points of the band lie on no circle; centre the band on a resonance")
+        raise EstimationError("the points of the band do not lie on a circle; centre the band on a resonance")
     return middle + size * complex(x, y), size * math.sqrt(square)
 
 

@@ -8,6 +8,8 @@ shift of the clock at that time, ``tan(omega delta) = omega b / a``, up to half 
 A line ``delta(t) = latency + rate (t - m)`` must explain them all with one real residue for
 each mode and output, and how well it does costs next to nothing to compute, so that
 the whole plane of latencies and rates is looked at.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -54,6 +56,7 @@ def clock_places(
         return []
     phasors = _phasors(regression, fit)
     fastest = float(fit.omegas[-1])
+    # The rate acts by the time since the middle: half a record away a step of 2/duration moves by one step.
     step = 2.0 * np.pi / fastest / _STEPS_PER_CYCLE
     latencies = _axis(fit.clock.latency, latency, MAX_LATENCY_S, step)
     rates = _axis(fit.clock.rate, clock_rate, _MAX_RATE, 2.0 * step / regression.duration_s)
@@ -61,6 +64,7 @@ def clock_places(
     gains = np.zeros(len(shifts))
     present = 0.0
     for phasor in phasors:
+        # (I.20) over the whole plane, less what the priors charge.
         gains += phasor.explained(shifts - fit.clock.latency, drifts - fit.clock.rate)
         present += float(phasor.explained(np.zeros(1), np.zeros(1))[0])
     gains -= _penalty(shifts, latency) + _penalty(drifts, clock_rate)
@@ -72,6 +76,7 @@ def clock_places(
         places.append(
             ClockPlace(ClockState(float(shifts[best]), float(drifts[best])), float(gains[best]) - present)
         )
+        # The largest difference of the two clocks anywhere in the record.
         apart = np.abs(shifts - shifts[best]) + 0.5 * regression.duration_s * np.abs(drifts - drifts[best])
         open_ones &= apart > _CROWDED * 2.0 * np.pi / fastest
     return places
@@ -117,6 +122,7 @@ class _Phasor:
         # A later stamp was taken earlier: the instant moves by minus the shift.
         phases = -self.omega * (shifts[:, None] + drifts[:, None] * self.times)
         shape = np.stack([np.cos(phases), np.sin(phases)], axis=2)
+        # Numerator and denominator of (I.20), the sums over stretches.
         met = np.einsum("psa,saj->pj", shape, self.weights @ self.amplitudes, optimize=True)
         power = np.einsum("psa,sab,psb->p", shape, self.weights, shape, optimize=True)
         return np.asarray(0.5 * np.sum(met**2 / self.variances, axis=1) / np.maximum(power, 1e-300))
@@ -134,11 +140,14 @@ def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
         elapsed = -block.rate_factor / np.abs(block.latency_factor)
         stretch = _stretches(elapsed)
         columns, owners = [], []
+        # Beside the modes' pairs stand all other columns: gain, residual term, drifts, free motions.
         others = np.delete(block.matrix, np.arange(n_fixed, n_fixed + n), axis=1)
         for mode in range(n):
+            # c and c'/omega of (I.19).
             pair = np.stack(
                 [block.matrix[:, n_fixed + mode], block.by_time[:, n_fixed + mode] / fit.omegas[mode]]
             )
+            # One factor for both: the phase between them must stay.
             pair = pair / max(float(np.linalg.norm(pair[0])), 1e-300)
             for part in range(_STRETCHES):
                 here = stretch == part
@@ -150,6 +159,7 @@ def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
         size = np.linalg.norm(others, axis=0)
         design = np.concatenate([others / np.where(size > 0.0, size, 1.0), np.concatenate(columns).T], axis=1)
         gram = design.T @ design
+        # The ridge keeps pairs that a stretch hardly shows at zero instead of anywhere.
         gram[np.diag_indices_from(gram)] += _RIDGE
         values = np.stack([regression.values[j] for j in outputs], axis=1)
         solved = np.linalg.solve(gram, design.T @ values)

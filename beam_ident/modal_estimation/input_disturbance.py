@@ -10,6 +10,8 @@ has left of it.  The same system run backwards gives the most likely true input
     r = e - H nu,   Sigma = diag(sigma_j^2) + q H H^T,   nu = -q H^T Sigma^-1 r
 
 with q the density of the noise, its variance times the sampling period.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -81,6 +83,7 @@ class InputDisturbance:
     ) -> None:
         self.drive, self.structure, self.smoothing = drive, structure, smoothing
         self.exposures_s = exposures_s
+        # q of (I.13).
         self.density = drive.sigma**2 * float(np.median(np.diff(drive.times_s)))
         power, sign = structure.differentiations, structure.sign
         gains = shared[:, 0] if structure.has_direct else np.zeros(len(shared))
@@ -88,14 +91,19 @@ class InputDisturbance:
         terms = shared[:, int(structure.has_direct)] if structure.has_residual else np.zeros(len(shared))
         poles = -zetas * omegas + 1j * omegas * np.sqrt(1.0 - zetas**2)
         half = 0.5 * poles * exposures_s[:, None]
+        # (I.5): the output is Im(weight x), x the complex state of the pole under the noise.
         weights = residues * sign * poles**power / poles.imag
+        # The mean of e^(p t) over an exposure E is sinh(p E/2) / (p E/2) of its middle. Noise that enters
+        # during an exposure is counted by that middle: before it wholly, after it only in what follows.
         weights = weights * np.where(
             np.abs(half) > 1e-6, np.sinh(half) / np.where(half == 0.0, 1.0, half), 1.0
         )
+        # States Re x, Im x: the real form of x' = p x + nu.
         blocks = [np.array([[p.real, -p.imag], [p.imag, p.real]]) for p in poles]
         observation = [np.stack([weights.imag, weights.real], axis=2).reshape(len(shared), -1)]
         entry = [1.0, 0.0] * len(poles)
         n_integrators = 2 - power if structure.has_direct else 0
+        # c_j alpha from a velocity takes one integration, from an acceleration or a force two.
         if n_integrators:
             blocks.append(np.eye(n_integrators, k=-1))
             column = np.zeros((len(shared), n_integrators))
@@ -108,6 +116,7 @@ class InputDisturbance:
         self._entry = np.array(entry)
         # What passes at once: a polynomial in s of the direct gain and of the residual term.
         self._direct = np.zeros((3, len(shared)))
+        # s^2/d = 1 + (a proper part): the 1 is the sum of the residues, (I.5) with k = 2.
         if power == 2:
             self._direct[0] = gains + sign * np.sum(residues, axis=1)
         self._direct[power] += sign * terms
@@ -121,6 +130,7 @@ class InputDisturbance:
         growth = float(np.max(np.abs(np.diag(self._dynamics)), initial=1e-12))
         durations = distinct * _TIME_RESOLUTION_S
         n_halvings = max(int(np.ceil(np.log2(max(float(np.max(durations)) * growth, 1e-12)))), 0)
+        # Van Loan: exp([-A, q b b^T; 0, A^T] h) = [.., F^-1 P_d; 0, F^T] holds F and P_d of (I.16).
         generator = np.zeros((2 * size, 2 * size))
         generator[:size, :size] = -self._dynamics
         generator[:size, size:] = self.density * np.outer(self._entry, self._entry)
@@ -129,6 +139,7 @@ class InputDisturbance:
         transition = np.swapaxes(exponential[:, size:, size:], 1, 2)
         covariance = transition @ exponential[:, :size, size:]
         for _ in range(n_halvings):
+            # Two halves make a whole: P_d(2h) = P_d(h) + F P_d(h) F^T, F(2h) = F(h)^2.
             covariance = covariance + transition @ covariance @ np.swapaxes(transition, 1, 2)
             transition = transition @ transition
         return transition[place.ravel()], covariance[place.ravel()]
@@ -136,6 +147,8 @@ class InputDisturbance:
     def direct_covariance(self) -> FloatArray:
         """Return the covariance of what passes to the outputs at once, shape (n_outputs, n_outputs)."""
         period = float(np.median(np.diff(self.drive.times_s)))
+        # What passes without a state ends at the low-pass and is taken for white noise of its covariance,
+        # q int |c_0 + c_1 s + c_2 s^2|^2 df over both signs of f, the exposure's box included.
         s = 2j * np.pi * np.linspace(0.0, self.smoothing.cutoff_hz(period), 400)
         passed = sum(np.outer(s**k, self._direct[k]) for k in range(3))
         passed = passed * np.sinc(s.imag[:, None] / (2.0 * np.pi) * self.exposures_s)
@@ -150,6 +163,7 @@ class InputDisturbance:
         observations : Observations
         variances : ndarray, shape (n_outputs,) -- of the outputs' own noise
         """
+        # Before the input's first sample there is no noise: the filter starts from P = 0.
         first = min(self.drive.times_s[0], observations.times[0] - 1e-3)
         steps = np.diff(observations.times, prepend=first)
         transitions, driven = self._transitions(steps)
@@ -170,6 +184,8 @@ class InputDisturbance:
             seen = rows[:, output] >= 0
             table[seen, output] = values[rows[seen, output]]
         transitions, _ = self._transitions(np.diff(times, append=times[-1] + 1e-3))
+        # H^T of (I.14), of the states first: the adjoint of w' = A w + b nu runs backwards, from instant to
+        # instant by F^T and, inside the interval, from the next instant back to each sample of the input.
         carried = table @ self._observation
         adjoint = np.zeros_like(carried)
         adjoint[-1] = carried[-1]
@@ -185,12 +201,15 @@ class InputDisturbance:
             turned = np.exp(pole * ahead)
             pair = adjoint[following, 2 * mode : 2 * mode + 2]
             result += turned.real * pair[:, 0] + turned.imag * pair[:, 1]
+        # The same for the integrators, whose transitions are 1 and h.
         for k in range(self._n_integrators):
             result += ahead**k * adjoint[following, 2 * len(self._poles) + k]
         result *= inside
         for order in range(3):
             if np.any(self._direct[order]):
                 result += self._spread(times, table * self._direct[order], order)
+        # (I.14) with the low-pass in H: noise behind it is wanted, and reaches the outputs through it, so that
+        # it acts twice.
         result *= self.drive.sigma**2 * float(np.median(np.diff(instants)))
         drive = self.drive
         once = InputSignal(drive.name, drive.unit, instants, result, drive.hold)
@@ -237,6 +256,7 @@ class DisturbanceFilter:
         for k, transition in enumerate(transitions):
             if not (is_settled and is_same[k]):
                 selected = np.flatnonzero(seen[k])
+                # One step of (I.16); once the gains have settled on a regular grid they are kept.
                 rows, own = observation[selected], noise[np.ix_(selected, selected)]
                 before = covariance
                 covariance = transition @ covariance @ transition.T + driven[k]
@@ -260,6 +280,7 @@ class DisturbanceFilter:
         state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
         for k, (transition, rows, inverse, scaled, selected) in enumerate(self._steps):
             state = transition @ state
+            # (I.16): v = G^-1 (r - O w).
             white = inverse @ (table[k, selected] - rows @ state)
             state = state + scaled @ white
             table[k, selected] = white
@@ -271,6 +292,7 @@ class DisturbanceFilter:
         state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
         for k in range(len(self._steps) - 1, -1, -1):
             transition, rows, inverse, scaled, selected = self._steps[k]
+            # (I.17), lambda in ``state``.
             weighed = inverse.T @ (table[k, selected] + scaled.T @ state)
             state = transition.T @ (state - rows.T @ weighed)
             table[k, selected] = weighed

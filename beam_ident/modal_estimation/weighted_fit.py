@@ -1,8 +1,8 @@
 """The last step of a fit: every sample weighed by the noise as it is.
 
 Least squares with equal weights is unbiased while the input is known and the outputs'
-noise is independent of it, whatever its colour, but it is neither the most precise
-estimate nor are its plain intervals right.  Once residuals are there, they tell the noise:
+noise is independent of it, of any colour, but it is neither the most precise
+estimate nor are its plain intervals right.  The residuals of such a fit show the noise:
 
 - with a known input, an autoregression of every output's residuals whitens residuals
   and derivatives alike (generalised least squares);
@@ -13,6 +13,8 @@ estimate nor are its plain intervals right.  Once residuals are there, they tell
   (weighted total least squares; Soderstrom, Errors-in-Variables Methods, 2018).
 
 Gauss-Newton steps on all parameters, the linear ones included, end where both hold.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
 _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
 _DRAWS = 8  # each has thousands of independent samples
-_MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which G is no better known than H - G
+_MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
 _MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
 
@@ -101,6 +103,7 @@ class WeightedFit:
                 np.ones(1) if are_rounding(values, residuals) else autoregression(residuals)
                 for values, residuals in zip(regression.values, fit.residuals, strict=True)
             ]
+            # sigma_j^2 of (I.10), with the degrees of freedom that all parameters take.
             filtered = [self._filtered(j, r[:, None]) for j, r in enumerate(fit.residuals)]
             self.variances = np.array([float(np.mean(np.square(f))) / self.freedom for f in filtered])
 
@@ -110,7 +113,7 @@ class WeightedFit:
         return self.smoothing is not None or any(len(colour) > 1 for colour in self.colours)
 
     def result(self) -> ModalFit:
-        """Return the fit under the noise as it is; the given one where that is not to be had.
+        """Return the fit weighed by its noise, or the given fit where that does not succeed.
 
         Notes
         -----
@@ -126,11 +129,13 @@ class WeightedFit:
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
         for step in range(1, _MAX_STEPS + 1):
+            # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
             linear = self._linearise(point)
             design, right = self._with_priors(linear, point)
             solution = LinearSolution.of(design)
             change = solution.coefficients(right)
             travelled += change
+            # Hausman's comparison: under the right noise both estimates differ by no more than both scatter.
             if not np.max(np.abs(travelled / reach)[: self.n_theta]) < farthest:
                 reason = "weighing by the noise moves the poles further than noise can; weights are equal"
                 if self.smoothing is not None:
@@ -139,6 +144,7 @@ class WeightedFit:
             if not np.max(np.abs(change[: len(fit.omegas)])) < _MAX_STEP:
                 break
             point = self._moved(point, change)
+            # D step is the step in units of its standard deviation: |D step|^2 = step^T H step.
             if float(np.linalg.norm(design @ change)) < _STEP_TOLERANCE * np.sqrt(len(change)):
                 return self._finished(point, linear, solution.inverse_gram(), step)
         reason = "weighing by the noise did not settle; weights are equal"
@@ -160,6 +166,7 @@ class WeightedFit:
         filters: list[DisturbanceFilter] = []
         disturbances: list[tuple[InputDisturbance, Observations]] = []
         if self.smoothing is not None:
+            # The innovations L^-1 r of (I.16) have unit power where the sigma_j^2 are right.
             disturbances = self._disturbances(point)
             filters = [d.filter(o, self.variances) for d, o in disturbances]
             white = [r[:, None].copy() for r in residuals]
@@ -168,9 +175,12 @@ class WeightedFit:
             self._adjust_variances(white, residuals)
             for own in filters:
                 own.weigh(white)
+            # Sigma^-1 r of (I.17), and from it the most likely input a_hat of (I.14).
             weighted = [w[:, 0] for w in white]
             cleaned = self._cleaned(disturbances, weighted)
+            # The derivatives at a_hat, (I.15); the residuals stay those against the measured input, (I.12).
             blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+        # D and w side by side, so that one pass of the filter whitens both: L^-1 (dM/deta a_hat) and L^-1 r.
         columns = self._columns(blocks, point.coefficients)
         for rows, values in zip(columns, residuals, strict=True):
             rows[:, -1] = values
@@ -205,6 +215,7 @@ class WeightedFit:
             result[:, n + mode] = touched.by_zeta @ share
         if self.n_theta > 2 * n:
             assert block.by_time is not None
+            # The clock moves the instants (I.6), and the instants move the model.
             speed = block.by_time @ found
             if self.latency.is_free:
                 result[:, 2 * n] = speed * block.latency_factor
@@ -230,6 +241,7 @@ class WeightedFit:
                 continue
             if np.isfinite(prior.sd):
                 row = np.zeros(linear.design.shape[1])
+                # A prior is one more observation of the parameter, already white.
                 row[place] = 1.0 / prior.sd
                 rows.append(row)
                 values.append((prior.mean - value) / prior.sd)
@@ -253,6 +265,7 @@ class WeightedFit:
             coefficients.append(found + change[place : place + len(found)])
             place += len(found)
         return _Point(
+            # The parameter is log omega: a step multiplies.
             point.omegas * np.exp(change[:n]),
             np.clip(point.zetas + change[n : 2 * n], MIN_DAMPING, MAX_DAMPING),
             ClockState(latency, rate),
@@ -289,6 +302,8 @@ class WeightedFit:
     def _adjust_variances(self, white: list[FloatArray], residuals: list[FloatArray]) -> None:
         """Move the outputs' own variances to where the innovations have unit power."""
         for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
+            # E v^2 = 1 - n_parameters / n where sigma_j^2 is right. Never below a share of the residuals'
+            # power: an output may otherwise be explained by the input's noise altogether.
             power = float(np.mean(np.square(own)))
             least = _MIN_VARIANCE * float(np.mean(np.square(plain)))
             self.variances[output] = max(self.variances[output] * power / self.freedom, least)
@@ -300,6 +315,7 @@ class WeightedFit:
         assert self.smoothing is not None
         values = []
         for disturbance, observations in disturbances:
+            # a_hat = (a + nu) - nu_hat, both behind the low-pass.
             added = disturbance.most_likely(observations, weighted)
             values.append(self.smoothing.of(disturbance.drive).values + added)
         return self._on_inputs(values, is_smooth=True)
@@ -316,17 +332,19 @@ class WeightedFit:
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray
     ) -> FloatArray:
-        """Return the covariance without the information that noise in the derivatives only feigns.
+        """Return the covariance (I.18), without the information that noise in the derivatives only feigns.
 
         Notes
         -----
-        Of the information H at the most likely input, G is that of what is left of the noise
+        Of the information H at the most likely input, N is that of what is left of the noise
         there, which is independent of the weighed residuals.  So the score varies with H and
-        answers to a change of the parameters with ``H - G``: the covariance is ``(H - G)^-1 H
-        (H - G)^-1``, with G from a few seeded draws (Fuller, Measurement Error Models, 1987).
+        answers to a change of the parameters with ``H - N``: the covariance is ``(H - N)^-1 H
+        (H - N)^-1``, with N from a few seeded draws (Fuller, Measurement Error Models, 1987).
         """
         shared = []
         for found in point.coefficients:
+            # N of (I.18) comes through the poles, gains and residues alone: offset, ramp and free motion do
+            # not pass the input.
             without_nuisance = found.copy()
             without_nuisance[self.n_shared :] = 0.0
             shared.append(without_nuisance)
@@ -340,11 +358,14 @@ class WeightedFit:
                 own[:, first + self.n_shared : first + len(found)] = 0.0
                 first += len(found)
             draws.append(columns)
+        # All draws in one pass of the filter; N is the mean of D_left^T D_left over them.
         together = [np.concatenate(columns, axis=1) for columns in zip(*draws, strict=True)]
         for own_filter in linear.filters:
             own_filter.whiten(together)
         stacked = np.concatenate(together).reshape(-1, _DRAWS, len(covariance) + 1)[:, :, :-1]
         noise = np.einsum("rdi,rdj->ij", stacked, stacked, optimize=True) / _DRAWS
+        # With H^-1 = root root^T and root^T N root = U s U^T, (I.18) is (root U) (1 - s)^-2 (root U)^T. Beyond
+        # the limit on s, H - N is a difference of two numbers that the draws do not tell apart.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -364,6 +385,7 @@ class WeightedFit:
         for draw in range(_DRAWS):
             noise = []
             for drive in regression.drives:
+                # A draw of r = e - H nu as in (I.12), at the estimate and with its variances.
                 values = drive.sigma * rng.standard_normal(len(drive.values))
                 raw = InputSignal(drive.name, drive.unit, drive.times_s, values, drive.hold)
                 noise.append(self.smoothing.of(raw).values)
@@ -380,6 +402,7 @@ class WeightedFit:
         for draw, noise in enumerate(inputs):
             weighted = [values[:, draw] for values in residuals]
             for index, (disturbance, observations) in enumerate(linear.disturbances):
+                # nu - nu_hat: what the most likely input still holds of this draw's noise.
                 noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
         return inputs
 
@@ -390,6 +413,8 @@ class WeightedFit:
         for length in linear.lengths:
             own = slice(first, first + length)
             first += length
+            # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations
+            # still have.
             innovations = linear.residuals[own]
             colour = autoregression(innovations)
             if len(colour) > 1:

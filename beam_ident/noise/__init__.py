@@ -1,1 +1,1 @@
-"""The noise in records: its colour, its level, its outliers, and what residuals say of a fit."""
+"""The noise in records: its colour, its level, its outliers, and what residuals show about a fit."""

@@ -5,6 +5,8 @@ is not, but its stated covariance is wrong.  With the autocorrelation of the res
 the right one follows, the sandwich ``H^-1 S H^-1``: H the information under white noise,
 S the covariance of the score under the real one.  The autocorrelation is that of
 an autoregressive model whose order BIC chooses.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatA
     n = len(residuals)
     centred = residuals - np.mean(residuals)
     max_order = max(0, min(max_order, n // 10))
+    # The autocovariance as the inverse transform of the periodogram, padded so that no lag wraps around.
     length = next_fast_len(n + max_order, real=True)
     power = np.square(np.abs(rfft(centred, length)))
     covariance = irfft(power, length)[: max_order + 1] / n
@@ -36,9 +39,12 @@ def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatA
     coefficients, variance = np.ones(1), covariance[0]
     best, best_bic = coefficients, n * np.log(variance)
     for order in range(1, max_order + 1):
+        # Levinson-Durbin: the reflection coefficient is the partial correlation at this lag, and the order
+        # grows by one without solving anew.
         reflection = -float(coefficients @ covariance[order:0:-1][: len(coefficients)]) / variance
         extended = np.append(coefficients, 0.0)
         coefficients = extended + reflection * extended[::-1]
+        # What this lag explains of the variance; BIC charges log n for it.
         variance *= max(1.0 - reflection**2, 1e-12)
         bic = n * np.log(variance) + order * np.log(n)
         if bic < best_bic:
@@ -75,6 +81,7 @@ def score_covariance(design: FloatArray, correlation: FloatArray) -> FloatArray:
     """
     n = len(design)
     length = next_fast_len(2 * n - 1, real=True)
+    # S of (I.11): the first row of the circulant that holds R as its corner, lags of both signs.
     row = np.zeros(length)
     row[:n] = correlation
     row[length - n + 1 :] = correlation[:0:-1]

@@ -49,6 +49,8 @@ class Smoothing:
         n_taps, beta = kaiserord(_ATTENUATION_DB, (_STOP - _PASS) * self.high_hz / nyquist)
         n_taps |= 1
         taps = firwin(n_taps, 0.5 * (_PASS + _STOP) * self.high_hz / nyquist, window=("kaiser", beta))
+        # A symmetric filter of odd length delays by half of it, which the padding takes back: no phase is
+        # added.
         half = n_taps // 2
         values = drive.values
         edge = min(max(half // 4, 1), len(values))
@@ -72,6 +74,7 @@ def input_noise_share(
     """
     period = float(np.median(np.diff(drive.times_s)))
     density = np.abs(response) ** 2
+    # 2 sigma^2 T is the one-sided density of white samples.
     passed = 2.0 * period * drive.sigma**2 * trapezoid(density, omegas / (2.0 * np.pi), axis=0)
     return float(np.max(passed / np.maximum(passed + noise_sd**2, 1e-300)))
 
@@ -81,6 +84,7 @@ def noise_grid(frequencies_hz: FloatArray, damping_ratios: FloatArray, drive: In
     nyquist = 0.5 / float(np.median(np.diff(drive.times_s)))
     coarse = np.linspace(0.0, nyquist, 400)[1:]
     near = [
+        # Points in units of the half-power width, closest at the peak: |H|^2 is integrated there.
         frequency * (1.0 + max(zeta, 1e-4) * np.sinh(np.linspace(-6.0, 6.0, 161)))
         for frequency, zeta in zip(frequencies_hz, damping_ratios, strict=True)
     ]

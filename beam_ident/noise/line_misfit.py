@@ -60,7 +60,7 @@ class LineMisfit:
 
     @property
     def warning(self) -> str:
-        """What to be told, or nothing."""
+        """What a reader must know, or an empty string."""
         if self.is_noise:
             return ""
         return (

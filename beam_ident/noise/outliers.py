@@ -18,10 +18,10 @@ from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import are_rounding
 
 _FAR = 5.0  # robust standard deviations
-_GROSS = 10.0  # those of one sample that is worth a word by itself
+_GROSS = 10.0  # the same, beyond which one sample alone is reported
 _TO_SIGMA = 1.4826  # of Gaussian noise, from the median absolute deviation
 _NEIGHBOURS = 25  # samples on each side
-_MIN_COUNT = 3  # samples that are worth a word
+_MIN_COUNT = 3  # samples that are reported
 
 
 def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
@@ -53,7 +53,7 @@ def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
 
 
 def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
-    """Return what to say of the outliers of outputs over all their records, or an empty string.
+    """Return a warning of the outliers of outputs over all their records, or an empty string.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What one record of several says of a fit: its samples, its noise, and what belongs to it alone."""
+"""What one record of several contributes to a fit: its samples, its noise, and what belongs to it alone."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from beam_ident.arrays import FloatArray, IndexArray
 
 _WHITENESS_LEVEL = 1e-3
-_ROUNDING = 1e-9  # of the output: residuals below this are errors of arithmetic, whatever their colour
+_ROUNDING = 1e-9  # of the output: residuals below this are errors of arithmetic, of any colour
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The exact response of a chain of first-order sections, whatever its poles, equal ones included.
+"""The exact response of a chain of first-order sections for any poles, equal ones included.
 
 ``x_1 = s u / (p - p_1)``, ``x_2 = s x_1 / (p - p_2)``, ... with ``s`` the unit of frequency and ``p`` the
 Laplace variable: no fraction is split, so that nothing cancels where poles meet.  The
@@ -6,6 +6,8 @@ derivatives of a piecewise polynomial are a chain too (of integrators), and both
 together are one lower bidiagonal matrix, whose exponential advances states and
 signal exactly over any step (its entries are the divided differences of the
 exponential at the poles; Opitz 1964).
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ def chain_exponential(poles: ComplexArray, links: FloatArray, steps: FloatArray)
     links : ndarray, shape (n - 1,) -- what each state gives to the next [1/s]
     steps : ndarray, shape (n_steps,) -- [s]
     """
+    # Scaling and squaring: the series is summed for a step of norm 1/2 or less, and doubled.
     norm = float(np.max(np.abs(poles)) + np.max(np.abs(links), initial=0.0))
     size = norm * float(np.max(np.abs(steps), initial=0.0))
     halvings = max(0, math.ceil(math.log2(size / 0.5))) if size > 0.0 else 0
@@ -39,6 +42,7 @@ def chain_exponential(poles: ComplexArray, links: FloatArray, steps: FloatArray)
     identity = np.eye(len(poles), dtype=np.complex128)
     result = np.broadcast_to(identity, (len(steps), *identity.shape))
     for k in range(_TERMS, 0, -1):
+        # Horner's rule with M = diag(poles) + links below it, without forming M.
         product = poles[:, None] * result
         product[:, 1:] += links[:, None] * result[:, :-1]
         result = identity + step / k * product
@@ -86,6 +90,8 @@ def chain_response(
     """
     signal = integral if instants.exposure_s > 0.0 else drive
     n_signal = signal.degree + 1
+    # One bidiagonal system: the signal's derivatives, highest first, are integrators in front of the sections
+    # of (T.4).
     chain = np.concatenate([np.zeros(n_signal), poles * scale])
     links = np.concatenate([np.ones(n_signal - 1), np.full(len(poles), scale)])
     factorials = np.array([math.factorial(k) for k in range(n_signal)], dtype=np.float64)
@@ -98,6 +104,7 @@ def chain_response(
         forcing = np.einsum(
             "kj,kj->k", np.broadcast_to(weights[:, :n_signal], derivatives.shape), derivatives
         )
+        # A section is driven by those before it, whose states are already known at all knots.
         for above in range(row):
             forcing = forcing + weights[:, n_signal + above] * states[above, :-1]
         states[row] = recursion(weights[:, n_signal + row], forcing, 0.0)
@@ -121,6 +128,7 @@ def _at_instants(
         return states[:, index]
     n_signal = derivatives.shape[1]
     grain = _GRAIN * period
+    # Stamps of a regular camera fall on few distinct places between the knots: one exponential for each.
     distinct, which = np.unique(np.round(offset / grain), return_inverse=True)
     result = np.empty((len(states), len(index)), dtype=np.complex128)
     for first in range(0, len(index), _CHUNK):

@@ -80,13 +80,17 @@ def minimise(
     for iteration in range(1, max_iterations + 1):
         information, direction = problem.slope(state)
         if state.cost - _HOPE * fallen > target:
+            # g^T H^-1 g / 2: what the quadratic approximation can still lower the cost by.
             promised = 0.5 * float(direction @ scaled_solve(information, direction, 0.0))
             if state.cost - _HOPE * promised > target:
                 return Minimum(state, False, HOPELESS, iteration)
         fallen = -1.0
         for _ in range(_TRIALS):
+            # H + damping on unit diagonal (Marquardt): short steps along the gradient where the model is not
+            # to be trusted.
             candidate = problem.limited(state.theta, scaled_solve(information, direction, damping))
             taken = candidate - state.theta
+            # The step in units of its standard deviation.
             size = math.sqrt(max(float(taken @ information @ taken), 0.0))
             if size < _STEP_TOLERANCE and damping < 1.0:
                 return Minimum(state, True, f"step below {_STEP_TOLERANCE} standard deviations", iteration)
@@ -98,6 +102,7 @@ def minimise(
                 break
             damping = max(damping * 10.0, 1e-6)
         if fallen < 0.0:
+            # No step helps: at an optimum the promise is nothing, elsewhere the iteration is stuck.
             gain = float(direction @ np.linalg.lstsq(information, direction, rcond=1e-14)[0])
             is_flat = gain < 1e-4 * len(state.theta)
             reason = "no step lowers the cost further" if is_flat else "stalled: no step lowers the cost"

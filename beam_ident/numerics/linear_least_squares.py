@@ -36,6 +36,7 @@ class LinearSolution:
         scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
         scales[scales == 0.0] = 1.0
         scaled = matrix / scales
+        # Columns of unit length: the rank is judged by directions, not by units.
         quick = _cholesky_qr(scaled)
         if quick is not None:
             return LinearSolution(quick[0], quick[1], np.arange(len(scales)), scales)
@@ -78,6 +79,7 @@ def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         return basis, triangle
     for _ in range(2):
         try:
+            # A^T A = L L^T, Q = A L^-T; the second round removes what the squared condition cost the first.
             lower = np.linalg.cholesky(basis.T @ basis)
         except np.linalg.LinAlgError:
             return None

@@ -4,6 +4,8 @@ An input that is held (ZOH), joined by straight lines or by a cubic spline is a
 polynomial between its knots.  Everything the estimators need from an input
 follows exactly from its coefficients: values, derivatives, antiderivatives, box
 averages and (in ``numerics.pole_response``) the response of a pole to it.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -150,6 +152,7 @@ class PiecewisePolynomial:
             factor = 1.0
             for k in range(derivative):
                 factor *= power - k
+            # Horner's rule on the derivative's coefficients, power!/(power - derivative)! of each.
             result = result * offset + factor * rows[:, power]
         return result
 
@@ -157,6 +160,7 @@ class PiecewisePolynomial:
         """Return the integral from the first knot."""
         steps = np.diff(self.knots)
         powers = np.arange(1, self.degree + 2)
+        # int a_m h^m = a_m h^(m+1)/(m+1); the constant of a segment is the area of all before it.
         raised = self.coefficients / powers
         gains = np.sum(raised * steps[:, None] ** powers, axis=1)
         start = np.concatenate([[0.0], np.cumsum(gains)[:-1]])
@@ -197,6 +201,7 @@ class Instants:
         """Locate instants on the knots of a signal."""
         if exposure_s > 0.0:
             half = 0.5 * exposure_s
+            # Both ends of every exposure: a mean is the difference of an antiderivative there.
             index, offset = signal.locate(np.concatenate([times - half, times + half]))
         else:
             index, offset = signal.locate(times)
@@ -227,6 +232,7 @@ def _high_spline(times_s: FloatArray, values: FloatArray, period: float | None) 
     places = (times_s - times_s[0]) / step  # unit intervals keep high powers in range
     spline = make_interp_spline(places, values, BAND_LIMITED_DEGREE)
     columns = [
+        # a_m of (I.1): the m-th derivative at the knot over m!.
         spline(places[:-1], power) / (factorial(power) * step**power)
         for power in range(BAND_LIMITED_DEGREE + 1)
     ]

@@ -11,6 +11,8 @@ Nothing is interpolated and nothing depends on how the stamps of the outputs fal
 On a regular grid the recursion is unrolled over blocks of knots: the states inside a
 block are a matrix product with the coefficients of the block, and only one state
 per block is left to recur.  That is the same sum in another order, several times quicker.
+
+Equation numbers are those of docs/identification.md.
 """
 
 from __future__ import annotations
@@ -47,11 +49,13 @@ def phi_functions(z: ComplexArray, highest: int) -> list[ComplexArray]:
     large = np.abs(z) > _SERIES_RADIUS
     any_large = bool(np.any(large))
     small_z = np.where(large, 0.0, z) if any_large else z
+    # phi_highest(z) = sum_n z^n / (highest + n)!, by Horner's rule.
     series = np.full(z.shape, 1.0 / factorial(highest + _SERIES_TERMS), dtype=np.complex128)
     for n in range(_SERIES_TERMS - 1, -1, -1):
         series = series * small_z + 1.0 / factorial(highest + n)
     results = [series]
     for k in range(highest - 1, -1, -1):
+        # Downwards, phi_k = z phi_(k+1) + 1/k!: near zero the upward step subtracts nearly equal numbers.
         results.append(small_z * results[-1] + 1.0 / factorial(k))
     results.reverse()
     if any_large:
@@ -105,11 +109,13 @@ class _Weights:
         gains = np.empty((*shape, degree + 1, len(steps)), dtype=np.complex128)
         carry[:, 0] = phi[0]
         if gradients:
+            # d e^(p h) / dp = h e^(p h).
             carry[:, 1] = steps * phi[0]
         power = np.ones_like(steps)
         for m in range(degree + 1):
             power = power * steps
             scale = factorial(m) * power
+            # g_m of (I.2) and dg_m/dp of (I.3).
             gains[:, 0, m] = scale * phi[m + 1]
             if gradients:
                 gains[:, 1, m] = scale * steps * (phi[m + 1] - (m + 1) * phi[m + 2])
@@ -132,6 +138,7 @@ class _Weights:
         n_terms = 2 * degree + 4
         while radius ** (n_terms - degree - 2) > 1e-17 * factorial(n_terms - degree - 2):
             n_terms += 1
+        # Powers of h / longest stay below one; what was divided out stands in ``size``.
         powers = np.empty((n_terms, len(offsets)))
         powers[0] = 1.0
         share = offsets / longest
@@ -198,6 +205,7 @@ class PoleResponses:
         if not len(self.poles) or not np.any(offset):  # every instant is a knot
             return states
         weights = _Weights.at(self.poles, offset, self.drive.degree, gradients)
+        # (I.2) and (I.3) from the knot before each instant.
         result = weights.carry[:, :1] * states
         if gradients:
             result[:, 1] += weights.carry[:, 1] * states[:, 0]
@@ -224,11 +232,13 @@ class PoleResponses:
         if instants.exposure_s <= 0.0:
             if not gradients:
                 return SampledResponses(states[:, 0], None, None)
+            # dx/dt from the differential equation (I.1) itself.
             rate = poles * states[:, 0] + self.drive.evaluate(index, offset)
             return SampledResponses(states[:, 0], states[:, 1], rate)
         area = integral.evaluate(index, offset)
         n = len(instants.times)
         scale = 1.0 / (poles * instants.exposure_s)
+        # (I.4), its derivative by the pole, and by time: the difference of x at both ends.
         difference = states[:, :, n:] - states[:, :, :n]
         mean = (difference[:, 0] - (area[n:] - area[:n])) * scale
         if not gradients:
@@ -254,19 +264,24 @@ class _RegularKnots:
         later = np.arange(length + 1)
         self.powers = np.empty((*carry.shape, length + 1), dtype=np.complex128)
         self.powers[:, 0] = carry[:, :1] ** later
+        # Within a block (I.2) unrolls: the coefficients of knot k arrive at knot l with e^(p T (l - k - 1))
+        # g_m.
         reach = self.powers[:, :1, None, :-1] * gains[..., None]
         if gradients:
             self.powers[:, 1] = later * period * self.powers[:, 0]
             reach[:, 1] += self.powers[:, 1, None, :-1] * gains[:, 0, :, None]
         padded = np.concatenate([reach, np.zeros((*reach.shape[:-1], 1))], axis=-1)
         lags = later[None, :] - 1 - np.arange(length)[:, None]
+        # A coefficient acts on later knots only: zero for lags below 0.
         kernel = padded[..., np.where(lags < 0, length, lags)]  # (pole, order, m, from, to)
         self.kernel = np.moveaxis(kernel, 2, 3).reshape(*carry.shape, length * n_coefficients, length + 1)
         self.first = np.empty((*carry.shape, n_blocks), dtype=np.complex128)
+        # What a whole block adds at its end; from block to block a recursion is left.
         gained = self._product(self.blocks, length)
         factors = self.powers[:, 0, length]
         self.first[:, 0] = _recursions(factors, gained[:, 0])
         if gradients:
+            # (I.3): the state itself forces its derivative.
             forcing = gained[:, 1] + self.powers[:, 1, length, None] * self.first[:, 0]
             self.first[:, 1] = _recursions(factors, forcing)
 
@@ -334,6 +349,7 @@ class _IrregularKnots:
             weights = _Weights.of(poles[number : number + 1], steps, drive.degree, gradients)
             carry, gains = weights.carry[0], weights.gains[0]
             forcing = np.einsum("omk,km->ok", gains, drive.coefficients)
+            # (I.2) and (I.3) from knot to knot, one step of its own length each.
             states[0] = recursion(carry[0], forcing[0], 0.0)[:-1]
             if gradients:
                 states[1] = recursion(carry[0], forcing[1] + carry[1] * states[0], 0.0)[:-1]

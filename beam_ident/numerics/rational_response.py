@@ -5,6 +5,8 @@ and their derivatives by the pole (``1/(s-p)^2`` is the derivative of ``1/(s-p)`
 which ``numerics.pole_response`` gives at any instant.  Where poles meet, the fractions
 would cancel: then the poles stay together in a chain (``numerics.chain_response``),
 which is exact for double poles too, and slower.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ def upper_roots(polynomial: FloatArray) -> ComplexArray:
         inside = half * half - polynomial[2]
         if inside < 0.0:
             return np.array([complex(half, np.sqrt(-inside))])
+        # The root without cancellation first; the other from their product.
         larger = half + np.copysign(np.sqrt(inside), half)
         roots = np.array([larger, polynomial[2] / larger if larger else 0.0], dtype=np.complex128)
         return np.sort_complex(roots)
@@ -74,10 +77,12 @@ class _Fractions:
 
     def single(self, powers: IndexArray) -> FloatArray:
         """Return the weights of ``s^power / A``, shape (n_powers, 2 n_upper)."""
+        # (T.2); a conjugate pair is twice the real part of one of them.
         return self._weights([self.upper ** powers[:, None] * (self.weight / self.slope)])
 
     def square(self, powers: IndexArray) -> FloatArray:
         """Return the weights of ``s^power / A^2``, shape (n_powers, 4 n_upper)."""
+        # (T.3): the weights of 1/(s - p) and of 1/(s - p)^2.
         front = self.weight / self.slope**2
         shape = self.upper ** powers[:, None] * front
         leading = powers[:, None] * self.upper ** np.maximum(powers[:, None] - 1, 0) * front
@@ -98,6 +103,7 @@ class _Chain:
         for row, power in enumerate(powers):
             quotient = np.zeros(int(power) + 1, dtype=np.complex128)
             quotient[0] = 1.0
+            # Synthetic division of (T.4): what is left of each division weighs that section's state.
             for place in range(len(poles) - 1, -1, -1):
                 if not len(quotient):
                     break
@@ -154,6 +160,7 @@ class RationalResponse:
             self._rows = _Fractions.rows([states])
             return
         sampled = PoleResponses(upper * scale, drive, gradients=squares).sample(instants, integral)
+        # s is in units of the scale: 1/(s/w - p) = w/(s - w p), and its derivative by p takes w once more.
         parts = [scale * sampled.values]
         if sampled.pole_slopes is not None:
             parts.append(scale**2 * sampled.pole_slopes)
@@ -192,6 +199,8 @@ class RationalResponse:
             z = (half * scale * upper)[:, None]
             near = np.abs(z) < 1e-3
             safe = np.where(near, 1.0, z)
+            # Mean of e^(p t) over the exposure, sinh(z)/z with z = p E/2, and its derivative by p; by series
+            # near zero.
             box = np.where(near, 1.0 + z**2 / 6.0, np.sinh(safe) / safe)
             bend = np.where(near, z / 3.0 + z**3 / 30.0, (np.cosh(safe) - np.sinh(safe) / safe) / safe)
             slopes = slopes * box + half * scale * bend * values
@@ -244,6 +253,7 @@ class RationalResponse:
         if numerators.shape[1] >= len(bottom):
             for row, ascending in enumerate(numerators):
                 quotient, _ = np.polydiv(np.trim_zeros(ascending[::-1], "f"), bottom)
+                # The improper part acts on the signal and its derivatives at once.
                 for k, factor in enumerate(quotient[::-1]):
                     if factor != 0.0:
                         result[row] += factor * self._derivative(k)

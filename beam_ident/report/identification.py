@@ -109,8 +109,8 @@ def _document(
         _figure(
             figures.pole_figure(result, reference_modes),
             "Damping ratio over natural frequency. The bars are 95 % intervals from the scatter of this one "
-            "record; they know nothing of geometry, temperature or clock errors common to both signals, and "
-            "a damping ratio holds only at the amplitude of this experiment.",
+            "record; they do not include errors of geometry, of temperature or of a clock common to both "
+            "signals, and a damping ratio holds only at the amplitude of this experiment.",
         ),
         "<h2>Outputs</h2>",
         _outputs_table(result),
@@ -138,7 +138,7 @@ def _document(
             figures.residual_figure(result),
             "Residuals and their autocorrelation. Of white residuals one lag in a hundred leaves the band by "
             "chance; more means coloured noise, which the stated intervals count, or dynamics that the model "
-            "has not, which they do not know of. Whiteness does not prove the model right: noise on the input "
+            "has not, which they do not count. Whiteness does not prove the model right: noise on the input "
             "leaves white residuals too.",
         ),
         "<h2>Frequency response of the model</h2>",
@@ -219,9 +219,9 @@ def _decimals(sd: float, least: int = 0) -> int:
     return int(np.clip(1 - np.floor(np.log10(sd)), least, 12))
 
 
-def nearest_mode(frequencies: Any, omega: float) -> int | None:
+def nearest_mode(natural_frequencies: Any, omega: float) -> int | None:
     """Return the index of the frequency within 25 % of ``omega`` that is nearest, or None."""
-    distance = np.abs(np.log(np.asarray(frequencies) / omega))
+    distance = np.abs(np.log(np.asarray(natural_frequencies) / omega))
     best = int(np.argmin(distance))
     return best if distance[best] < np.log(1.25) else None
 
@@ -318,7 +318,7 @@ def _orders_table(result: IdentificationResult) -> str:
     return (
         _table(head, rows, chosen)
         + "<p class='lead'>BIC and AIC are given above the lowest BIC; lower is better. A number of modes that "
-        "stands there twice was tried with its last mode at two frequencies.</p>"
+        "is listed twice was tried with its last mode at two frequencies.</p>"
     )
 
 

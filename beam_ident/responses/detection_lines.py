@@ -29,7 +29,7 @@ Parity = Literal["even", "odd"]
 
 _SMOOTHING = 400.0  # degrees of freedom of the smoothed noise level: with few, it takes part in the scatter
 _NEIGHBOURS = 6
-_SILENT = 1e-9  # of the strongest line: an input below this is no input
+_SILENT = 1e-9  # of the strongest line: an input below this is at rest
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def _verdict(levels: list[DistortionLevel], found: PeriodicResponse, significanc
     if not detected:
         bound = max(level.largest_db for level in levels)
         words = (
-            f"no nonlinear distortion at the {100 * significance:g} % level: what there may be stays {-bound:.0f} dB "
+            f"no nonlinear distortion at the {100 * significance:g} % level: any distortion stays {-bound:.0f} dB "
             "below the excited lines"
         )
     else:

@@ -1,7 +1,9 @@
-"""The local polynomial method: a frequency response from one record, whatever its excitation.
+"""The local polynomial method: a frequency response from one record under any excitation.
 
 The transient that leaks into every line is a smooth function of frequency and is estimated along
 (Pintelon and Schoukens 2012, ch. 7).
+
+Equation numbers are those of docs/frequency-domain.md.
 """
 
 from collections.abc import Sequence
@@ -16,7 +18,7 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
 
-_MAX_DEGREE = 10  # of local polynomials: beyond it their powers tell nothing apart
+_MAX_DEGREE = 10  # of local polynomials: beyond it their powers are alike
 
 
 def local_polynomial_response(
@@ -65,6 +67,7 @@ def local_polynomial_response(
 
 def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate:
     n = len(pair.output)
+    # Offsets would leak into the lowest lines; without them the transient is smooth there, too.
     of_input = np.fft.rfft(pair.drive - np.mean(pair.drive)) / np.sqrt(n)
     of_output = np.fft.rfft(pair.output - np.mean(pair.output)) / np.sqrt(n)
     lines = np.arange(1, len(of_input) - (1 - n % 2))
@@ -72,11 +75,13 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
         raise EstimationError(
             f"{len(lines)} lines in the record; half_width {width} needs at least {2 * width + 1}"
         )
+    # At the ends of the band the window stays inside, with the line off its middle.
     centres = np.clip(lines, 1 + width, lines[-1] - width)
     around = centres[:, None] + np.arange(-width, width + 1)
     distance = (around - lines[:, None]) / width
     powers = distance[:, :, None] ** np.arange(degree + 1)
     u, y = of_input[around], of_output[around]
+    # (F.6): columns of h_0, h_1 .. and of t_0, t_1 .., line by line.
     matrix = np.concatenate([powers * u[:, :, None], powers.astype(np.complex128)], axis=2)
     size = np.linalg.norm(matrix, axis=1, keepdims=True)
     matrix = matrix / np.where(size > 0.0, size, 1.0)
@@ -86,6 +91,7 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
     freedom = 2 * width + 1 - 2 * (degree + 1)
     variance = np.sum(np.abs(residual) ** 2, axis=1) / freedom
     scale = np.where(size[:, 0, 0] > 0.0, size[:, 0, 0], np.inf)
+    # The variance of h_0 under white noise: the row of the pseudo-inverse that gives it, squared.
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
     return LineEstimate(
         np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),

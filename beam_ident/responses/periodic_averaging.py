@@ -12,6 +12,8 @@ Input and outputs keep their own clocks.  The input's Fourier coefficients follo
 from its samples and its hold, images included; an output sampled slower than twice the
 highest line folds it, and every line is reported at the frequency that was excited, above
 half the output's rate too.  What else falls on a line stands in its ``Folding``.
+
+Equation numbers are those of docs/frequency-domain.md.
 """
 
 from __future__ import annotations
@@ -155,6 +157,7 @@ class _Input:
         """Return the Fourier coefficients at any line numbers, shape (n_periods, n_numbers)."""
         spectra = np.fft.fft(self.ticks, axis=1) / self.per_period
         omegas = angular(numbers, line_period_s)
+        # (F.3): the samples' spectrum is periodic in the line number, the hold's gain is not.
         gain = hold_gain(self.signal.hold, omegas, self.period_s) * np.exp(-1j * omegas * self.start_s)
         return np.asarray(spectra[:, numbers % self.per_period] * gain)
 
@@ -165,6 +168,7 @@ class _Input:
         mean = np.mean(spectra, axis=0)
         scatter = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (n_periods - 1) / n_periods
         level = _moving_mean(scatter, int(min(np.ceil(_ENOUGH_FREEDOM / (n_periods - 1)), len(scatter))))
+        # Noise that was measured at the input did not excite anything: it must not enter as an image.
         is_kept = np.abs(mean) ** 2 > _AUDIBLE * level
         is_kept[numbers] = True
         ticks = np.fft.irfft(np.where(is_kept, mean, 0.0), self.per_period)
@@ -183,6 +187,7 @@ class _Input:
         chain = [own]
         for _ in range(3):
             integral = chain[-1].antiderivative()
+            # Each integral without its mean, so that the next one is periodic as well.
             twice = integral.antiderivative()
             ends = twice(np.array([begin, begin + span]))
             chain.append(integral.shifted(-float(ends[1] - ends[0]) / span))
@@ -307,16 +312,19 @@ def periodic_response(
     numbers = _excited_numbers(source, excited_hz, line_period_s)
     lines = _Lines.of(source, numbers, n_bins, line_period_s, outputs[0].exposure_s)
     at = lines.bins - 1
+    # A bin above half the rate holds the conjugate of the line that folded there.
     measured = np.where(lines.sign > 0, spectra[:, :, at], np.conj(spectra[:, :, at]))
     of_input = lines.input_of(source, outputs[0].exposure_s, line_period_s)
     drives = np.stack([of_input] * len(outputs))
     mean_y, mean_u = np.mean(measured, axis=1), np.mean(drives, axis=1)
+    # (F.1); noise on the input averages out before the division and does not bias it.
     response = mean_y / mean_u
     covariance, freedom = _covariance(measured - mean_y[:, None], drives - mean_u[:, None], response, mean_u)
     scatter = np.sum(np.abs(spectra - np.mean(spectra, axis=1)[:, None]) ** 2, axis=1) / (n_periods - 1)
     own_times = times[:n_bins] - times[0]
     quiet = source.quiet(numbers)
     integrals = quiet.integrals(own_times, outputs[0].exposure_s)
+    # The sums over all images behind (F.5), from the held input's derivatives and integrals.
     sampled = [np.fft.fft(part)[bins] / n_bins for part in integrals]
     drift, is_unsteady = drift_of_periods(spectra)
     found = FrequencyRecord(
@@ -354,6 +362,7 @@ def _level(periods: FloatArray) -> FloatArray:
     """Return the periods without the straight drift that their means show; it would leak into every line."""
     n_periods, n = periods.shape[1:]
     turn = np.arange(n_periods) - 0.5 * (n_periods - 1)
+    # Least squares of the periods' means over their number; the ramp runs on inside the periods.
     slope = np.mean(periods, axis=2) @ turn / float(turn @ turn)
     ramp = turn[:, None] + (np.arange(n) - 0.5 * (n - 1)) / n
     return np.asarray(periods - slope[:, None, None] * ramp)
@@ -400,6 +409,7 @@ class _Lines:
     def of(
         source: _Input, numbers: IndexArray, n_bins: int, line_period_s: float, exposure_s: float
     ) -> _Lines:
+        # Where a line falls when the outputs sample it, and on which side.
         place = numbers % n_bins
         sign = np.where(place <= n_bins // 2, 1, -1)
         bins = np.where(sign > 0, place, n_bins - place)
@@ -407,6 +417,7 @@ class _Lines:
         size = np.abs(np.mean(source.coefficients(numbers, line_period_s), axis=0))
         size = size * np.abs(exposure_gain(omegas, exposure_s))
         usable = (bins > 0) & (2 * bins < n_bins) & (size > 0.0)
+        # Of several lines in one bin the strongest is reported; the others become its images.
         best: dict[int, int] = {}
         for k in np.flatnonzero(usable):
             if bins[k] not in best or size[k] > size[best[int(bins[k])]]:
@@ -434,7 +445,9 @@ class _Lines:
         omegas = angular(others, line_period_s)
         own = self.input_of(source, exposure_s, line_period_s)[0]
         strength = source.coefficients(others.ravel(), line_period_s).reshape(others.shape)
+        # w_i of (F.4).
         weights = strength * exposure_gain(omegas, exposure_s) / own[:, None]
+        # Structures fall like 1/omega^2 above their modes: what counts of an image is its weight times that.
         importance = np.abs(weights) * np.minimum(
             1.0, (self.omegas[:, None] / np.maximum(np.abs(omegas), 1e-300)) ** 2
         )
@@ -451,6 +464,7 @@ class _Lines:
         for column, power in enumerate(TAIL_POWERS):
             total = sampled[column][self.bins - 1]
             total = np.where(self.sign > 0, total, np.conj(total)) / own
+            # Tail = everything that the sampled integral holds, less the line itself and the listed images.
             counted = (1j * self.omegas) ** -power
             counted = counted + np.sum(image_weights * (1j * image_omegas) ** float(-power), axis=1)
             tails[:, column] = total - counted
@@ -462,6 +476,7 @@ def _covariance(
 ) -> tuple[ComplexArray, float]:
     """Return the response's covariance by line, shape (n_lines, n_outputs, n_outputs), and its freedom."""
     n_outputs, n_periods, n_lines = of_outputs.shape
+    # Sigma and J of (F.2), over outputs and, for each, the input as it sees it.
     together = np.concatenate([of_outputs, of_inputs], axis=0)
     second = np.einsum("apl,bpl->lab", together, np.conj(together)) / (n_periods - 1)
     width = int(min(np.ceil(_ENOUGH_FREEDOM / (n_periods - 1)), n_lines))

@@ -2,7 +2,7 @@
 
 In every segment input and outputs are fitted by an offset and a sine of the frequency that was
 played (three parameters; IEEE Std 1057), or by one of free frequency (four parameters), at
-whatever stamps there are.  A fit needs no whole number of periods and no regular grid, and its
+any stamps.  A fit needs no whole number of periods and no regular grid, and its
 residuals give the variance of every line.
 
 The input's amplitude is that of its continuous signal: what a hold does to a sampled sine
@@ -80,7 +80,7 @@ def fit_sine(
     Raises
     ------
     EstimationError
-        Fewer than eight samples, a frequency that is not positive, stamps that cannot tell the sine.
+        Fewer than eight samples, a frequency that is not positive, stamps that do not determine the sine.
     """
     times, data = finite_row("stamps [s]", times_s), np.asarray(values, dtype=np.float64)
     if data.shape != times.shape or np.any(np.isinf(data)):
@@ -111,7 +111,7 @@ def fit_sine(
         found, _, rank, _ = np.linalg.lstsq(design / scale, data, rcond=1e-6)
         if rank < design.shape[1]:
             raise EstimationError(
-                f"the stamps cannot tell a sine of {omega / (2 * np.pi):.5g} Hz from an offset; sample more than "
+                f"the stamps cannot separate a sine of {omega / (2 * np.pi):.5g} Hz from an offset; sample more than "
                 "twice a period, or at other instants"
             )
         found = found / scale

@@ -1,4 +1,7 @@
-"""A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them."""
+"""A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them.
+
+Equation numbers are those of docs/transfer-functions.md.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ class SubspaceModel:
     denominator : ndarray, shape (order + 1,) -- 1, a_1 .. a_n, descending powers of s
     numerators : ndarray, shape (n_outputs, n_inputs, order + 1)
         Descending powers of s; least squares on exact responses under the inputs' holds.
-    singular_values : ndarray -- of the projected outputs; a gap tells the order
+    singular_values : ndarray -- of the projected outputs; a gap shows the order
     period_s, window_s : float -- sampling of the Hankel matrices, and the time that half of one covers [s]
     scores : tuple of Scores -- of the simulated outputs
     input_names, output_names : tuple of str
@@ -158,6 +161,7 @@ def subspace_model(
         raise EstimationError(f"window_s is {window_s}; expected a time > 0, or None for a choice")
     require_whole_number("n_block_rows", n_block_rows, 2)
     stretches = [_stretch(one, records[0]) for one in records]
+    # Poles first, one set for every window; then each set is judged by what it leaves of the outputs.
     windows = subspace_windows(stretches, order, window_s, n_block_rows)
     measured = [
         np.concatenate([own.signals[j][1] for own in stretches]) for j in range(len(records[0].outputs))
@@ -166,6 +170,7 @@ def subspace_model(
     best_misfit = math.inf
     for found in windows:
         numerators, residuals = _numerators(records, found.poles)
+        # The likelihood with a level of its own for every output.
         misfit = sum(
             len(e) * math.log(max(float(e @ e), 1e-300) / float(np.sum((y - y.mean()) ** 2) or 1.0))
             for e, y in zip(residuals, measured, strict=True)
@@ -201,11 +206,11 @@ def _model(
         whiteness.append(Whiteness.of(in_units_of_level(parts)))
         if not information_criterion(parts, n_parameters) < criterion_of_nothing(signals, True, True):
             warnings.append(
-                f"Output {output.name}: the model explains no more than chance would: by BIC none at all is better."
+                f"Output {output.name}: the model explains no more than chance would: BIC prefers no model."
             )
         if is_coloured(whiteness[-1], measured[-1], residuals[j]):
             warnings.append(
-                f"Output {output.name}: the residuals are not white: take the poles for a start, or ask for more."
+                f"Output {output.name}: the residuals are not white: use the poles as a start, or ask for more."
             )
     return SubspaceModel(
         poles=found.poles,
@@ -238,7 +243,7 @@ def _stretch(record: TimeRecord, like: TimeRecord) -> Stretch:
         output = record.output(name)
         keep = output.is_valid & (output.times_s >= first) & (output.times_s <= last)
         if np.count_nonzero(keep) < 2:
-            raise EstimationError(f"output {output.name!r} has no two samples while all inputs are known")
+            raise EstimationError(f"output {output.name!r} has < 2 samples while all inputs are known")
         require_output(output.name, output.values[keep])
         signals.append((output.times_s[keep], output.values[keep]))
     return Stretch([source.signal(margin_s=0.0) for source in sources], signals)
@@ -268,7 +273,10 @@ def _numerators(records: Sequence[TimeRecord], poles: ComplexArray) -> tuple[Flo
                 response = RationalResponse(
                     upper, scale, signal, signal.antiderivative(), instants, squares=False
                 )
+                # Numerators are linear once the poles are known: the columns are s^i/A u, (T.2), under the
+                # inputs' own holds.
                 columns += [response.over(power) for power in range(order, -1, -1)]
+            # Offset and ramp of every record, zero in the others.
             drifts = [np.zeros_like(times) for _ in range(2 * len(records))]
             drifts[2 * number], drifts[2 * number + 1] = np.ones_like(times), times - times.mean()
             rows.append(np.stack(columns + drifts, axis=1))

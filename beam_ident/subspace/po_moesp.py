@@ -8,6 +8,8 @@ prior knowledge.  Its window must cover 0.2 to 0.5 periods of the slowest mode: 
 given number of block rows, a longer window means averaging and decimating input and
 output alike.  The poles are not efficient, but they lie in the basin of the refined
 estimators, lightly damped modes under as much noise as signal included.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -181,21 +183,28 @@ def _estimate(sampled: Sequence[_Sampled], order: int, n_block_rows: int) -> Win
             _hankel(outputs, rows, at),
             _hankel(outputs, rows, at + rows),
         ]
+        # The rows in the order of (T.16): what is projected away, the past as instruments, the future
+        # outputs.
         block = np.concatenate(parts)
+        # Every column of a record weighs by that record's noise.
         block /= own.level
         blocks.append(block)
     stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+    # The data's LQ factorisation; only L is needed, and its size does not grow with the record.
     triangle = qr(stacked.T, mode="r", overwrite_a=True, check_finite=False)[0]
     n_future_inputs = 2 * len(sampled) + rows * n_inputs
     n_past = rows * (n_inputs + n_outputs)
+    # L_32 of (T.16): rows of the future outputs, columns of the past.
     projected = triangle[n_future_inputs : n_future_inputs + n_past, n_future_inputs + n_past :].T
     left, values, _ = svd(projected, full_matrices=False, check_finite=False)
 
     def poles(n: int) -> ComplexArray:
+        # Gamma = U_n S_n^(1/2), and its shift by one block row.
         observability = left[:, :n] * np.sqrt(values[:n])
         shift = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=None)[0]
         return _continuous(np.linalg.eigvals(shift), first.period_s)
 
+    # A few poles more: noise may have pushed a light mode out of the first n singular values.
     more = min(order + _SURPLUS, (rows - 1) * n_outputs, len(values))
     return Window(poles(order), poles(more), values, first.period_s, rows * first.period_s)
 
@@ -227,6 +236,7 @@ def _combined(
         drift = np.zeros((len(at), n_drifts))
         drift[:, 2 * record] = 1.0
         drift[:, 2 * record + 1] = np.linspace(-0.5, 0.5, len(times))
+        # The exact responses of every candidate pole to every input, their real and imaginary parts.
         responses = [_pole_columns(drive, times, pool) for drive in stretch.drives]
         row = np.concatenate([drift, *responses, own.outputs[at] / sizes], axis=1)
         row /= own.level
@@ -249,6 +259,8 @@ def _combined(
         best, best_gain, best_basis = -1, 0.0, basis
         for k in left:
             block = parts[:, :, k, : 1 + int(pool[k].imag > 0.0)].reshape(len(triangle), -1)
+            # What the candidate adds to the span of those chosen, and how much of the outputs it explains
+            # there.
             added = LinearSolution.of(block - basis @ (basis.T @ block)).basis
             gain = float(np.sum((added.T @ residuals) ** 2))
             if best < 0 or gain > best_gain:
@@ -257,6 +269,7 @@ def _combined(
         residuals = residuals - best_basis @ (best_basis.T @ residuals)
         pole = complex(pool[best])
         chosen += [pole, pole.conjugate()] if pole.imag > 0.0 else [pole]
+        # A pair needs room for two.
         room = order - len(chosen)
         left = {k for k in left - {best} if (2 if pool[k].imag > 0.0 else 1) <= room}
     if len(chosen) < order:  # no real pole is left for an odd order
@@ -293,6 +306,7 @@ def _continuous(discrete: AnyArray, period_s: float) -> ComplexArray:
     real = complex_ones[complex_ones.imag == 0.0]
     poles = np.concatenate(
         [
+            # p = log(z) / period of (T.16); complex eigenvalues come in pairs, so that one of each is enough.
             np.log(upper),
             np.conj(np.log(upper)),
             np.log(np.maximum(np.abs(real), 1e-12)).astype(np.complex128),

@@ -109,7 +109,7 @@ class MultiInputModel:
             drive = self.input_names.index(drive)
         if not 0 <= drive < len(self.input_names):
             raise EstimationError(
-                f"no input of number {drive}; expected 0 to {len(self.input_names) - 1}, or a name"
+                f"no input with number {drive}; expected 0 to {len(self.input_names) - 1}, or a name"
             )
         block = 0 if self.has_common_poles else drive
         lengths = [len(a) - 1 for a in self.denominators] + [len(b) for b in self.numerators]

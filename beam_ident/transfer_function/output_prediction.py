@@ -1,8 +1,8 @@
 """What a model predicts of an output: the simulation, and what belongs to the record alone.
 
 An output-error model takes the output's noise as white, so that past residuals predict
-nothing.  An offset, and the motion that was already there when the record begins, are no
-property of the model; both are fitted to the record.
+nothing.  An offset, and the motion that was already there when the record begins, do not
+belong to the model; both are fitted to the record.
 """
 
 from __future__ import annotations

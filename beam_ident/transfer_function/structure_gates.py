@@ -79,7 +79,7 @@ def transfer_function_warnings(
     """
     warnings = [] if converged else [f"The fit did not converge: {reason}."]
     if not is_worth_it:
-        warnings.append("The model explains no more than chance would: by BIC none at all is better.")
+        warnings.append("The model explains no more than chance would: BIC prefers no model.")
     for model in models:
         complaint = structure_complaint(model) or _damping_complaint(model)
         if complaint:

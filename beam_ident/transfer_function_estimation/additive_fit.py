@@ -6,6 +6,8 @@ Every input is estimated on what the others leave of the output, in turn (block 
 descent as in González et al., arXiv 2401.01263), and Levenberg-Marquardt with the exact joint
 gradients goes from there to the joint optimum.  Where its residuals still look like
 anything but noise, the inputs have another round.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -52,9 +54,13 @@ def estimate_additive(
     for _ in range(_ROUNDS):
         starts_s, found = [float(own.times[0]) for own in problem.experiments], []
         for k in range(len(problem.paths)):
+            # Block coordinate descent: input k is estimated on y less what the other inputs explain at
+            # present.
             others = np.sum([part for j, part in enumerate(parts) if j != k], axis=0)
             alone = problem.of_values(problem.values - others, (k,))
             solved, optimum = estimate_denominator(alone, method, cutoff, n_finalists=1)
+            # A path with an unknown past and a delay drops the first samples; the joint problem drops them
+            # for all.
             starts_s = [max(s, float(e.times[0])) for s, e in zip(starts_s, solved.experiments, strict=True)]
             iterations += optimum.iterations
             parts[k] = _share(alone, optimum.state, 0)
@@ -63,6 +69,7 @@ def estimate_additive(
         joint.scale = problem.scale
         start = joint.state(
             np.concatenate(
+                # theta of the joint problem: all denominators first, then all free delays.
                 [theta[:n] for theta, n in zip(found, orders, strict=True)]
                 + [theta[n:] for theta, n in zip(found, orders, strict=True)]
             )
@@ -72,6 +79,7 @@ def estimate_additive(
         if len(joint.experiments) > 1:
             joint = joint.reweighed(start, is_coloured=False)
             start = joint.state(start.theta)
+        # Descent by blocks crawls where inputs are correlated; the joint gradients (T.8) do not.
         minimum = minimise(joint, start, _ITERATIONS)
         iterations += minimum.iterations
         if best is None or minimum.state.cost < best[1].state.cost:
@@ -79,6 +87,8 @@ def estimate_additive(
         noise = joint.standardised(minimum.state.residuals)
         if minimum.converged and Whiteness.of(noise).p_value > WHITE:
             break
+        # Another round begins at the joint optimum, each input with the residuals that the joint model
+        # leaves.
         parts = [_share(problem, minimum.state, k) for k in range(len(problem.paths))]
     if best is None:
         raise EstimationError(

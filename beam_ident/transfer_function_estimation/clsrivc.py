@@ -4,8 +4,8 @@ Under feedback the input contains the output's noise, and an estimator that trea
 input as given is biased as soon as that noise has a colour.  The closed-loop simplified
 refined instrumental variable method (Gilson, Garnier, Young and Van den Hof 2008) takes its
 instruments from a *simulated* loop instead: the known external reference drives the known
-sampled controller and the present model without noise.  These instruments do not
-know the noise whatever its colour, and what they pin down is the plant alone.
+sampled controller and the present model without noise.  These instruments are
+independent of the noise, of any colour, so that the estimate is that of the plant alone.
 
 The estimate is the root of ``Z^T C(q) (y - B/A u) = 0``: u the measured input under its hold,
 Z the gradients of the model at the simulated input, C(q) an autoregression that whitens
@@ -13,6 +13,8 @@ the residuals.  It starts at the open-loop estimate and is found by Newton's met
 
 Several records of one loop are one set of equations: every record has its own reference, offset and
 drift, and its residuals their own colour and level, by which it weighs.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -119,7 +121,7 @@ def estimate_in_closed_loop(
     ------
     EstimationError
         An input that is not held over the controller's period, signals that do not match,
-        a plant with direct feedthrough, or whatever ``estimate_transfer_function`` refuses.
+        a plant with direct feedthrough, or anything that ``estimate_transfer_function`` refuses.
 
     Notes
     -----
@@ -151,7 +153,7 @@ def estimate_in_closed_loop(
 
 
 class _LoopRecord:
-    """What one record says of the loop, and the noise that it has."""
+    """One record of the loop, and the noise that it has."""
 
     def __init__(
         self,
@@ -260,6 +262,8 @@ class _Loop:
     def _weigh(self, point: _Point) -> None:
         """Give every record the colour and, where there are several, the level that its residuals have."""
         for own, left in zip(self.records, self._residuals(point), strict=True):
+            # C(q) and, with several records, the level: both are weights only, so that the estimate stays
+            # consistent whatever they are.
             own.noise = autoregression(left) if own.is_regular else np.ones(1)
             own.level = 1.0
             if len(self.records) > 1:
@@ -294,6 +298,8 @@ class _Loop:
         if not np.all(np.isfinite(theta)):
             return None
         upper = upper_roots(np.concatenate([[1.0], theta[: self.n]]))
+        # The gradients of an unstable plant grow without end; Newton's step is halved until this does not
+        # happen.
         if np.any(upper.real >= 0.0) or len(full_roots(upper)) != self.n:
             return None
         references = [own.reference for own in self.records]
@@ -304,6 +310,8 @@ class _Loop:
         for own, simulated_input in zip(self.records, inputs, strict=True):
             measured = (own.measured_drive, own.measured_integral)
             response, slopes = self._gradients(theta, upper, measured, own.instants)
+            # Z: the gradients (T.8) at the input u_s of the loop without noise. It does not know the noise of
+            # y.
             clean = own.clean_drive(simulated_input)
             clean_slopes = self._gradients(theta, upper, (clean, clean.antiderivative()), own.instants)[1]
             simulated.append(response)
@@ -321,6 +329,7 @@ class _Loop:
         """Return B/A and its derivatives by the coefficients, shape (n, n_poles + n_zeros + 1)."""
         n, b = self.n, theta[self.n :]
         response = RationalResponse(upper, self.scale, *signals, instants, squares=True)
+        # (T.8): -s^(n-i) B/A^2 u = -sum_k b_k s^(n-i+k)/A^2 u, from one table of s^k/A^2 u.
         plain = np.stack([response.over(power) for power in range(self.m + 1)], axis=1)
         squares = np.stack([response.over_square(power) for power in range(n + self.m)], axis=1)
         by_a = [-squares[:, n - i : n - i + self.m + 1] @ b for i in range(1, n + 1)]
@@ -354,6 +363,7 @@ class _Loop:
         condition : float
         residuals : ndarray -- whitened, after the nuisances
         """
+        # (T.13), with offset and ramp of every record as their own instruments.
         psi = self._white(self._with_nuisances(point.gradients))
         z = self._white(self._with_nuisances(point.instruments))
         simulated = zip(self.records, point.simulated, strict=True)
@@ -365,7 +375,10 @@ class _Loop:
         step = inverse @ (z.T @ target)
         k = len(point.theta)
         residuals = target - psi[:, k:] @ step[k:]
+        # Less the nuisances only: at the root the step of the coefficients is zero.
         variance = float(residuals @ residuals) / max(len(residuals) - len(step), 1)
+        # (T.14): R is the unit matrix while the residuals are white, else what colour the autoregression has
+        # left.
         score = z.T @ z if is_white else self._score(z, residuals)
         covariance = variance * inverse @ score @ inverse.T / np.outer(size_psi, size_psi)
         return step / size_psi, covariance, float(np.linalg.cond(z.T @ psi)), residuals
@@ -409,6 +422,7 @@ class _Loop:
         parts = self._residuals(point)
         values, residuals = _in_a_row([own.values for own in self.records]), _in_a_row(parts)
         n, m = self.n, self.m
+        # From ascending to descending powers of B, and from units of the scale to rad/s.
         order = np.concatenate([np.arange(n), n + np.arange(m, -1, -1)])
         units = self._units()
         complete = np.zeros((n + m + 2, n + m + 2))
@@ -451,7 +465,7 @@ class _Loop:
     def _record_fits(
         self, point: _Point, parts: Sequence[FloatArray], white: FloatArray
     ) -> tuple[RecordFit, ...]:
-        """Return what every record says of the estimate."""
+        """Return the fit of every record at the estimate."""
         nuisances = self._nuisances(point) if self.n_own else np.zeros((len(parts), 0))
         return tuple(
             RecordFit(

@@ -5,6 +5,8 @@ regression shifted by the delay, and everything that the normal equations need a
 is a correlation, which the fast Fourier transform gives at once.  What remains is one
 small system for every delay.  The minima of the profiles behind several filters are the candidates;
 which of them is right is decided by the output error.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ def delay_candidates(problem: OutputErrorProblem, cutoffs: list[float]) -> list[
     ranges = [_range(problem, k) for k in problem.free_delays]
     present = np.array([float(np.clip(0.0, low, high)) for low, high in ranges])
     best: list[float] = [present[0]]
+    # Several unknown delays take turns, each searched at the best values of the others.
     for _ in range(_SWEEPS if len(ranges) > 1 else 1):
         for place, (low, high) in enumerate(ranges):
             best = _ranked_minima(problem, cutoffs, present, place, low, high)
@@ -75,6 +78,7 @@ def _ranked_minima(
         delays, cost = delay_profile(problem, cutoff, present, place, low, high)
         if not len(cost):
             continue
+        # Filters pass different amounts of noise: minima are compared by their depth below their own profile.
         level = float(np.median(cost))
         padded = np.concatenate([[math.inf], cost, [math.inf]])
         minima = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]))
@@ -83,6 +87,7 @@ def _ranked_minima(
     found.sort()
     chosen: list[float] = []
     for _, delay in found:
+        # Profiles of several filters show the same minimum at neighbouring steps.
         if all(abs(delay - other) > 1.5 * problem.period for other in chosen):
             chosen.append(delay)
     return chosen[:_CANDIDATES] or [low]
@@ -119,6 +124,7 @@ def delay_profile(
         first = record * problem.n_nuisances
         own[:, first : first + problem.n_nuisances] = share.nuisances
         fixed.append(np.concatenate([share.shared, own], axis=1))
+    # Q of (T.11), of everything that does not move with this delay.
     basis = LinearSolution.of(np.concatenate(fixed)).basis
     target = np.concatenate([share.target for share in shares])
     target = target - basis @ (basis.T @ target)
@@ -127,6 +133,7 @@ def delay_profile(
         zip([share.moving for share in shares], np.split(basis, ends), np.split(target, ends), strict=True)
     )
     n_steps = int((high - shift) / step) + 1
+    # (T.11) for all delays at once; rows at half samples are twice as many as independent samples.
     rss = np.maximum(float(target @ target) - _explained(parts, n_steps), problem.floor)
     return (
         np.asarray(shift + step * np.arange(n_steps)),
@@ -184,6 +191,7 @@ def _shares(
             nuisances.append(free.combined(np.eye(problem.n_a)))
         shares.append(
             _Share(
+                # The target of (T.6); the outputs' own columns stand with the shared ones.
                 (values - outputs @ coefficients) / level,
                 moving / level,
                 np.concatenate(shared, axis=1) / level,
@@ -211,15 +219,18 @@ def _explained(parts: list[tuple[FloatArray, FloatArray, FloatArray]], n_steps: 
         n = len(moving)
         scaled = moving / scales
         length = next_fast_len(n + n_steps, real=True)
+        # Correlations over all shifts at once; padded so that none wraps around.
         spectra = np.conj(rfft(scaled, length, axis=0))
         against = rfft(np.column_stack([basis, target]), length, axis=0)
         # shifted[l, i, j] = sum_k moving[k, i] against[k + l, j]
         shifted = irfft(spectra[:, :, None] * against[:, None, :], length, axis=0)[:n_steps]
         of_basis += shifted[:, :, :-1]
         of_target += shifted[:, :, -1]
+        # U_l^T U_l loses, with every shift, the rows that leave the record at its end.
         products = np.einsum("ki,kj->kij", scaled, scaled)
         sums = np.concatenate([np.zeros((1, width, width)), np.cumsum(products, axis=0)])
         gram += sums[np.maximum(n - np.arange(n_steps), 0)]
+    # G_l of (T.11), made of unit diagonal and faintly regularised where a shifted column is nearly one of Q.
     gram -= np.einsum("lia,lja->lij", of_basis, of_basis)
     size = np.sqrt(np.maximum(np.einsum("lii->li", gram), 1e-12))
     unit = gram / (size[:, :, None] * size[:, None, :]) + 1e-9 * np.eye(width)

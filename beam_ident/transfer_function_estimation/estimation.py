@@ -5,7 +5,7 @@ every record has its own clocks, offset, drift and initial state, and its own no
 
 What is estimated is a ``OutputErrorProblem``; how a start is found and
 refined to the optimum stands in ``transfer_function_estimation.srivc``, how a delay is found in
-``transfer_function_estimation.delay_search``, and how inputs with denominators of their own are told apart in
+``transfer_function_estimation.delay_search``, and how inputs with denominators of their own are separated in
 ``transfer_function_estimation.additive_fit``.
 """
 
@@ -272,7 +272,7 @@ def estimate_transfer_function(
     Notes
     -----
     The noise of every record has its own variance (and colour, with "rivc"): samples of a quiet record count
-    for more, and the stated standard deviations stay true whatever the levels.  The model's ``noise_sd``
+    for more, and the stated standard deviations stay true for any levels.  The model's ``noise_sd``
     is the root of the mean square over all samples; each record's own stands in ``records``.  The weights
     of "lssvf" and "ivsvf" are those of a first estimate.
     """
@@ -445,7 +445,7 @@ def _result(
 def record_fits(
     problem: OutputErrorProblem, state: OutputErrorState, joint: JointCovariance
 ) -> tuple[RecordFit, ...]:
-    """Return what every record says of an optimum."""
+    """Return the fit of every record at an optimum."""
     residuals, terms = problem.unweighed_residuals(state), problem.nuisances
     fits = []
     for record, (own, part) in enumerate(zip(problem.experiments, problem.rows, strict=True)):

@@ -232,8 +232,8 @@ def _require_resolved(delay: Prior, record: FrequencyRecord) -> None:
     longest = 1.0 / float(np.min(np.diff(record.frequencies_hz)))
     if delay.mean > longest:
         raise EstimationError(
-            f"the delay is {delay.mean:.6g} s; lines {1.0 / longest:.4g} Hz apart cannot tell it from others beyond "
-            f"{longest:.6g} s. Take a whole number of these off, or measure over a longer time"
+            f"the delay is {delay.mean:.6g} s; lines {1.0 / longest:.4g} Hz apart cannot separate delays that differ "
+            f"by {longest:.6g} s. Subtract a whole number of these, or measure over a longer time"
         )
 
 
@@ -330,7 +330,7 @@ def fit_frequency_transfer_function(
     seen = likelihood.weights > 0.0
     of_nothing = information_criterion([(likelihood.weights * likelihood.values)[seen]], 0)
     if not information_criterion([state.residuals[seen]], size) < of_nothing:
-        warnings.append("the model explains no more than chance would: by BIC none at all is better")
+        warnings.append("the model explains no more than chance would: BIC prefers no model")
     complaint = structure_complaint(model)
     if complaint:
         warnings.append(complaint)

@@ -10,6 +10,8 @@ antiderivatives are exact.
 
 One record is the usual case.  Several share denominators, numerators and delays, while every one has
 nuisances and noise of its own; a noise model (``noise.noise_model``) weighs them.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -188,6 +190,8 @@ class OutputErrorProblem:
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:
             assert state.solution is not None
+            # The trace of Q Q^T over a record's rows: how many of its samples the linear parameters take;
+            # theta takes an equal share of every sample.
             leverage = np.einsum("ij,ij->i", state.solution.basis, state.solution.basis)
             share = len(state.theta) / len(left)
             for record, part in enumerate(self.rows):
@@ -200,7 +204,7 @@ class OutputErrorProblem:
         return problem
 
     def unweighed_residuals(self, state: OutputErrorState) -> FloatArray:
-        """Return what a state leaves of the output, whatever it is weighed by."""
+        """Return what a state leaves of the output, without weights."""
         return np.asarray(self.values - state.matrix @ state.coefficients)
 
     def standardised(self, residuals: FloatArray) -> FloatArray:
@@ -224,6 +228,7 @@ class OutputErrorProblem:
     def delays(self, theta: FloatArray) -> FloatArray:
         """Return the delay of every path [s]."""
         result = np.array([path.delay.mean for path in self.paths])
+        # The given delays come from the priors' means, the free ones from theta.
         result[self.free_delays] = theta[self.n_a :]
         return result
 
@@ -235,6 +240,7 @@ class OutputErrorProblem:
         """Return a state's parameters in another unit of frequency."""
         powers = np.concatenate([np.arange(1, n + 1) for n in self.orders])
         theta = state.theta.copy()
+        # a_i belongs to s^(n-i), so that it scales with the unit of frequency to the power i.
         theta[: self.n_a] *= (state.scale / scale) ** powers
         return np.asarray(theta)
 
@@ -253,6 +259,7 @@ class OutputErrorProblem:
         refused = OutputErrorState(theta, self.scale, math.inf, ())
         if not np.all(np.isfinite(theta)):
             return refused
+        # Poles are taken to be stable; a root lost to rounding or far above the band is refused, too.
         uppers = tuple(upper_roots(self.polynomial(theta, block)) for block in range(len(self.orders)))
         largest = _MAX_POLE * self.nyquist / self.scale
         for upper, n in zip(uppers, self.orders, strict=True):
@@ -278,6 +285,7 @@ class OutputErrorProblem:
             response.combined(np.eye(path.n_zeros + 1))
             for path, response in zip(self.paths, responses, strict=True)
         ]
+        # X of (T.9): s^i/A_k u_k of every path, then the nuisances N.
         matrix = np.concatenate([*columns, *self._own_columns(free)], axis=1)
         if not np.all(np.isfinite(matrix)):
             return refused
@@ -291,6 +299,7 @@ class OutputErrorProblem:
         matrix = self.weighed(point.matrix)
         solution = LinearSolution.of(matrix)
         coefficients = solution.coefficients(self._target)
+        # (T.9): with the noise's variance eliminated the likelihood is n/2 log of the squares left over.
         residuals = self._target - matrix @ coefficients
         cost = 0.5 * len(self.values) * math.log(float(residuals @ residuals) + self.floor)
         delays = self.delays(theta)
@@ -328,6 +337,7 @@ class OutputErrorProblem:
         """
         result = np.zeros((len(self.values), len(state.theta)))
         for k, (path, response) in enumerate(zip(self.paths, state.responses, strict=True)):
+            # (T.8) by the denominators: paths that share one add up.
             result[:, self.parts[path.block]] += self._by_denominator(
                 response, self.numerator(state, k), path.block
             )
@@ -336,10 +346,12 @@ class OutputErrorProblem:
             place = self.n_numerators + record * self.n_nuisances + n_drifts
             for block, response in enumerate(responses):
                 ascending = state.coefficients[place : place + self.orders[block]]
+                # Free motions are B/A driven by an impulse: their derivative has the same form.
                 result[part][:, self.parts[block]] += self._by_denominator(response, ascending, block)
                 place += self.orders[block]
         for column, k in enumerate(self.free_delays):
             ascending = self.numerator(state, k)
+            # (T.8) by a delay: a later input is the response's derivative by time, with the opposite sign.
             derivative = np.concatenate([[0.0], ascending])[None]  # s B / A: by time, in units of 1/scale
             result[:, self.n_a + column] = -self.scale * state.responses[k].combined(derivative)[:, 0]
         return self.weighed(result)
@@ -356,6 +368,7 @@ class OutputErrorProblem:
         """Return the information on theta with the linear parameters unknown, prior knowledge included."""
         assert state.solution is not None
         basis = state.solution.basis
+        # H of (T.10), with the priors as observations of their own.
         projected = jacobian - basis @ (basis.T @ jacobian)
         information = projected.T @ projected / max(variance, 1e-300)
         for column, k in enumerate(self.free_delays):
@@ -366,6 +379,7 @@ class OutputErrorProblem:
         """Return information matrix and descent direction."""
         variance = (float(state.residuals @ state.residuals) + self.floor) / len(self.values)
         jacobian = self.jacobian(state)
+        # Minus the gradient of (T.9). The projector is not needed: residuals stand at right angles to Q.
         direction = jacobian.T @ state.residuals / variance
         for column, k in enumerate(self.free_delays):
             prior, place = self.paths[k].delay, self.n_a + column
@@ -394,7 +408,9 @@ class OutputErrorProblem:
         information = self._information(state, jacobian, variance)
         if also is not None:
             information = information + also
+        # G of (T.10): how the best linear coefficients move with theta.
         sensitivity = -state.solution.coefficients(jacobian)
+        # Unit diagonal before the inverse: coefficients of different powers differ by orders of magnitude.
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         scaled = information * np.outer(scale, scale)
         condition = float(np.linalg.cond(scaled))

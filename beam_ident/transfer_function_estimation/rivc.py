@@ -7,6 +7,8 @@ level of its own (``noise.noise_model``).  Residuals and gradients alike pass th
 the stationary point of the output error so weighed is RIVC's fixed point, the maximum of the
 likelihood.  System and noise take turns until neither moves: their estimates are uncorrelated, so
 that a few turns are enough.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -48,6 +50,7 @@ def refine_with_noise_model(
     state, iterations = start.state, start.iterations
     weighed = problem
     for _ in range(_TURNS):
+        # W of (T.9) from the residuals at the present model, then the model under W.
         weighed = problem.reweighed(state, is_coloured=method == "rivc")
         first = weighed.state(state.theta)
         if method == "srivc":
@@ -58,6 +61,7 @@ def refine_with_noise_model(
         iterations += found.iterations
         if not math.isfinite(found.state.cost):
             return weighed, Optimum(state, False, found.reason, iterations)
+        # How far this turn has moved the system, in standard deviations of one parameter.
         information, _ = weighed.slope(found.state)
         moved = found.state.theta - state.theta
         size = math.sqrt(max(float(moved @ information @ moved), 0.0) / len(moved))

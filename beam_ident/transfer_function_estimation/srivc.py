@@ -10,6 +10,8 @@ then the other starts have their turn, and the lowest cost wins.
 Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
 that SRIVC's fixed point is the stationary point of the output-error cost; the
 interpolation of the *measured* output inside the filters only affects the way there.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -76,6 +78,7 @@ class Optimum:
 
 def portfolio(problem: OutputErrorProblem) -> list[float]:
     """Return cut-offs of the state-variable filter [rad/s] that span what the record can show."""
+    # From two periods in the record to half the Nyquist frequency of the stamps.
     low = 4.0 * np.pi / problem.length
     return [float(w) for w in np.geomspace(low, 0.5 * problem.nyquist, _PORTFOLIO)]
 
@@ -112,6 +115,8 @@ def estimate_denominator(
             longest = max(float(np.max(d)) for d in delays) + 1.5 * problem.period
             problem = problem.from_stamps([own.times[0] + longest for own in problem.experiments])
     if len(problem.experiments) > 1:
+        # Levels of several records differ; the first start is enough to see them, and all others are
+        # weighed by them.
         start = next(_Chain(problem, method, cutoffs, delays, 1).in_turn(), None)
         if start is not None:
             problem = problem.reweighed(start, is_coloured=False)
@@ -149,12 +154,14 @@ def srivc(problem: OutputErrorProblem, start: OutputErrorState) -> Optimum:
     n = problem.n_a
     for iteration in range(1, _SRIVC_ITERATIONS + 1):
         jacobian = problem.jacobian(state)
+        # (T.7) with F = A and the gradients (T.8) as instruments, both at the present point.
         theta = instrumental_step(problem, state, jacobian[:, :n])
         following = problem.state(theta)
         if not math.isfinite(following.cost):
             break
         if following.cost < best.cost:
             best = following
+        # The step in units of its standard deviation.
         information, _ = problem.slope(following)
         moved = (following.theta - state.theta)[:n]
         state = following
@@ -189,6 +196,7 @@ class _Chain:
             if best is None or found.state.cost < best.state.cost:
                 best = found
             noise = self.problem.standardised(best.state.residuals)
+            # White residuals: the optimum is not only local. Otherwise the next start has its turn.
             if found.converged and Whiteness.of(noise).p_value > WHITE:
                 break
         if best is None:
@@ -273,6 +281,8 @@ class _Chain:
     def _least_squares(self, cutoff: float, delays: FloatArray) -> tuple[OutputErrorState, OutputErrorState]:
         problem = self.problem
         problem.scale = cutoff
+        # A Butterworth filter of the cut-off, as if it were the denominator: its point has the columns of
+        # (T.5).
         theta = np.concatenate([filter_coefficients(problem.n_a), delays])
         behind = problem.point(theta, slopes=False)
         if not behind.matrix.size:
@@ -282,6 +292,8 @@ class _Chain:
     def _instrumental(self, behind: OutputErrorState, found: OutputErrorState) -> OutputErrorState:
         problem = self.problem
         problem.scale = behind.scale
+        # The output simulated by the least-squares model, behind the same filter: correlated with the
+        # regressors, free of their noise.
         simulated = problem.values - problem.unweighed_residuals(found)
         instruments = -problem.weighed(filtered_simulation(problem, behind.uppers[0], simulated))
         return problem.state(instrumental_step(problem, behind, instruments), slopes=False)
@@ -301,6 +313,8 @@ class _Chain:
         ]
         states = []
         for poles in subspace_poles(stretches, problem.n_a):
+            # The geometric mean of the poles is the unit of frequency in which the coefficients stay near
+            # one.
             problem.scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(poles), 1e-9 * problem.nyquist)))))
             coefficients = stable_coefficients(np.real(np.poly(poles / problem.scale))[1:])
             states.append(problem.state(np.concatenate([coefficients, delays]), slopes=False))

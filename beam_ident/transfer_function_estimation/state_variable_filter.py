@@ -3,6 +3,8 @@
 Behind a filter 1/F(s) the equation ``A y = B u`` holds for the filtered derivatives, and is linear
 in the coefficients: ``s^n/F y = -sum_i a_i s^(n-i)/F y + sum_j b_j s^j/F u``.  With F = A and exact
 responses as instruments the same regression is a step of SRIVC.
+
+Equation numbers are those of docs/transfer-functions.md.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from beam_ident.transfer_function_estimation.record_share import RecordShare, Re
 
 def filter_coefficients(order: int) -> FloatArray:
     """Return a_1 .. a_n of a Butterworth filter of cut-off one: well damped, and its poles keep apart."""
+    # Butterworth poles stand on the left half of the unit circle at equal angles.
     angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
     return np.asarray(np.real(np.poly(np.exp(1j * angles)))[1:])
 
@@ -58,6 +61,7 @@ def filtered_simulation(
 def least_squares_step(problem: OutputErrorProblem, state: OutputErrorState) -> FloatArray:
     """Return the denominator that least squares finds behind the filter of a state (LSSVF)."""
     regressors, target = _equations(problem, state)
+    # Least squares on (T.5). The regressors hold the noise of y, hence the bias.
     return _with_delays(problem, state, LinearSolution.of(regressors).coefficients(target))
 
 
@@ -74,6 +78,8 @@ def instrumental_step(
     """
     regressors, target = _equations(problem, state)
     others = regressors[:, problem.n_a :]
+    # (T.7) in an orthonormal basis of Z: the columns without noise (inputs, nuisances) are their own
+    # instruments.
     basis = LinearSolution.of(np.concatenate([instruments, others], axis=1)).basis
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
@@ -84,6 +90,7 @@ def instrumental_step(
 def _equations(problem: OutputErrorProblem, state: OutputErrorState) -> tuple[FloatArray, FloatArray]:
     """Return regressors and target behind the filter of a state, as the noise model sees them."""
     outputs = filtered_outputs(problem, state.uppers[0])
+    # (T.6): the highest derivative is the output less the lower ones, weighed by the filter's coefficients.
     target = problem.values - outputs @ state.theta[: problem.n_a]
     return problem.weighed(np.concatenate([-outputs, state.matrix], axis=1)), problem.weighed(target)
 

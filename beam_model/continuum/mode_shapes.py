@@ -83,7 +83,7 @@ def free_hub_characteristic_function(b: FloatArray | float, hub_mass_ratio: floa
 
 
 def _find_roots(function: Callable[[FloatArray | float], FloatArray], n_roots: int) -> FloatArray:
-    """Return the first ``n_roots`` positive zeros, each refined to the last digit."""
+    """Return the first ``n_roots`` positive zeros, each refined to rounding."""
     roots: list[float] = []
     start = _MIN_ROOT
     while len(roots) < n_roots:

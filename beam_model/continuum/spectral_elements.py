@@ -8,6 +8,8 @@ exponential, bending stiffness is nearly the identity, and all that is left is r
 clamped modes *with* gravity, markers, tip mass and clamp compliance.
 
 Lengths are in units of L, masses in rho L, stiffnesses in EI/L^3.
+
+Equation numbers are those of docs/beam-model.md.
 """
 
 from __future__ import annotations
@@ -85,6 +87,7 @@ class SpectralElements:
             )
             offset += n_bubbles
             square = np.ix_(rows, rows)
+            # The integrals of (B.4), exact by Gauss's rule for these degrees.
             strip_mass[square] += value.T @ (weights[:, None] * value)
             bending[square] += curvature.T @ (weights[:, None] * curvature)
             geometric[square] += slope.T @ ((weights * axial_load)[:, None] * slope)
@@ -96,6 +99,7 @@ class SpectralElements:
 
         self.mass = self.strip_mass.copy()
         self.load = self.strip_load.copy()
+        # Markers and tip of (B.4) act at points.
         for x, mass in [*inner, (1.0, mu)]:
             value = self.basis(np.array([x]))[0]
             self.mass += mass * np.outer(value, value)
@@ -103,6 +107,7 @@ class SpectralElements:
         tip_slope = self.basis(np.array([1.0]), 1)[0]
         self.mass += parameters.tip_inertia_ratio * np.outer(tip_slope, tip_slope)
 
+        # s W of (B.4): an upright beam is softened.
         weight = parameters.gravity_sign * parameters.weight_ratio
         self.stiffness = self.bending - weight * geometric[first:, first:]
         if parameters.clamp_compliance > 0.0:
@@ -152,6 +157,7 @@ class SpectralElements:
         are then refined (Ogita and Aishima 2018), because a symmetric solver's error is relative to the
         largest eigenvalue and not to each one.
         """
+        # With K = L L^T: L^-1 M L^-T has the eigenvalues 1/omega^2.
         half = linalg.solve_triangular(self._cholesky, self.mass, lower=True)
         compliance = linalg.solve_triangular(self._cholesky, half.T, lower=True)
         inverse, vectors = linalg.eigh(0.5 * (compliance + compliance.T))
@@ -160,6 +166,7 @@ class SpectralElements:
         V = V / np.sqrt(np.einsum("ij,ij->j", V, self.mass @ V))
         squared = 1.0 / inverse[order]
         for _ in range(2):
+            # (B.5); each step squares the relative error.
             excess = np.eye(n_modes) - V.T @ self.mass @ V
             stiffness = V.T @ self.stiffness @ V
             squared = np.diag(stiffness) / (1.0 - np.diag(excess))
@@ -205,6 +212,7 @@ def _bubbles(xi: FloatArray, n_bubbles: int, derivative: int) -> FloatArray:
     P: FloatArray = np.asarray(legendre.legvander(xi, n_bubbles + 3), dtype=np.float64)
     middle = P[:, 2 : n_bubbles + 2]
     if derivative == 0:
+        # P_k integrated twice, by (2k+1) P_k = P_(k+1)' - P_(k-1)'.
         up, down = P[:, 4 : n_bubbles + 4], P[:, :n_bubbles]
         value = up / ((2 * k + 1) * (2 * k + 3)) - 2 * middle / ((2 * k - 1) * (2 * k + 3))
         value = value + down / ((2 * k + 1) * (2 * k - 1))

@@ -6,6 +6,8 @@ therefore carry no integration error, and halving the tick changes nothing but t
 
 States of the hub: *moving* in one direction against Coulomb friction, or *held*, by friction or a stop, while
 the beam goes on vibrating on it.
+
+Equation numbers are those of docs/beam-model.md.
 """
 
 from __future__ import annotations
@@ -143,6 +145,7 @@ class AxisStepper:
         scale = np.concatenate([[frequencies[0]], frequencies, np.ones(n + 1)])
         self._moving = LinearStepper(A, B, self.period, scale)
         self._rows = A[n + 1], float(B[n + 1])
+        # The beam on a still hub: its clamped modes, coupled by damping at most.
         held = np.zeros((2 * n, 2 * n))
         held[:n, n:] = np.eye(n)
         held[n:, :n] = -np.diag(frequencies**2)
@@ -195,6 +198,7 @@ class AxisStepper:
         error = position - self.position
         wanted = servo.proportional * error + servo.derivative * (velocity - self.velocity) + self._integral
         self.force = float(np.clip(wanted, -servo.max_force, servo.max_force))
+        # Anti-windup: what a saturated force cannot do is not added up.
         if self.force == wanted:
             self._integral += servo.integral * error * self.period
         self.step(self.force)
@@ -246,6 +250,7 @@ class AxisStepper:
         end = flow(left)
         if not self._is_released(end, force):
             return end, left
+        # Exact in time: the flow is closed, only its root is found numerically.
         instant = _first_zero(lambda t: self._release_margin(flow(t), force), left)
         return flow(instant), instant
 
@@ -256,6 +261,7 @@ class AxisStepper:
         n = self._n
         flow = self._moving_flow(state, force - direction * self._friction.coulomb)
         instant, event, end = left, "none", flow(left)
+        # Without dry friction the velocity changes its sign freely, and coming to rest is no event.
         if self._friction.coulomb > 0.0 and direction * end[n + 1] < 0.0:
             instant, event = _first_zero(lambda t: direction * flow(t)[n + 1], left), "rest"
             end = flow(instant)
@@ -293,12 +299,14 @@ class AxisStepper:
     def _holding_force(self, state: FloatArray) -> float:
         """Return the force that keeps a resting hub at rest against the beam's pull [N]."""
         q, rates = state[1 : self._n + 1], state[self._n + 2 :]
+        # (B.6).
         accelerations = -(self._C[1:, 1:] @ rates + self._modal_K * q) / self._M[1, 1]
         return float(self._M[0, 1:] @ accelerations + self._C[0, 1:] @ rates)
 
     def _release_margin(self, state: FloatArray, force: float) -> float:
         """Return by how much friction and stops still hold the hub [N]; negative: released."""
         net = force - self._holding_force(state)
+        # A stop holds against any push into it, friction against |f - f_h| up to Coulomb's.
         margin = self._friction.coulomb - abs(net)
         if self._stops is not None:
             at_upper = state[0] >= self._stops.upper - 1e-12
@@ -318,6 +326,7 @@ class AxisStepper:
         n = self._n
         state = state.copy()
         state[0] = np.clip(state[0], self._stops.lower, self._stops.upper)
+        # (B.7): the impulse that turns the hub's velocity, shared out by M^-1 F.
         change = -(1.0 + self._stops.restitution) * state[n + 1]
         rates = state[n + 1 :] + self._blow / self._blow[0] * change
         state[n + 1 :] = rates

@@ -85,6 +85,7 @@ class NonlinearTerms:
         self._is_geometric = is_geometric
         n, L = model.n_modes, parameters.length
         points, weights = np.polynomial.legendre.leggauss(4 * n + 8)
+        # Fourth powers of n modes: enough Gauss points for products of four shapes.
         z, self._weights = 0.5 * L * (points + 1.0), 0.5 * L * weights
         self._shape, self._slope, self._curvature = (model.shape(z, k) for k in range(3))
         self._EI, self._sign = parameters.flexural_rigidity, parameters.gravity_sign
@@ -120,6 +121,8 @@ class NonlinearTerms:
         mass = self._M[1:, 1:]
         if axial_mass is None:
             return np.asarray(force[1:] / self._M[1, 1])
+        # (M + M_a) q'' = f_lin + f, with M q''_lin = f_lin: the difference q'' - q''_lin solves (M + M_a) d =
+        # f - M_a q''_lin.
         return np.asarray(np.linalg.solve(mass + axial_mass, force[1:] - axial_mass @ linear))
 
     def accelerations_free(
@@ -158,11 +161,14 @@ class NonlinearTerms:
         if not self._is_geometric:
             return force, None
         slope, curvature = self._slope @ q, self._curvature @ q
+        # Minus the derivative of V4 by q, through the curvature and through the slope.
         by_curvature = -self._EI * self._weights * curvature * slope**2
         by_slope = -self._weights * (
             self._EI * curvature**2 * slope - 0.5 * self._sign * self._axial_load * slope**3
         )
         axial = self._H @ q
+        # From T4 with s = q^T H q / 2: s_tt = q'^T H q' + q^T H q''. The first part is a force, the second
+        # the mass M_a.
         centripetal = self._masses * ((self._H @ rates) @ rates)
         force[1:] += by_curvature @ self._curvature + by_slope @ self._slope - centripetal @ axial
         return force, axial.T @ (self._masses[:, None] * axial)
@@ -220,6 +226,7 @@ class NonlinearMotionStepper:
         for _ in range(self._substeps):
             self._half.step(acceleration)
             self.hub_velocity += acceleration * h
+            # Strang's splitting: half a linear step, the nonlinear terms over the whole, half a linear step.
             self._disturb(2.0 * h, acceleration)
             self._half.step(acceleration)
             self.hub_velocity += acceleration * h

@@ -1,9 +1,9 @@
-"""From identified modes back to the beam: stiffness, damping, and what else the data can tell apart.
+"""From identified modes back to the beam: stiffness, damping, and what else the data determine.
 
 Length, EI, rho, clamp compliance, tip mass and air mass all scale the natural frequencies alike to first order. What
 frequencies alone determine is kappa = EI/(rho L_eff^4) and the damping; a tip mass or a clamp's compliance is fitted
 only from residues too, with priors stated for it and for the markers' heights. The columns of the fit's Jacobian,
-each scaled to length 1, show by their singular values whether parameters can be told apart; above a stated condition
+each scaled to length 1, show by their singular values whether parameters can be separated; above a stated condition
 number the fit is refused, because its numbers would mean nothing.
 
 An identified frequency is a thousand times more precise than beam theory is true. A model discrepancy, independent
@@ -191,7 +191,7 @@ def fit_beam(
     Raises
     ------
     PhysicalFitError
-        If the data cannot tell the free parameters apart, or what they need is not given.
+        If the data cannot separate the free parameters, or what they need is not given.
     BeamParameterError
         If an argument is out of range.
 
@@ -300,7 +300,7 @@ def fit_beam(
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Whether a set of parameters can be told apart from what one kind of experiment yields.
+    """Whether one kind of experiment can separate a set of parameters.
 
     Attributes
     ----------
@@ -326,7 +326,7 @@ def identifiability(
     heights: ArrayLike = (),
     n_modes: int = 3,
 ) -> Identifiability:
-    """Return how well parameters are told apart, every observable known to the same relative precision.
+    """Return how well parameters are separated, every observable known to the same relative precision.
 
     Parameters
     ----------
@@ -487,7 +487,7 @@ def _check_question(
             continue
         if measurement.heights.size == 0:
             raise PhysicalFitError(
-                f"{name} cannot be told from the stiffness by frequencies: give residues of at least one marker"
+                f"frequencies cannot separate {name} from the stiffness: give residues of at least one marker"
             )
         if name not in priors:
             raise PhysicalFitError(f"{name} needs a stated prior: what is known of it without the experiment")

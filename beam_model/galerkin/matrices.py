@@ -62,6 +62,7 @@ class ModalBasis:
         self.modal_mass = parameters.beam_mass
         self._uniform: UniformBeamShapes | None = None
         if parameters.gravity_sign == 0 and not any(mass.mass > 0.0 for mass in parameters.point_masses):
+            # omega_i = (lambda_i L)^2 sqrt(EI/(rho L^4)), thesis eq. (2.34), with tip and clamp in the roots.
             shapes = UniformBeamShapes(
                 n_modes, parameters.tip_mass_ratio, parameters.tip_inertia_ratio, parameters.clamp_compliance
             )
@@ -75,6 +76,7 @@ class ModalBasis:
         else:
             elements = SpectralElements(parameters, n_modes)
             squared, vectors = elements.modes(n_modes)
+            # Sign and scale of thesis eq. (2.35): positive curvature at the clamp, modal mass m_b.
             rise = elements.basis(np.zeros(1), 2)[0] @ vectors
             vectors = vectors * np.where(rise < 0.0, -1.0, 1.0) * np.sqrt(self.modal_mass / strip)
             self._elements, self._vectors = elements, vectors
@@ -113,6 +115,8 @@ class ModalBasis:
             mu, gamma = parameters.tip_mass_ratio, parameters.clamp_compliance
             # int S_strip + 2 mu S_strip(1) + mu^2 S_tip(1), by reciprocity.
             strip_tip, tip_tip = 1.0 / 8.0 + gamma / 2.0, 1.0 / 3.0 + gamma
+            # Static deflections at unit EI, L: the strip's weight bends itself by 1/20 (mean), its tip by
+            # 1/8; a unit tip load bends the tip by 1/3; the clamp turns by gamma times the moment, 1/2 or 1.
             value = 1.0 / 20.0 + gamma / 4.0 + 2.0 * mu * strip_tip + mu**2 * tip_tip
         else:
             value = float(self._elements.load @ self._static_vector)
@@ -163,6 +167,7 @@ class GalerkinMatrices:
     def modal_parameters(self) -> ModalParameters:
         """Return the eigenvectors of K - omega^2 M and M, C, K between them, thesis eqs. (2.42) and (2.43)."""
         squared, V = linalg.eigh(self.K, self.M)
+        # The rigid body: rounding leaves a small number of either sign.
         squared[0] = 0.0
         return ModalParameters(
             natural_frequencies=np.sqrt(squared),
@@ -175,6 +180,7 @@ class GalerkinMatrices:
     def state_space(self) -> tuple[FloatArray, FloatArray]:
         """Return A (2N, 2N) and B (2N,) of X' = A X + B f with X = [x, x'], thesis eq. (2.41)."""
         size = self.F.size
+        # x'' = M^-1 (F f - C x' - K x).
         right = np.linalg.solve(self.M, np.column_stack([self.K, self.C, self.F]))
         A = np.zeros((2 * size, 2 * size))
         A[:size, size:] = np.eye(size)
@@ -197,6 +203,7 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     mass, E = basis.modal_mass, basis.participation
     M = np.zeros((n + 1, n + 1))
     M[0, 0] = parameters.total_mass
+    # Inertia couples hub and beam, stiffness does not: it acts on w alone.
     M[0, 1:] = M[1:, 0] = E
     M[1:, 1:] = mass * np.eye(n)
     K = np.zeros((n + 1, n + 1))

@@ -3,6 +3,8 @@
 The model is linear and its input is held between ticks, so that the step from one tick to the next is a
 matrix computed once, X_{k+1} = e^{AT} X_k + int_0^T e^{As} ds B u_k: no step size, no drift, and the state
 between two ticks is as exact as at them.
+
+Equation numbers are those of docs/beam-model.md.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ def discretise(
     """
     size = A.shape[0]
     weight = np.append(np.ones(size) if scale is None else scale, [1.0, 1.0])
+    # (B.1): the last two states are the input and its rise over the period. Rows and columns are scaled by
+    # the states' magnitudes before the exponential, and back after it.
     augmented = np.zeros((size + 2, size + 2))
     augmented[:size, :size] = A * period
     augmented[:size, size] = B * period
@@ -97,6 +101,7 @@ class LinearStepper:
             return result
         terms = np.empty((_SERIES_TERMS, self._full_state.size))
         terms[0] = self._full_state
+        # (B.3) for the longest tau; for the others the k-th term is (tau/longest)^k of it.
         terms[1] = horizon * (self._A @ terms[0] + self._B * value)
         for k in range(2, _SERIES_TERMS):
             terms[k] = self._A @ terms[k - 1] * (horizon / k)
@@ -122,12 +127,14 @@ class LinearStepper:
         """
         if tau == self.period and slope == 0.0:
             return np.asarray(self._transition @ start + self._held * value)
+        # A long way is cut so that the series' terms do not grow before they fall.
         n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
         h = tau / n_pieces
         state = start.copy()
         for piece in range(n_pieces):
             term = h * (self._A @ state + self._B * (value + slope * h * piece))
             state += term
+            # The slope of the input enters with the second derivative, and from there on through A alone.
             term = 0.5 * h * (self._A @ term + self._B * (slope * h))
             state += term
             for k in range(3, _SERIES_TERMS):
@@ -149,6 +156,7 @@ class LinearStepper:
             raise BeamParameterError(
                 "values", (), "", "at least the value at the present tick for a first-order hold"
             )
+        # (B.2): step Z = X - G_1 u under a held input, then add G_1 u again.
         self._full_state -= self._ramp * values[0]
         shifted = self._run_held(values[:-1], self._held - self._ramp + self._transition @ self._ramp)
         result = shifted + values[:, None] * self._ramp
@@ -165,6 +173,8 @@ class LinearStepper:
         powers[0] = np.eye(size)
         for k in range(_BLOCK):
             powers[k + 1] = self._transition @ powers[k]
+        # impulse[k]: what an input does to the state k + 1 ticks after it begins; forced[from, to]: the same
+        # as a table.
         impulse = powers[:_BLOCK] @ effect
         forced = np.zeros((_BLOCK, _BLOCK, size))
         for k in range(_BLOCK):
@@ -175,6 +185,7 @@ class LinearStepper:
         for block in range(n_blocks):
             starts[block] = state
             state = powers[_BLOCK] @ state + ends[block]
+        # X_(k+1) = F^(k+1) X_0 + sum_j F^(k-j) G_0 u_j, for all k of all blocks in two products.
         free = powers[1:].transpose(2, 0, 1).reshape(size, _BLOCK * size)
         states = starts @ free + inputs @ forced.reshape(_BLOCK, _BLOCK * size)
         result = np.empty((n_samples + 1, size))
@@ -285,6 +296,8 @@ class MotionStepper(LinearStepper):
 
         The left-out modes, which have no inertia of their own, do not show the blow.
         """
+        # q' jumps by -Gamma times the jump of alpha', the integral of q'' = -Gamma alpha'' + .. over the
+        # blow.
         self._full_state[self._n : 2 * self._n] -= self._gain * delta_velocity
         if self._has_velocity:
             self._full_state[2 * self._n] += delta_velocity
@@ -379,6 +392,7 @@ class ForceStepper(LinearStepper):
     def motion(self, tau: float | FloatArray, force: float) -> HubAndBeam:
         """Return position, velocity and acceleration of the hub and q, at ``tau`` into the current tick."""
         state = self._state_after(tau, force)
+        # The hub's row of X' = A X + B f.
         acceleration = state @ self._A[self._n] + self._B[self._n] * force
         return HubAndBeam(state[..., 0], state[..., self._n], acceleration, state[..., 1 : self._n])
 

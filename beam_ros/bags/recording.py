@@ -1,4 +1,4 @@
-"""A recording in progress: whoever receives messages hands them over, a thread of its own writes them.
+"""A recording in progress: the receiver of messages hands them over, a thread of its own writes them.
 
 The receiver never waits for the disk. What is handed over reaches the file in less than a second, also when
 nothing follows; should the disk fall far behind, messages are dropped and counted rather than the

@@ -63,7 +63,7 @@ def run_folder(given: Path | None, name: str) -> Path:
 def quiet_opencv() -> None:
     """Keep what OpenCV and its decoders print of a damaged file off the terminal: the verb says it in one line.
 
-    They read this when they are loaded; whoever sets these variables sees everything.
+    They read this when they are loaded; variables that are already set are kept, and show everything.
     """
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

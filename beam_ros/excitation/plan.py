@@ -1,8 +1,8 @@
 """From the rig's excitation parameters to the samples for its hub, checked before anything moves.
 
 A plan is refused on the axis's limits and on what the beam is predicted to do: a hub that moves millimetres
-bends a resonant tip by centimetres. The hub checks every sequence once more with the same prediction, whoever
-sent it.
+bends a resonant tip by centimetres. The hub checks every sequence once more with the same prediction, from
+any sender.
 """
 
 from __future__ import annotations

@@ -292,7 +292,7 @@ class SequenceAssembler:
 class CommandGate:
     """The host's side of set-points and sequences: what it lets through to the axis.
 
-    The gate knows one sequence at a time. It is told of the axis's state with every call and of a sequence's
+    The gate knows one sequence at a time. It learns the axis's state with every call and a sequence's
     fate by ``note`` and ``finish``; it gathers reports until ``take_reports``.
 
     Parameters

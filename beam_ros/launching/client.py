@@ -31,7 +31,7 @@ MAX_CLOCK_SD_NS = HubParameters.max_clock_sd_ns
 class RigClient:
     """The experimenter's own node on the rig's graph.
 
-    Ctrl-C stays an exception of Python here, so that whoever conducts the experiment can end it in order.
+    Ctrl-C stays an exception of Python here, so that the conductor of the experiment can end it in order.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the hub is told: ``hub/setpoint``, and ``hub/sequence`` in chunks."""
+"""Commands for the hub: ``hub/setpoint``, and ``hub/sequence`` in chunks."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ Progress = Callable[[str, float], None]
 _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
 _LARGE_OFFSET_SD_S = 0.2e-3
-"""A time known no better than this is told: it turns the phase of a mode at 28 Hz by 2 degrees."""
+"""A time known no better than this is reported: it turns the phase of a mode at 28 Hz by 2 degrees."""
 _MIN_SEEN = 0.5
 
 

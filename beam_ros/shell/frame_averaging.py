@@ -35,7 +35,7 @@ class FrameAverage:
 
 
 class FrameAveraging:
-    """Hands the frames from now on to whoever waits for them.
+    """Hands the frames from now on to those who wait for them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A subscription that takes what its publishers offer, whoever they are and whatever they become."""
+"""A subscription that takes what its present and future publishers offer."""
 
 from __future__ import annotations
 

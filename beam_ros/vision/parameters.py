@@ -1,4 +1,4 @@
-"""What the camera and the tracker are told: frozen, validated parameters.
+"""Settings of the camera and the tracker: frozen, validated parameters.
 
 Pixel convention, everywhere in this package: u runs to the right along the columns, v downwards along the
 rows, and *integer coordinates lie at pixel centres*: the centre of the image's first pixel is (0, 0), its

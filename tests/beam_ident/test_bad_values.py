@@ -1,4 +1,4 @@
-"""Values that are no numbers, of no size or in no order are refused by name, wherever a person hands them in."""
+"""Values that are not numbers, too large or out of order are refused by name, wherever a person hands them in."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ SIMULATIONS: dict[str, Any] = {
         ([INF, 0.1], r"instants \[s\]: number 0 is inf"),
         (0.1, r"of shape \(\)"),
         (np.ones((2, 2)), r"of shape \(2, 2\)"),
-        (["a"], "are no numbers"),
+        (["a"], "are not numbers"),
         ([1j], "are complex"),
         ([1e3], "is known from"),
     ],
@@ -160,8 +160,8 @@ def _one_mode(
     ("delay", "says"),
     [
         (-0.1, "does not precede"),
-        (100.0, "cannot tell it from others beyond 2.56"),
-        (Prior(100.0, 0.1), "cannot tell it from others beyond 2.56"),
+        (100.0, "cannot separate delays that differ by 2.56"),
+        (Prior(100.0, 0.1), "cannot separate delays that differ by 2.56"),
         (NAN, "finite mean"),
         (None, "delay is None"),
         ("soon", "delay is 'soon'"),

@@ -131,14 +131,14 @@ def test_entries_inside_entries_are_refused_by_their_place():
     "data", [None, [], "modal_model", {}, {"type": "unheard of"}, {"type": ["modal_model"]}]
 )
 def test_what_is_no_stored_result_is_refused(data):
-    with pytest.raises(ModelFormatError, match="no stored result"):
+    with pytest.raises(ModelFormatError, match="not a stored result"):
         restore(data)
 
 
 def test_a_recipe_is_known_by_its_kind():
     recipe = Multisine(0.5, 20.0, 10.0, 3, 0.5, 0.005)
     assert restore(json.loads(json.dumps(recipe.to_dict()))) == recipe
-    with pytest.raises(ModelFormatError, match="no stored recipe"):
+    with pytest.raises(ModelFormatError, match="not a stored recipe"):
         type(recipe).from_dict([1])
 
 

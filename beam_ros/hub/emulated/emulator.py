@@ -34,7 +34,7 @@ from beam_ros.hub.simulated.plant import Plant
 PUSH_PATIENCE_NS = 1_000_000_000
 """Telemetry is pushed until the host has been silent for this long [ns of device time]."""
 IDENTIFY_INTERVAL_NS = 100_000_000
-"""How often at most a host that speaks without a session is told who is there [ns of device time]."""
+"""How often at most the device identifies itself to a host without a session [ns of device time]."""
 REMEMBERED_REQUESTS = 16
 MAX_BACKLOG = 65_536
 """Bytes that wait where the line takes no more [2.7 s of telemetry]."""
@@ -308,7 +308,7 @@ class EmulatedController:
     Raises
     ------
     HubConnectionError
-        There is no pseudo-terminal to be had, or the link cannot be made.
+        There is no pseudo-terminal available, or the link cannot be made.
     """
 
     def __init__(self, parameters: HubParameters, plant: Plant, *, link: str | Path | None = None) -> None:

@@ -255,7 +255,7 @@ class HubClient:
     # The line -----------------------------------------------------------------------------------------
 
     def line_opened(self, now_ns: int) -> None:
-        """Begin to greet whoever is on the port that was just opened."""
+        """Begin to greet the device on the port that was just opened."""
         self._link = "greeting"
         self._link_reason = "the controller has not answered yet"
         self._link_since_ns = self._heard_ns = now_ns

@@ -145,7 +145,7 @@ def sample_batches(
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Hub and beam at exact instants, for whoever films them.
+    """Hub and beam at exact instants, as a camera needs them.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class RegionOfInterest(Protocol):
 
 
 class CameraInfo(Protocol):
-    """The fields of sensor_msgs/CameraInfo that are read here, whoever deserialised it."""
+    """The fields of sensor_msgs/CameraInfo that are read here, from any deserialiser."""
 
     height: int
     width: int

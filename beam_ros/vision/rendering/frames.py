@@ -141,7 +141,7 @@ class SceneRenderer:
     ----------
     camera : CameraParameters -- size, scale, optics and noise
     marker_heights : array_like, shape (n_markers,) -- heights of the markers at rest [m]
-    strip_heights : array_like or None, shape (n_strip,) -- heights at which ``render`` is told where the
+    strip_heights : array_like or None, shape (n_strip,) -- heights at which ``render`` gets where the
         strip is, rising [m]; None: the markers' own
     sub_instants : int -- positions per exposure; six are exact, more smooth the look of a long smear
     lens : Lens or None -- distortion of the positions in the image; None is a perfect lens

@@ -69,7 +69,7 @@ def test_limits_are_named_with_what_would_do():
         predict_amplitudes(chirp, model(), limits={"tip": peak / 2})
     with pytest.raises(ExcitationLimitError, match="root is predicted"):
         predict_amplitudes(chirp, model(), limits=1e-6)
-    with pytest.raises(ExcitationError, match="'top' is no output of the model"):
+    with pytest.raises(ExcitationError, match="'top' is not an output of the model"):
         predict_amplitudes(chirp, model(), limits={"top": 1.0})
     with pytest.raises(ExcitationError, match="expected a number > 0"):
         predict_amplitudes(chirp, model(), limits=float("nan"))

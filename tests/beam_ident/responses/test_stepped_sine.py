@@ -75,7 +75,7 @@ def test_what_is_no_sine_or_no_step_is_refused():
         fit_sine(times[:5], times[:5], 3.0)
     with pytest.raises(EstimationError, match="omega is 0"):
         fit_sine(times, times, 0.0)
-    with pytest.raises(EstimationError, match="cannot tell a sine of 5 Hz"):
+    with pytest.raises(EstimationError, match="cannot separate a sine of 5 Hz"):
         fit_sine(times, np.cos(times), 2 * np.pi * 5.0)  # half the rate
     record = stepped_record()
     with pytest.raises(EstimationError, match="one of each per step"):
