@@ -48,6 +48,8 @@ from beam_ident.excitation import Step as Step
 from beam_ident.excitation import SteppedSine as SteppedSine
 from beam_ident.excitation import crest_factor as crest_factor
 from beam_ident.excitation import describe_recipe as describe_recipe
+from beam_ident.modal.free_decay_result import FreeDecay as FreeDecay
+from beam_ident.modal.frequency_domain_result import FrequencyDomainResult as FrequencyDomainResult
 from beam_ident.modal.frequency_response import ModalFrequencyResponse as ModalFrequencyResponse
 from beam_ident.modal.identification_result import IdentificationResult as IdentificationResult
 from beam_ident.modal.identification_result import OrderEntry as OrderEntry
@@ -64,9 +66,7 @@ from beam_ident.modal_analysis import modal_assurance as modal_assurance
 from beam_ident.modal_analysis import multivariate_mode_indicator as multivariate_mode_indicator
 from beam_ident.modal_analysis import phase_collinearity as phase_collinearity
 from beam_ident.modal_analysis import stabilisation_chart as stabilisation_chart
-from beam_ident.modal_estimation.free_decay import FreeDecay as FreeDecay
 from beam_ident.modal_estimation.free_decay import fit_free_decay as fit_free_decay
-from beam_ident.modal_estimation.frequency_domain import FrequencyDomainResult as FrequencyDomainResult
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes as fit_frequency_modes
 from beam_ident.modal_estimation.time_domain import identify as identify
 from beam_ident.noise.scores import InputCorrelation as InputCorrelation

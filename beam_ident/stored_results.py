@@ -8,9 +8,9 @@ from typing import Any
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import ModelFormatError
 from beam_ident.excitation.recipe import Recipe
+from beam_ident.modal.free_decay_result import FreeDecay
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal_analysis.refinement import ModalAnalysis
-from beam_ident.modal_estimation.free_decay import FreeDecay
 from beam_ident.subspace.model import SubspaceModel
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel

@@ -15,6 +15,7 @@ from beam_ident.errors import EstimationError
 
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # of the largest value: less is no movement
 _MIN_SIZE = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
+_LARGEST_RESPONSE = 1e60  # squares of squares must not overflow
 
 
 def require_record(record: object) -> None:
@@ -81,6 +82,26 @@ def require_frequency_record(record: object) -> None:
             f"record is a {type(record).__name__}; expected a FrequencyRecord (periodic_response(), "
             "welch_response() and local_polynomial_response() make one of a TimeRecord)"
         )
+
+
+def require_responses(record: FrequencyRecord) -> None:
+    """Raise EstimationError where a response has no finite value, is zero at every line, or of an absurd size."""
+    for j, output in enumerate(record.output_names):
+        for i, drive in enumerate(record.input_names):
+            values = record.response[:, j, i]
+            largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+            if largest > 0.0 and not 1.0 / _LARGEST_RESPONSE < largest < _LARGEST_RESPONSE:
+                raise EstimationError(
+                    f"frequency record {record.name!r}: the response of {output!r} to {drive!r} reaches "
+                    f"{largest:.3g}; expected between {1.0 / _LARGEST_RESPONSE:g} and {_LARGEST_RESPONSE:g}. "
+                    "Use other units"
+                )
+            if not largest > 0.0:
+                what = "zero" if np.any(np.isfinite(values)) else "missing"
+                raise EstimationError(
+                    f"frequency record {record.name!r}: the response of {output!r} to {drive!r} is {what} at every "
+                    "line; leave it out with select()"
+                )
 
 
 def require_input_signal(drive: object) -> None:

@@ -16,6 +16,7 @@ from scipy.signal import spectrogram
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
 
+_LEAST_CYCLES = 1.5  # in a record
 _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
@@ -31,6 +32,12 @@ class Band:
     high_hz: float
     is_excited: bool
 
+    @staticmethod
+    def without_input(length_s: float, output_rate_hz: float) -> Band:
+        """Return where a record of this length and mean rate can show modes that nothing excites."""
+        low = _LEAST_CYCLES / length_s
+        return Band(low, max(0.5 * output_rate_hz, 2.0 * low), False)
+
 
 def excited_band(drive: InputSignal, differentiations: int, length_s: float, output_rate_hz: float) -> Band:
     """Return the band in which an input drives modes.
@@ -43,10 +50,9 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     length_s : float -- length of the record [s]
     output_rate_hz : float -- mean rate of the outputs, for an input that stands still
     """
-    least = 1.5 / length_s
     values = drive.values - drive.values[0]
     if not np.any(values) or np.std(values) < _STILL * drive.sigma:
-        return Band(least, max(0.5 * output_rate_hz, 2.0 * least), False)
+        return Band.without_input(length_s, output_rate_hz)
     times, step = drive.times_s, drive.period_s
     if step is None:
         step = float(np.median(np.diff(times)))
@@ -68,7 +74,7 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     above = frequencies[force_like > _UPPER_SHARE * peak]
     within = frequencies[force_like > _LOWER_SHARE * peak]
     high = float(above[-1]) + 1.0 / (segment * step)
-    low = max(least, 0.7 * float(within[0]))
+    low = max(_LEAST_CYCLES / length_s, 0.7 * float(within[0]))
     return Band(low, max(high, 2.0 * low), True)
 
 

@@ -27,6 +27,7 @@ from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses
 
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
+MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
 
 _MIN_SAMPLES = 20
 
@@ -45,10 +46,9 @@ class ClockState:
 
 
 @dataclass(frozen=True, eq=False)
-class ModeColumns:
-    """Derivatives of the columns that one mode touches."""
+class ModeSlopes:
+    """Derivatives of the columns of one mode, each (n_rows, n_columns)."""
 
-    columns: IndexArray
     by_log_omega: FloatArray
     by_zeta: FloatArray
 
@@ -60,7 +60,9 @@ class ColumnBlock:
     Attributes
     ----------
     matrix : ndarray, shape (n_rows, n_columns)
-    modes : tuple of ModeColumns
+    mode_columns : ndarray, shape (n_modes, n_columns of a mode)
+        Which columns belong to each mode.
+    modes : tuple of ModeSlopes
         Derivatives by the poles; empty when none were asked for.
     by_time : ndarray or None, shape (n_rows, n_columns)
         Derivative by the instant of measurement.
@@ -69,10 +71,36 @@ class ColumnBlock:
     """
 
     matrix: FloatArray
-    modes: tuple[ModeColumns, ...]
+    mode_columns: IndexArray
+    modes: tuple[ModeSlopes, ...]
     by_time: FloatArray | None
     latency_factor: FloatArray
     rate_factor: FloatArray
+
+    def slopes(self, found: FloatArray, latency_is_free: bool, rate_is_free: bool) -> FloatArray:
+        """Return the derivative of one output's model by the nonlinear parameters, shape (n_rows, n_theta).
+
+        Parameters
+        ----------
+        found : ndarray, shape (n_columns,) -- the output's linear parameters
+        latency_is_free, rate_is_free : bool
+            The order is log omega of all modes, zeta of all modes, then latency and clock rate where free.
+        """
+        n = len(self.modes)
+        result = np.empty((len(self.matrix), 2 * n + latency_is_free + rate_is_free), order="F")
+        for mode, (own, columns) in enumerate(zip(self.modes, self.mode_columns, strict=True)):
+            share = found[columns]
+            result[:, mode] = own.by_log_omega @ share
+            result[:, n + mode] = own.by_zeta @ share
+        if latency_is_free or rate_is_free:
+            assert self.by_time is not None
+            # The clock moves the instants (I.6), and the instants move the model.
+            speed = self.by_time @ found
+            if latency_is_free:
+                result[:, 2 * n] = speed * self.latency_factor
+            if rate_is_free:
+                result[:, -1] = speed * self.rate_factor
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,11 +240,7 @@ class _PreparedRecord:
         factor = column**power * structure.sign / column.imag
         values = np.ascontiguousarray(np.imag(factor * sampled.values))
         forced: tuple[FloatArray, ...] = (values,)
-        by_log_omega, by_zeta = (
-            column,
-            # dp/d log omega = p, dp/dzeta = omega (-1 - j zeta / sqrt(1 - zeta^2)).
-            omegas[:, None] * (-1.0 - 1j * (zetas / np.sqrt(1.0 - zetas**2))[:, None]),
-        )
+        by_log_omega, by_zeta = pole_slopes(omegas, zetas)
         if sampled.pole_slopes is not None and sampled.time_slopes is not None:
             slopes = sampled.pole_slopes
             if power:
@@ -246,6 +270,13 @@ def modal_poles(omegas: FloatArray, zetas: FloatArray) -> ComplexArray:
     return np.asarray(omegas * (-zetas + 1j * np.sqrt(1.0 - zetas**2)), dtype=np.complex128)
 
 
+def pole_slopes(omegas: FloatArray, zetas: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the derivatives of the upper poles by ``log omega`` and ``zeta``, each (n_modes, 1)."""
+    # dp/d log omega = p, dp/dzeta = omega (-1 - j zeta / sqrt(1 - zeta^2)).
+    by_zeta = omegas * (-1.0 - 1j * (zetas / np.sqrt(1.0 - zetas**2)))
+    return modal_poles(omegas, zetas)[:, None], by_zeta[:, None]
+
+
 class ModalRegression:
     """The modal model of a set of records as a linear problem with a few nonlinear parameters.
 
@@ -265,6 +296,11 @@ class ModalRegression:
     EstimationError
         No input chosen among several, a held position, too few usable samples.
     """
+
+    is_noise_known = False
+    is_sequence = True
+    n_forced = 1  # columns of a mode that the input drives; its free responses follow
+    max_latency_s = MAX_LATENCY_S
 
     def __init__(
         self,
@@ -372,6 +408,10 @@ class ModalRegression:
         """Length of the longest record [s]."""
         return max(p.length for p in self._prepared)
 
+    def n_columns(self, n_modes: int) -> int:
+        """Number of linear parameters of an output that is in one record."""
+        return self.n_shared_fixed + n_modes + self.n_nuisance(n_modes)
+
     def n_nuisance(self, n_modes: int) -> int:
         """Number of columns that each record has for itself."""
         s = self.structure
@@ -411,6 +451,11 @@ class ModalRegression:
         }
         return [self._assemble(parts, cache, len(omegas), gradients) for parts in self._block_keys]
 
+    def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
+        """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
+        blocks = self.blocks(omegas, zetas, clock, gradients=False)
+        return [block.matrix.T[block.mode_columns] for block in blocks]
+
     def _assemble(
         self,
         parts: tuple[tuple[int, int, bytes, float], ...],
@@ -428,7 +473,7 @@ class ModalRegression:
         # A mode touches its residue's column and, in every record, the two of its free motion: the rest of
         # the derivative is zero and is not stored.
         touched = [np.zeros((2, 1 + n_free, n_rows)) for _ in range(n_modes)] if gradients else []
-        indices = [np.zeros(1 + n_free, dtype=np.intp) for _ in range(n_modes)]
+        mode_columns = np.zeros((n_modes, 1 + n_free), dtype=np.intp)
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first = 0
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
@@ -452,7 +497,7 @@ class ModalRegression:
             for mode in range(n_modes):
                 column = n_fixed + mode
                 matrix[here, column] = source.forced[0][mode][rows]
-                indices[mode][0] = column
+                mode_columns[mode, 0] = column
                 if by_time is not None:
                     touched[mode][0, 0, here] = source.forced[1][mode][rows]
                     touched[mode][1, 0, here] = source.forced[2][mode][rows]
@@ -462,7 +507,7 @@ class ModalRegression:
                 pair = slice(own + 2 * mode, own + 2 * mode + 2)
                 matrix[here, pair] = _real_pair(source.free[0][mode][rows]).T
                 place = slice(1 + 2 * number, 3 + 2 * number)
-                indices[mode][place] = np.arange(pair.start, pair.stop)
+                mode_columns[mode, place] = np.arange(pair.start, pair.stop)
                 if by_time is not None:
                     touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
                     touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
@@ -473,8 +518,8 @@ class ModalRegression:
                         columns[here] /= level
                 for slopes in touched:
                     slopes[:, :, here] /= level
-        modes = tuple(ModeColumns(i, t[0].T, t[1].T) for i, t in zip(indices, touched, strict=False))
-        return ColumnBlock(matrix, modes, by_time, latency_factor, rate_factor)
+        modes = tuple(ModeSlopes(by_log_omega.T, by_zeta.T) for by_log_omega, by_zeta in touched)
+        return ColumnBlock(matrix, mode_columns, modes, by_time, latency_factor, rate_factor)
 
 
 def _real_pair(values: ComplexArray) -> FloatArray:

@@ -19,10 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.argument_checks import require_whole_number
+from beam_ident.data.argument_checks import require_responses, require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import EstimationError
-from beam_ident.modal_estimation.frequency_domain import require_responses
 
 _ARC = 0.95  # of the circle that the band covers; the gap takes what the band does not show
 

@@ -13,6 +13,7 @@ the variances given, or for an unknown level at every pair of output and input.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,13 +25,17 @@ from scipy.special import chdtrc as chi_squared_sf
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import finite_row
 from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.prior import Prior
 from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.regression import ClockState
+from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_collinearity
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
-from beam_ident.modal_estimation.frequency_domain import line_weights, stacked_values
-from beam_ident.modal_estimation.pole_projection import Columns, Part, PoleFit, PoleProblem, fit_poles
+from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
+from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
 
 SCHEMA = 2
@@ -144,7 +149,7 @@ class ModalAnalysis:
         return found
 
 
-class _ResidueBasis:
+class _ResidueBasis(ColumnBasis):
     """Columns ``s^d / d(s)`` and ``s^(d+1) / (omega d(s))`` of every mode, and the residual terms."""
 
     def __init__(
@@ -159,7 +164,7 @@ class _ResidueBasis:
             parts.append(self.front / self.s**2)
         fixed = np.stack(parts, axis=1) if parts else np.zeros((len(self.s), 0), dtype=np.complex128)
         real = np.concatenate([fixed.real, fixed.imag])
-        self._fixed = Columns(real, real, real, np.zeros_like(real))
+        self._fixed = Columns(real, real, real)
 
     def fixed(self, latency: float) -> Columns:
         """Return the residual terms."""
@@ -180,13 +185,7 @@ class _ResidueBasis:
             np.stack([first * falling, second * (falling - 1.0)], axis=1),
             np.stack([first * widening, second * widening], axis=1),
         ]
-        real = [np.concatenate([part.real, part.imag]) for part in found]
-        return Columns(real[0], real[1], real[2], np.zeros_like(real[0]))
-
-    def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
-        """Return the columns of candidates."""
-        found = [self.modal(float(w), float(z), latency).value for w, z in zip(omegas, zetas, strict=True)]
-        return np.stack(found, axis=1)
+        return Columns(*(np.concatenate([part.real, part.imag]) for part in found))
 
 
 @on_one_thread
@@ -229,12 +228,12 @@ def analyse_modes(
         )
     basis = _ResidueBasis(record, checked_form(chart.form), has_upper, has_lower)
     pairs = [(j, i) for j in range(record.n_outputs) for i in range(record.n_inputs)]
-    blocks = tuple(
-        (Part(0, stacked_values(record.response[:, j, i]), line_weights(record, j, i)),) for j, i in pairs
-    )
-    problem = PoleProblem((basis,), blocks, record.variance is not None)
-    fit = fit_poles(problem, omegas, zetas, max_iterations=_ITERATIONS)
-    return _result(chart, problem, basis, fit, has_upper, has_lower)
+    outputs = [
+        [Part(0, stacked_values(record.response[:, j, i]), line_weights(record, j, i))] for j, i in pairs
+    ]
+    problem = StackedRegression([basis], outputs, record.variance is not None)
+    fit = fit_modes(problem, omegas, zetas, ClockState(), Prior(), Prior(), _ITERATIONS)
+    return _result(chart, problem, fit, has_upper, has_lower)
 
 
 def _start(
@@ -267,29 +266,28 @@ def _start(
 
 def _result(
     chart: StabilisationChart,
-    problem: PoleProblem,
-    basis: _ResidueBasis,
-    fit: PoleFit,
+    problem: StackedRegression,
+    fit: ModalFit,
     has_upper: bool,
     has_lower: bool,
 ) -> ModalAnalysis:
     record = chart.record
     n, m, k = len(fit.omegas), record.n_outputs, record.n_inputs
     n_fixed = int(has_upper) + int(has_lower)
-    width = fit.coefficients.shape[1]
-    full = fit.covariance * weighting_loss(record.degrees_of_freedom)
-    scale = np.concatenate([fit.omegas, np.ones(n)])
-    covariance = full[: 2 * n, : 2 * n] * np.outer(scale, scale)
+    coefficients = np.array(fit.coefficients)
+    width = coefficients.shape[1]
+    fit = dataclasses.replace(fit, covariance=fit.covariance * weighting_loss(record.degrees_of_freedom))
+    covariance = fit.pole_covariance
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     residues, residue_sd = np.empty((m * k, n), dtype=np.complex128), np.empty((m * k, n))
-    for pair, found in enumerate(fit.coefficients):
+    for pair, found in enumerate(coefficients):
         for mode in range(n):
             first = n_fixed + 2 * mode
             a, b = found[first : first + 2]
             places = [mode, n + mode, 2 * n + pair * width + first, 2 * n + pair * width + first + 1]
             value, gradient = _residue(fit.omegas[mode], fit.zetas[mode], a, b)
             residues[pair, mode] = value
-            spread = full[np.ix_(places, places)]
+            spread = fit.covariance[np.ix_(places, places)]
             residue_sd[pair, mode] = math.sqrt(
                 max(float(np.real(gradient @ spread @ np.conj(gradient))), 0.0)
             )
@@ -305,20 +303,15 @@ def _result(
         shapes[:, mode] = shape
         participation[:, mode] = np.conj(shape) @ of_pairs[:, :, mode] / float(np.sum(np.abs(shape) ** 2))
         rank_one[mode] = size[0] ** 2 / max(float(np.sum(size**2)), 1e-300)
-    fixed = fit.coefficients[:, :n_fixed]
+    fixed = coefficients[:, :n_fixed]
     zeros = np.zeros((m, k))
-    columns = np.concatenate(
-        [basis.fixed(0.0).value]
-        + [basis.modal(float(w), float(z), 0.0).value for w, z in zip(fit.omegas, fit.zetas, strict=True)],
-        axis=1,
-    )
-    total = columns @ fit.coefficients.T
+    (total,) = problem.modelled(fit)
     lines = record.n_lines
     misfit = UNKNOWN_NOISE
     if problem.is_noise_known:
         chi_squared = float(sum(e @ e for e in fit.residuals))
         misfit = LineMisfit.of(
-            chi_squared, problem.n_rows, fit.n_parameters, m * k, record.degrees_of_freedom
+            chi_squared, problem.n_samples, fit.n_parameters, m * k, record.degrees_of_freedom
         )
     modelled = (total[:lines] + 1j * total[lines:]).reshape(lines, m, k)
     left_over = np.where(np.isfinite(record.response), record.response - modelled, 0.0)
@@ -358,7 +351,7 @@ def _residue(omega: float, zeta: float, a: float, b: float) -> tuple[complex, Co
     return value, np.array([-value, by_zeta, 1.0 / bottom, unit / bottom])
 
 
-def _likeness(fit: PoleFit, n_lines: int) -> float:
+def _likeness(fit: ModalFit, n_lines: int) -> float:
     """Return the chance that independent errors are as alike from line to line as the residuals are.
 
     Notes
@@ -374,7 +367,7 @@ def _likeness(fit: PoleFit, n_lines: int) -> float:
     return float(chi_squared_sf(2 * len(fit.residuals), 2.0 * total))
 
 
-def _warnings(fit: PoleFit, misfit: LineMisfit, sd: FloatArray, likeness: float) -> tuple[str, ...]:
+def _warnings(fit: ModalFit, misfit: LineMisfit, sd: FloatArray, likeness: float) -> tuple[str, ...]:
     found = [misfit.warning] if misfit.warning else []
     if likeness < _ALIKE:
         found.append(

@@ -21,8 +21,8 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
-from beam_ident.modal.regression import ClockState, ModalRegression
-from beam_ident.modal_estimation.variable_projection import MAX_LATENCY_S, ModalFit
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
 
 _MAX_RATE = 4e-3  # NTSC's 1000/1001 is 1e-3; quartz is far below
 _SEARCHED_SD = 5.0  # standard deviations of a finite prior

@@ -11,118 +11,35 @@ exposure, where the classical decrement uses two peaks.  Poles are common to all
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.argument_checks import require_output, require_whole_number
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import require_output
+from beam_ident.data.bandwidth import Band
+from beam_ident.data.prior import Prior
 from beam_ident.data.records import OutputSignal
-from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
-from beam_ident.modal_estimation.mode_search import Family, PoleOrder, mode_warnings, search_modes
-from beam_ident.modal_estimation.pole_projection import Columns, Part, PoleFit, PoleProblem
-from beam_ident.noise.scores import Scores, Whiteness, is_coloured
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.free_decay_result import FreeDecay
+from beam_ident.modal.regression import modal_poles, pole_slopes
+from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
+from beam_ident.modal_estimation.mode_gates import mode_warnings
+from beam_ident.modal_estimation.mode_scan import Candidate, rivals
+from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
+from beam_ident.modal_estimation.weighted_fit import WeightedFit
+from beam_ident.noise.scores import Scores, Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
-
-SCHEMA = 1
+from beam_ident.numerics.free_motion import free_motions
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
 _MOST_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
-_MOST_MODES = 20
-_MAX_MODES = 6
 
 
-@dataclass(frozen=True, eq=False)
-class FreeDecay:
-    """Modes of a free decay.
-
-    Attributes
-    ----------
-    natural_frequencies, natural_frequency_sd : ndarray, shape (n_modes,) -- [rad/s]
-    damping_ratios, damping_ratio_sd : ndarray, shape (n_modes,)
-    covariance : ndarray, shape (2 n_modes, 2 n_modes) -- of frequencies and damping ratios
-    amplitudes : complex ndarray, shape (n_outputs, n_modes)
-        At ``start_s``; their real part is the displacement, their size the envelope.
-    offsets : ndarray, shape (n_outputs,)
-    start_s : float -- instant of the first sample used [s]
-    output_names : tuple of str
-    times_s, measured, modelled, residuals : tuple of ndarray -- of every output, the samples used
-    noise_sd : ndarray, shape (n_outputs,)
-    scores : tuple of Scores
-    whiteness : tuple of Whiteness
-        The standard deviations hold where the residuals are white.
-    orders : tuple of PoleOrder
-    converged : bool
-    reason : str
-    iterations : int
-    warnings : tuple of str -- what a reader must know before trusting the numbers
-    """
-
-    natural_frequencies: FloatArray
-    natural_frequency_sd: FloatArray
-    damping_ratios: FloatArray
-    damping_ratio_sd: FloatArray
-    covariance: FloatArray
-    amplitudes: ComplexArray
-    offsets: FloatArray
-    start_s: float
-    output_names: tuple[str, ...]
-    times_s: tuple[FloatArray, ...]
-    measured: tuple[FloatArray, ...]
-    modelled: tuple[FloatArray, ...]
-    residuals: tuple[FloatArray, ...]
-    noise_sd: FloatArray
-    scores: tuple[Scores, ...]
-    whiteness: tuple[Whiteness, ...]
-    orders: tuple[PoleOrder, ...]
-    converged: bool
-    reason: str
-    iterations: int
-    warnings: tuple[str, ...]
-
-    @property
-    def frequencies_hz(self) -> FloatArray:
-        """Natural frequencies [Hz]."""
-        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
-
-    @property
-    def logarithmic_decrements(self) -> FloatArray:
-        """Logarithm of the ratio of two successive maxima, ``2 pi zeta / sqrt(1 - zeta^2)``."""
-        zeta = self.damping_ratios
-        return np.asarray(2.0 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
-
-    @property
-    def logarithmic_decrement_sd(self) -> FloatArray:
-        """Standard deviations of the logarithmic decrements."""
-        return np.asarray(2.0 * np.pi * self.damping_ratio_sd / (1.0 - self.damping_ratios**2) ** 1.5)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
-        return written(self, "free_decay", SCHEMA)
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> FreeDecay:
-        """Rebuild what ``to_dict`` wrote.
-
-        Raises
-        ------
-        ModelFormatError
-            Another type or schema, a missing entry, or entries that do not agree.
-        """
-        found = read(FreeDecay, data, "free_decay", SCHEMA)
-        n, m = len(found.natural_frequencies), len(found.output_names)
-        modal = ("natural_frequency_sd", "damping_ratios", "damping_ratio_sd")
-        shapes = {"covariance": (2 * n, 2 * n), "amplitudes": (m, n), "offsets": (m,), "noise_sd": (m,)}
-        require_shapes("free decay", found, {**shapes, **dict.fromkeys(modal, (n,))})
-        return found
-
-
-class _DecayBasis:
+class _DecayBasis(ColumnBasis):
     """Offset and damped cosines at the stamps of one output."""
 
     def __init__(self, elapsed: FloatArray, exposure_s: float) -> None:
@@ -131,28 +48,22 @@ class _DecayBasis:
     def fixed(self, latency: float) -> Columns:
         """Return the constant."""
         del latency
-        ones, zeros = np.ones((len(self.elapsed), 1)), np.zeros((len(self.elapsed), 1))
-        return Columns(ones, zeros, zeros, zeros)
+        ones = np.ones((len(self.elapsed), 1))
+        return Columns(ones, ones, ones)
 
     def modal(self, omega: float, zeta: float, latency: float) -> Columns:
         """Return cosine and sine of one mode with their derivatives."""
         del latency
-        root = math.sqrt(1.0 - zeta**2)
-        pole = omega * complex(-zeta, root)
-        half = 0.5 * pole * self.exposure_s
-        is_short = abs(half) < 1e-4
-        shape = 1.0 + half**2 / 6.0 if is_short else np.sinh(half) / half
-        log_slope = 0.5 * self.exposure_s * (half / 3.0 if is_short else 1.0 / np.tanh(half) - 1.0 / half)
-        value = np.exp(pole * self.elapsed) * shape
-        slope = value * (self.elapsed + log_slope)
-        pairs = [value, slope * pole, slope * (omega * complex(-1.0, -zeta / root))]
-        columns = [np.stack([pair.real, -pair.imag], axis=1) for pair in pairs]
-        return Columns(columns[0], columns[1], columns[2], np.zeros_like(columns[0]))
+        omegas, zetas = np.array([omega]), np.array([zeta])
+        poles, slopes = modal_poles(omegas, zetas)[:, None], pole_slopes(omegas, zetas)
+        found = free_motions(poles, self.elapsed, self.exposure_s, slopes)[:3]
+        return Columns(*(np.stack([own[0].real, -own[0].imag], axis=1) for own in found))
 
     def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
         """Return cosines and sines of candidates."""
-        found = [self.modal(float(w), float(z), latency).value for w, z in zip(omegas, zetas, strict=True)]
-        return np.stack(found, axis=1)
+        del latency
+        (found,) = free_motions(modal_poles(omegas, zetas)[:, None], self.elapsed, self.exposure_s, ())
+        return np.stack([found.real, -found.imag], axis=1)
 
 
 @on_one_thread
@@ -161,7 +72,7 @@ def fit_free_decay(
     n_modes: int | None = None,
     start_s: float = -math.inf,
     end_s: float = math.inf,
-    max_modes: int = _MAX_MODES,
+    max_modes: int = MAX_MODES,
 ) -> FreeDecay:
     """Fit damped cosines with common poles to free decays, without hints.
 
@@ -180,7 +91,8 @@ def fit_free_decay(
 
     Notes
     -----
-    Frequencies are looked for up to half the mean rate of the stamps.
+    Frequencies are looked for up to half the mean rate of the stamps.  The noise may be coloured: the last
+    fit weighs by the autocorrelation of the residuals.
     """
     signals = tuple(outputs) if isinstance(outputs, list | tuple) else (outputs,)
     if not signals or not all(isinstance(signal, OutputSignal) for signal in signals):
@@ -188,8 +100,7 @@ def fit_free_decay(
         raise EstimationError(
             f"there is {found} to fit a decay to; expected an OutputSignal, or a list of them"
         )
-    limit = max_modes if n_modes is None else n_modes
-    require_whole_number("max_modes" if n_modes is None else "n_modes", limit, 1, _MOST_MODES)
+    limit = checked_limit(n_modes, max_modes)
     kept = [(s.times_s >= start_s) & (s.times_s <= end_s) & s.is_valid for s in signals]
     for signal, keep in zip(signals, kept, strict=True):
         if np.count_nonzero(keep) < max(_MIN_SAMPLES, 3 * limit if n_modes is not None else 0):
@@ -197,102 +108,92 @@ def fit_free_decay(
                 f"output {signal.name!r}: {np.count_nonzero(keep)} samples between {start_s} and {end_s} s; a "
                 f"decay needs at least {_MIN_SAMPLES}, and three for each mode"
             )
-    times = [s.times_s[keep] for s, keep in zip(signals, kept, strict=True)]
-    values = [s.values[keep] for s, keep in zip(signals, kept, strict=True)]
-    for signal, own in zip(signals, values, strict=True):
-        require_output(signal.name, own)
-    start = min(float(t[0]) for t in times)
-    bases = tuple(_DecayBasis(t - start, s.exposure_s) for t, s in zip(times, signals, strict=True))
-    sizes = [max(float(np.std(v)), 1e-300) for v in values]
-    blocks = tuple(
-        (Part(k, v, np.full(len(v), 1.0 / size)),)
-        for k, (v, size) in enumerate(zip(values, sizes, strict=True))
-    )
-    problem = PoleProblem(bases, blocks, is_noise_known=False)
-    longest = max(float(t[-1] - t[0]) for t in times)
-    rate = max((len(t) - 1) / float(t[-1] - t[0]) for t in times)
-    spectrum = _Periodogram(times, longest, rate)
-    band = (np.pi / longest, np.pi * rate)
-    fit, orders = search_modes(problem, spectrum.proposals, band, n_modes, limit)
-    if not len(fit.omegas):
-        raise EstimationError(
-            f"nothing rings in {', '.join(s.name for s in signals)} ({orders[-1].refused_because}). Give the stretch "
-            "of the free decay, or ask for a number of modes to see the best candidate"
-        )
-    return _result(fit, orders, signals, times, values, np.array(sizes), start, band)
+        require_output(signal.name, signal.values[keep])
+    seen = [
+        OutputSignal(s.name, s.unit, s.times_s[keep], s.values[keep], s.exposure_s)
+        for s, keep in zip(signals, kept, strict=True)
+    ]
+    return _DecaySearch(seen).result(n_modes, max_modes)
 
 
-class _Periodogram:
-    """Where the residuals ring, over all outputs."""
+class _DecaySearch(ModeSearch[StackedRegression]):
+    """The search in decays: where the residuals ring, over all outputs.
 
-    def __init__(self, times: list[FloatArray], longest: float, rate: float) -> None:
+    Parameters
+    ----------
+    signals : sequence of OutputSignal -- the samples that are used, all of them valid
+    """
+
+    remedy = "Give the stretch of the free decay, or a longer one"
+
+    def __init__(self, signals: Sequence[OutputSignal]) -> None:
+        self.signals = signals
+        times = [s.times_s for s in signals]
+        self.start = min(float(t[0]) for t in times)
+        self.sizes = [max(float(np.std(s.values)), 1e-300) for s in signals]
+        longest = max(float(t[-1] - t[0]) for t in times)
+        rate = max((len(t) - 1) / float(t[-1] - t[0]) for t in times)
         count = min(max(int(longest * rate), 8), _MOST_FREQUENCIES)
         self.omegas = np.asarray(np.pi * rate * (np.arange(count) + 1.0) / count)
-        self.times = times
+        bases = [_DecayBasis(s.times_s - self.start, s.exposure_s) for s in signals]
+        outputs = [
+            [Part(k, s.values, np.full(len(s.values), 1.0 / size))]
+            for k, (s, size) in enumerate(zip(signals, self.sizes, strict=True))
+        ]
+        problem = StackedRegression(bases, outputs, False, is_sequence=True, n_forced=0)
+        super().__init__(problem, Band.without_input(longest, rate), Prior(), Prior(), shows_clock=False)
 
-    def proposals(self, fit: PoleFit) -> list[Family]:
-        """Return the highest peaks, each with every damping."""
+    def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
+        """Return the best of the highest peaks of the residuals' periodogram, each with every damping."""
         power = np.zeros(len(self.omegas))
-        for times, residuals in zip(self.times, fit.residuals, strict=True):
+        for signal, residuals in zip(self.signals, fit.residuals, strict=True):
+            elapsed = signal.times_s - signal.times_s[0]
             for first in range(0, len(self.omegas), 256):
                 here = slice(first, first + 256)
-                turned = np.exp(-1j * self.omegas[here, None] * (times - times[0]))
+                turned = np.exp(-1j * self.omegas[here, None] * elapsed)
                 power[here] += np.abs(turned @ residuals) ** 2 / max(float(residuals @ residuals), 1e-300)
         padded = np.concatenate([[0.0], power, [0.0]])
-        is_peak = (power >= padded[:-2]) & (power >= padded[2:])
-        peaks = np.flatnonzero(is_peak)
+        peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
         peaks = peaks[np.argsort(-power[peaks])][:_PEAKS]
         grid, damping = np.meshgrid(self.omegas[peaks], np.array(_DAMPING), indexing="ij")
-        return [(grid.ravel(), damping.ravel())]
+        return rivals(self.problem, fit, [(grid.ravel(), damping.ravel())], excluded)
 
+    def weighed(self, fit: ModalFit) -> Weighed[StackedRegression]:
+        """Return the fit, weighed by the colour of the noise."""
+        last = WeightedFit([], self.plain, fit, self.latency, self.clock_rate)
+        return Weighed(last.result(), self.plain, self.plain)
 
-def _result(
-    fit: PoleFit,
-    orders: tuple[PoleOrder, ...],
-    signals: tuple[OutputSignal, ...],
-    times: list[FloatArray],
-    values: list[FloatArray],
-    sizes: FloatArray,
-    start: float,
-    band: tuple[float, float],
-) -> FreeDecay:
-    n = len(fit.omegas)
-    scale = np.concatenate([fit.omegas, np.ones(n)])
-    covariance = fit.covariance[: 2 * n, : 2 * n] * np.outer(scale, scale)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    residuals = tuple(size * e for size, e in zip(sizes, fit.residuals, strict=True))
-    whiteness = tuple(Whiteness.of(e) for e in residuals)
-    warnings = mode_warnings(fit, band)
-    coloured = [
-        signal.name
-        for signal, own, seen, left in zip(signals, whiteness, values, residuals, strict=True)
-        if is_coloured(own, seen, left)
-    ]
-    if coloured:
-        warnings.append(
-            f"the residuals of {', '.join(coloured)} are not white, and the standard deviations take them to be: "
-            "modes are missing, the noise is coloured, or what was seen is no free decay"
+    def result(self, n_modes: int | None, max_modes: int) -> FreeDecay:
+        """Search, and return what was found."""
+        fit = self.run(n_modes, max_modes).fit
+        n, signals = len(fit.omegas), self.signals
+        sd = np.sqrt(np.maximum(np.diag(fit.pole_covariance), 0.0))
+        residuals = tuple(size * e for size, e in zip(self.sizes, fit.residuals, strict=True))
+        measured = tuple(s.values for s in signals)
+        whiteness = tuple(Whiteness.of(e) for e in residuals)
+        coefficients = np.array(fit.coefficients)
+        warnings = mode_warnings(fit, self.plain, self.band)
+        warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
+        return FreeDecay(
+            natural_frequencies=fit.omegas,
+            natural_frequency_sd=sd[:n],
+            damping_ratios=fit.zetas,
+            damping_ratio_sd=sd[n:],
+            covariance=fit.pole_covariance,
+            amplitudes=coefficients[:, 1::2] + 1j * coefficients[:, 2::2],
+            offsets=coefficients[:, 0],
+            start_s=self.start,
+            output_names=tuple(s.name for s in signals),
+            times_s=tuple(s.times_s for s in signals),
+            measured=measured,
+            modelled=tuple(y - e for y, e in zip(measured, residuals, strict=True)),
+            residuals=residuals,
+            noise_sd=fit.sigmas * np.array(self.sizes),
+            scores=tuple(Scores.of(y, e) for y, e in zip(measured, residuals, strict=True)),
+            whiteness=whiteness,
+            orders=self.orders,
+            converged=fit.converged,
+            reason=fit.reason,
+            iterations=fit.iterations,
+            warnings=tuple(warnings),
         )
-    return FreeDecay(
-        natural_frequencies=fit.omegas,
-        natural_frequency_sd=sd[:n],
-        damping_ratios=fit.zetas,
-        damping_ratio_sd=sd[n:],
-        covariance=covariance,
-        amplitudes=fit.coefficients[:, 1::2] + 1j * fit.coefficients[:, 2::2],
-        offsets=fit.coefficients[:, 0],
-        start_s=start,
-        output_names=tuple(s.name for s in signals),
-        times_s=tuple(times),
-        measured=tuple(values),
-        modelled=tuple(y - e for y, e in zip(values, residuals, strict=True)),
-        residuals=residuals,
-        noise_sd=np.sqrt(fit.variances) * sizes,
-        scores=tuple(Scores.of(y, e) for y, e in zip(values, residuals, strict=True)),
-        whiteness=whiteness,
-        orders=orders,
-        converged=fit.converged,
-        reason=fit.reason,
-        iterations=fit.iterations,
-        warnings=tuple(warnings),
-    )

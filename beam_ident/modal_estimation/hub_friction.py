@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.modal_estimation.variable_projection import ModalFit
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.numerics.linear_least_squares import LinearSolution
 

@@ -1,10 +1,11 @@
-"""A start without hints: scan one more mode over the input's band.
+"""A start without hints: by how much one more mode would raise the likelihood, over a band.
 
-For every candidate frequency the forced and the free response of one mode are
-projected onto the complement of the present model, and the gain in likelihood over
-all outputs is noted.  The grid is as fine as the damping that it is scanned with is
-wide; the best candidate is then refined on a finer grid over frequency and damping.
-The scan works on thinned data, the fit that follows on all of it.
+For every candidate the columns of one mode, forced and free, are projected onto the complement of the
+present model, and the gain in likelihood over all outputs is noted.
+
+In time records the grid of frequencies is as fine as the damping that it is scanned with is wide; the best
+candidate is then refined on a finer grid over frequency and damping.  That scan works on thinned data, the
+fit that follows on all of it.
 """
 
 from __future__ import annotations
@@ -18,12 +19,16 @@ import numpy as np
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.bandwidth import Band
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.structure import ModalStructure
-from beam_ident.modal_estimation.variable_projection import ModalFit
+from beam_ident.modal_estimation.variable_projection import ModalProblem
 
 SCAN_DAMPING = 0.015
+Family = tuple[FloatArray, FloatArray]  # frequencies [rad/s] and damping ratios, both (n_candidates,)
 
+_BESIDE = 2.5 * SCAN_DAMPING  # of a frequency: where one has been tried in vain
+_RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not decide between families
 _MAX_STAMPS = 1500
 _MAX_POINTS = 900
 _CHUNK = 160
@@ -39,6 +44,38 @@ class Candidate:
     omega: float
     zeta: float
     gain: float
+
+
+def rivals(
+    problem: ModalProblem, fit: ModalFit, families: Sequence[Family], excluded: Sequence[float]
+) -> list[Candidate]:
+    """Return the best candidate of every family that promises enough.
+
+    Parameters
+    ----------
+    problem : ModalProblem
+    fit : ModalFit -- the present model
+    families : sequence of Family
+        Candidates of different families may be each other's aliases: fits decide between them.
+    excluded : sequence of float -- frequencies [rad/s] whose neighbourhood has been tried in vain
+    """
+    omegas, zetas = (np.concatenate([family[k] for family in families]) for k in range(2))
+    candidates = [_Candidates.of(own) for own in problem.candidates(omegas, zetas, fit.clock)]
+    gains = _without(_gains(problem, candidates, fit), omegas, excluded)
+    best, first = [], 0
+    for family in families:
+        place = first + int(np.argmax(gains[first : first + len(family[0])]))
+        first += len(family[0])
+        if np.isfinite(gains[place]) and gains[place] >= _RIVAL * np.max(gains):
+            best.append(Candidate(float(omegas[place]), float(zetas[place]), float(gains[place])))
+    return best
+
+
+def _without(gains: FloatArray, omegas: FloatArray, excluded: Sequence[float]) -> FloatArray:
+    """Return gains, those beside excluded frequencies minus infinity."""
+    for omega in excluded:
+        gains = np.where(np.abs(np.log(omegas / omega)) < _BESIDE, -np.inf, gains)
+    return gains
 
 
 class ModalScan:
@@ -89,7 +126,7 @@ class ModalScan:
         if self._candidates is None or moved:
             self._candidates = self._prepare(self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock)
             self._clock = clock
-        return self._gains_of(self._candidates, model)
+        return _gains(self.regression, self._candidates, model)
 
     def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
         """Return the most promising further mode, or None when the band is used up.
@@ -100,64 +137,22 @@ class ModalScan:
         excluded : sequence of float
             Frequencies [rad/s] whose neighbourhood has been tried in vain.
         """
-        gains = self.gains(model)
-        for omega in excluded:
-            gains = np.where(np.abs(np.log(self.omegas / omega)) < 2.5 * SCAN_DAMPING, -np.inf, gains)
+        gains = _without(self.gains(model), self.omegas, excluded)
         best = int(np.argmax(gains))
         if not np.isfinite(gains[best]):
             return None
         fine = self.omegas[best] * np.exp(np.linspace(-1.2, 1.2, 15) * SCAN_DAMPING)
         omegas = np.tile(fine, len(_FINE_DAMPINGS))
         zetas = np.repeat(_FINE_DAMPINGS, len(fine))
-        refined = self._gains_of(self._prepare(omegas, zetas, model.clock), model)
+        refined = _gains(self.regression, self._prepare(omegas, zetas, model.clock), model)
         winner = int(np.argmax(refined))
         return Candidate(float(omegas[winner]), float(zetas[winner]), float(refined[winner]))
 
     def _prepare(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[_Candidates]:
         """Return the columns of candidates for every block of outputs that share stamps."""
-        structure, regression = self.regression.structure, self.regression
-        n_fixed = regression.n_shared_fixed
-        collected: list[list[FloatArray]] = []
-        for first in range(0, len(omegas), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            n = len(omegas[part])
-            blocks = regression.blocks(omegas[part], zetas[part], clock, gradients=False)
-            for number, block in enumerate(blocks):
-                rows = block.matrix.T
-                pieces = [rows[n_fixed : n_fixed + n, None]]
-                if structure.has_free_response:
-                    n_own = regression.n_nuisance(n)
-                    for own in range(n_fixed + n, len(rows), n_own):
-                        pairs = rows[own + n_own - 2 * n : own + n_own]
-                        pieces.append(pairs.reshape(n, 2, -1))
-                if first == 0:
-                    collected.append([])
-                collected[number].append(np.concatenate(pieces, axis=1))
-        return [_Candidates.of(np.concatenate(parts)) for parts in collected]
-
-    def _gains_of(self, candidates: list[_Candidates], model: ModalFit) -> FloatArray:
-        regression = self.regression
-        blocks = regression.blocks(model.omegas, model.zetas, model.clock, gradients=False)
-        total = np.zeros(len(candidates[0].gram))
-        for number, (block, candidate) in enumerate(zip(blocks, candidates, strict=True)):
-            scale = np.linalg.norm(block.matrix, axis=0)
-            basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
-            basis = basis[:, np.abs(np.diag(triangle)) > 1e-9]
-            shape = candidate.gram.shape[:2]
-            inside = (candidate.rows @ basis).reshape(*shape, -1)
-            gram = candidate.gram - inside @ inside.transpose(0, 2, 1)
-            for output, own in enumerate(regression.block_of):
-                if own != number:
-                    continue
-                values = regression.values[output]
-                residual = values - basis @ (basis.T @ values)
-                projected = (candidate.rows @ residual).reshape(shape)
-                explained = np.einsum(
-                    "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
-                )
-                share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
-                total -= 0.5 * len(values) * np.log1p(-share)
-        return total
+        chunks = [slice(first, first + _CHUNK) for first in range(0, len(omegas), _CHUNK)]
+        found = [self.regression.candidates(omegas[part], zetas[part], clock) for part in chunks]
+        return [_Candidates.of(np.concatenate(parts)) for parts in zip(*found, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +175,40 @@ class _Candidates:
         columns = columns / np.where(norms > 0.0, norms, 1.0)[:, :, None]
         gram = columns @ columns.transpose(0, 2, 1) + _RIDGE * np.eye(columns.shape[1])
         return _Candidates(columns.reshape(-1, columns.shape[2]), gram)
+
+
+def _gains(problem: ModalProblem, candidates: Sequence[_Candidates], fit: ModalFit) -> FloatArray:
+    """Return the gain in log-likelihood of every candidate, with all poles of a fit held.
+
+    Notes
+    -----
+    A candidate's columns C lower the residual sum of squares by ``b^T G^-1 b``, ``b = C^T P y`` and
+    ``G = C^T P C``, with ``P = I - Q Q^T`` the projection onto the complement of the present columns.
+    """
+    blocks = problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+    total = np.zeros(len(candidates[0].gram))
+    for number, (block, candidate) in enumerate(zip(blocks, candidates, strict=True)):
+        scale = np.linalg.norm(block.matrix, axis=0)
+        basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
+        basis = basis[:, np.abs(np.diag(triangle)) > 1e-9]
+        shape = candidate.gram.shape[:2]
+        inside = (candidate.rows @ basis).reshape(*shape, -1)
+        gram = candidate.gram - inside @ inside.transpose(0, 2, 1)
+        for output, own in enumerate(problem.block_of):
+            if own != number:
+                continue
+            values = problem.values[output]
+            residual = values - basis @ (basis.T @ values)
+            projected = (candidate.rows @ residual).reshape(shape)
+            explained = np.einsum(
+                "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
+            )
+            if problem.is_noise_known:
+                total += 0.5 * explained
+                continue
+            share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
+            total -= 0.5 * len(values) * np.log1p(-share)
+    return total
 
 
 def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float) -> InputSignal:

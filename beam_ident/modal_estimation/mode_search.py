@@ -1,161 +1,291 @@
-"""Looking for modes one at a time, in any problem whose linear parameters project out.
+"""The search for modes, without hints: one loop for time records, lines and decays.
 
-A scan proposes where a further mode would lower the cost most, the fit refines all of them
-together, and a mode is believed when the fit converged, its pole is known well enough to mean
-something, its residues stand out of their uncertainty, and the Bayesian information criterion
-finds it worth its parameters.
+Modes are added one at a time: a scan proposes where, the fit refines all of them together, and the Bayesian
+information criterion decides whether the new one is worth its parameters.  A mode must also pass the gates
+(``mode_gates``), and pass them again once the data are weighed by the noise as it is.
+
+What differs between kinds of data stands in the few methods that a kind overrides: where a scan looks, what a
+clock may have slipped, and how the noise weighs.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
-from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
-from beam_ident.modal_estimation.pole_projection import PoleFit, PoleProblem, fit_poles, scan_poles
-from beam_ident.modal_estimation.variable_projection import MIN_DAMPING
+from beam_ident.data.argument_checks import require_whole_number
+from beam_ident.data.bandwidth import Band
+from beam_ident.data.batches import Progress
+from beam_ident.data.prior import Prior
+from beam_ident.errors import EstimationError
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.identification_result import OrderEntry
+from beam_ident.modal.regression import ClockState
+from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
+from beam_ident.modal_estimation.mode_scan import Candidate
+from beam_ident.modal_estimation.variable_projection import ModalProblem, fit_modes
+from beam_ident.noise.scores import Scores
+from beam_ident.numerics.levenberg_marquardt import HOPELESS
 
-Family = tuple[FloatArray, FloatArray]
-Proposals = Callable[[PoleFit], Sequence[Family]]
+MAX_MODES = 10
+_MOST_MODES = 40
 
-_MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
-_RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not decide between families
-_SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
-_FINAL_ITERATIONS, _TRIAL_ITERATIONS, _RIVAL_ITERATIONS = 60, 40, 6
+# Rows for each unknown of an output; a level of the noise that is to be estimated too takes twice as many.
+_ROWS_PER_UNKNOWN = 2
+# Without a complaint, a mode is given up for a fit that settles only where it is near another and explains little.
+_BESIDE = 0.05  # of the frequency
+_HARDLY_MORE = 1.1  # residuals without it over those with it
+_ITERATIONS = 40
+_TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
+SHORT = 8  # iterations of a fit on the way
+_RIVAL_ITERATIONS = 6
+# From here on most are spurious: a given order is reached by short fits, the last one in full.
+MANY_MODES = 12
+_TRIES_PER_ORDER = 2
 
-
-@dataclass(frozen=True)
-class PoleOrder:
-    """One line of the order table: number of modes, criterion, and why it was refused (or empty)."""
-
-    n_modes: int
-    n_parameters: int
-    bic: float
-    converged: bool
-    refused_because: str
-    is_chosen: bool = False
+ProblemT = TypeVar("ProblemT", bound=ModalProblem)
 
 
-def search_modes(
-    problem: PoleProblem,
-    proposals: Proposals,
-    band: tuple[float, float],
-    n_modes: int | None,
-    max_modes: int,
-) -> tuple[PoleFit, tuple[PoleOrder, ...]]:
-    """Add modes until the given number is reached, or until one is not believed.
+def silent(phrase: str, share: float) -> None:
+    """Report no progress."""
+    del phrase, share
+
+
+def checked_limit(n_modes: int | None, max_modes: int) -> int:
+    """Return how many modes are looked for at most, or raise EstimationError for an impossible number."""
+    if n_modes is not None:
+        require_whole_number("n_modes", n_modes, 1, _MOST_MODES)
+    require_whole_number("max_modes", max_modes, 1, _MOST_MODES)
+    return max_modes if n_modes is None else n_modes
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed(Generic[ProblemT]):
+    """A fit weighed by the noise as it is, the problem that it belongs to, and that with weights for records."""
+
+    fit: ModalFit
+    problem: ProblemT
+    by_record: ProblemT
+
+
+class ModeSearch(ABC, Generic[ProblemT]):
+    """The search over orders, and the best fit found so far.
 
     Parameters
     ----------
-    problem : PoleProblem
-    proposals : callable
-        From the fit so far to families of candidates, each with frequencies [rad/s] and damping ratios, both
-        (n_candidates,).  Candidates of different families may be each other's aliases: the best of each is
-        fitted, and the fits decide.
-    band : tuple of float -- where a pole may stand [rad/s]
-    n_modes : int or None -- how many; None lets the criterion decide
-    max_modes : int -- bound on the search
+    problem : ModalProblem
+    band : Band -- where modes are looked for
+    latency, clock_rate : Prior
+    shows_clock : bool -- whether the columns that no mode touches tell anything of the clock
+    progress : callable
     """
-    current = fit_poles(problem, np.zeros(0), np.zeros(0))
-    orders = [_order(problem, current, "")]
-    best = 0
-    limit = max_modes if n_modes is None else n_modes
-    while len(current.omegas) < limit:
-        iterations = _FINAL_ITERATIONS if len(current.omegas) + 1 == limit else _TRIAL_ITERATIONS
-        starts = [
-            (np.append(current.omegas, omega), np.append(current.zetas, zeta), current.latency)
-            for omega, zeta in _starts(problem, current, proposals(current))
+
+    remedy = "Excite more, record longer"  # for data that show no mode
+
+    def __init__(
+        self,
+        problem: ProblemT,
+        band: Band,
+        latency: Prior,
+        clock_rate: Prior,
+        shows_clock: bool,
+        progress: Progress = silent,
+    ) -> None:
+        self.plain = self.problem = problem
+        self.band = band
+        self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
+        self.progress = progress
+        self.max_iterations = _ITERATIONS
+        base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
+        self.chosen = base
+        self.entries: list[OrderEntry] = [self._entry(base, "")]
+        self.chosen_entry = 0
+
+    @abstractmethod
+    def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
+        """Return where a further mode may stand; rivals, if several; none when the band is used up.
+
+        Parameters
+        ----------
+        fit : ModalFit -- the present model
+        excluded : sequence of float -- frequencies [rad/s] whose neighbourhood has been tried in vain
+        """
+
+    def untangled(self, fit: ModalFit) -> ModalFit:
+        """Return the fit after a look for cycles that the clock may have slipped."""
+        return fit
+
+    def reweigh(self) -> None:
+        """Let what the present model leaves decide how the data weigh against each other."""
+
+    def weighed(self, fit: ModalFit) -> Weighed[ProblemT]:
+        """Return a fit of the search, weighed by the noise as it is."""
+        return Weighed(fit, self.plain, self.plain)
+
+    def fit(
+        self,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        max_iterations: int | None = None,
+        target: float = math.inf,
+    ) -> ModalFit:
+        """Return the fit from a start, of the problem as it weighs at present."""
+        latency, rate = self.latency, self.clock_rate
+        if not len(omegas) and not self.shows_clock:
+            latency, rate = Prior(latency.mean), Prior(rate.mean)
+        iterations = self.max_iterations if max_iterations is None else max_iterations
+        return fit_modes(self.problem, omegas, zetas, clock, latency, rate, iterations, target)
+
+    def run(self, n_modes: int | None, max_modes: int) -> Weighed[ProblemT]:
+        """Add modes until the given number is reached, or until one is not believed; weigh what was found.
+
+        Parameters
+        ----------
+        n_modes : int or None -- how many; None lets the criterion decide
+        max_modes : int -- bound on the search
+
+        Raises
+        ------
+        EstimationError
+            No mode stands out of the noise.
+        """
+        limit = max_modes if n_modes is None else n_modes
+        thorough = self.max_iterations = _TRIAL_ITERATIONS if n_modes is None else _ITERATIONS
+        ended = "no candidate"
+        while (n := len(self.chosen.omegas)) < limit:
+            self.reweigh()
+            self.max_iterations = SHORT if MANY_MODES <= n < limit - 1 else thorough
+            if n_modes is None and not self._affords(n + 1):
+                ended = "too few data for its parameters"
+                break
+            if not self._adds_mode(n_modes, limit):
+                break
+        if not len(self.chosen.omegas):
+            raise EstimationError(
+                f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
+                f"noise ({self.entries[-1].refused_because or ended}). {self.remedy}, or ask for a number of "
+                "modes to see the best candidate"
+            )
+        self.progress("weighing by the noise as it is", 0.97)
+        weighed = self.weighed(self.chosen)
+        return weighed if n_modes is not None else self._confirmed(weighed)
+
+    @property
+    def orders(self) -> tuple[OrderEntry, ...]:
+        """The table of orders, with the choice marked."""
+        return tuple(
+            dataclasses.replace(entry, is_chosen=index == self.chosen_entry)
+            for index, entry in enumerate(self.entries)
+        )
+
+    def _adds_mode(self, n_modes: int | None, limit: int) -> bool:
+        """Try to add a mode to the present model, and return whether one was taken."""
+        current, n = self.chosen, len(self.chosen.omegas)
+        excluded: list[float] = []
+        for attempt in range(_TRIES_PER_ORDER if n_modes is None else 1):
+            share = min(0.95, (n + 0.5 * attempt) / (limit if n_modes is not None else 5))
+            self.progress(f"looking for mode {n + 1}", share)
+            candidates = self.propose(current, excluded)
+            if not candidates:
+                return False
+            starts = [
+                (np.append(current.omegas, c.omega), np.append(current.zetas, c.zeta)) for c in candidates
+            ]
+            place = 0
+            if len(starts) > 1:
+                rivals = [self.fit(*start, current.clock, _RIVAL_ITERATIONS) for start in starts]
+                place = int(np.argmin([rival.cost for rival in rivals]))
+            trial = self.fit(*starts[place], current.clock, target=self._target(current, n_modes))
+            if trial.reason != HOPELESS:
+                trial = self.untangled(trial)
+            refusal = self._refusal(trial, current, n_modes is not None)
+            self.entries.append(self._entry(trial, refusal))
+            if not refusal or n_modes is not None:
+                self.chosen, self.chosen_entry = trial, len(self.entries) - 1
+                return True
+            excluded.append(candidates[place].omega)
+        return False
+
+    def _affords(self, n_modes: int) -> bool:
+        unknowns = self.problem.n_columns(n_modes) + 2 * n_modes
+        rows = _ROWS_PER_UNKNOWN * (1 if self.problem.is_noise_known else 2)
+        return min(len(v) for v in self.problem.values) > rows * unknowns
+
+    def _target(self, current: ModalFit, n_modes: int | None) -> float:
+        """Return the cost below which one more mode is worth its parameters."""
+        if n_modes is not None:
+            return math.inf
+        return current.cost - 0.5 * self.problem.n_parameters_of_a_mode * math.log(self.problem.n_samples)
+
+    def _bic(self, fit: ModalFit) -> float:
+        return 2.0 * fit.cost + fit.n_parameters * math.log(self.problem.n_samples)
+
+    def _refusal(self, trial: ModalFit, current: ModalFit, is_given: bool) -> str:
+        if trial.reason == HOPELESS:
+            return "not worth its parameters by BIC"
+        if not trial.converged:
+            return f"the fit did not converge: {trial.reason}"
+        for mode in range(len(trial.omegas)):
+            complaint = mode_complaint(trial, self.problem, mode, self.band)
+            if complaint:
+                return complaint
+        if not is_given and not self._bic(trial) < self._bic(current):
+            return "not worth its parameters by BIC"
+        return ""
+
+    def _entry(self, fit: ModalFit, refusal: str) -> OrderEntry:
+        scores = [
+            Scores.of(values, residuals)
+            for values, residuals in zip(self.problem.values, fit.residuals, strict=True)
         ]
-        if len(starts) > 1:
-            rivals = [fit_poles(problem, *start, _RIVAL_ITERATIONS) for start in starts]
-            best_rival = min(rivals, key=lambda fit: fit.cost)
-            starts = [(best_rival.omegas, best_rival.zetas, best_rival.latency)]
-        trial = fit_poles(problem, *starts[0], iterations)
-        refusal = "" if n_modes is not None else _complaint(problem, band, trial, current)
-        orders.append(_order(problem, trial, refusal))
-        if refusal:
-            break
-        current, best = trial, len(orders) - 1
-    orders[best] = dataclasses.replace(orders[best], is_chosen=True)
-    return current, tuple(orders)
+        return OrderEntry(
+            n_modes=len(fit.omegas),
+            n_parameters=fit.n_parameters,
+            bic=self._bic(fit),
+            aic=2.0 * fit.cost + 2.0 * fit.n_parameters,
+            r_squared=min(own.r_squared for own in scores),
+            worst_fit_percent=min(own.fit_percent for own in scores),
+            condition=fit.information_condition,
+            converged=fit.converged,
+            refused_because=refusal,
+        )
 
+    def _confirmed(self, weighed: Weighed[ProblemT]) -> Weighed[ProblemT]:
+        """Return the fit without modes that only the weights of the search had mistaken for more than noise.
 
-def _starts(problem: PoleProblem, current: PoleFit, families: Sequence[Family]) -> list[tuple[float, float]]:
-    """Return the best candidate of every family that promises enough, as frequency [rad/s] and damping ratio."""
-    omegas, zetas = (np.concatenate([family[k] for family in families]) for k in range(2))
-    gains = scan_poles(problem, current, omegas, zetas)
-    starts, first = [], 0
-    for family in families:
-        place = first + int(np.argmax(gains[first : first + len(family[0])]))
-        first += len(family[0])
-        if gains[place] >= _RIVAL * np.max(gains):
-            starts.append((float(omegas[place]), float(zetas[place])))
-    return starts
-
-
-def _bic(problem: PoleProblem, fit: PoleFit) -> float:
-    return 2.0 * fit.cost + fit.n_parameters * math.log(problem.n_rows)
-
-
-def _order(problem: PoleProblem, fit: PoleFit, refusal: str) -> PoleOrder:
-    return PoleOrder(len(fit.omegas), fit.n_parameters, _bic(problem, fit), fit.converged, refusal)
-
-
-def _complaint(problem: PoleProblem, band: tuple[float, float], trial: PoleFit, current: PoleFit) -> str:
-    """Return why a further mode is not believed, or nothing."""
-    if problem.n_rows < 2 * trial.n_parameters:
-        return "too few data for its parameters"
-    if not trial.converged:
-        return f"the fit did not converge: {trial.reason}"
-    complaints = mode_complaints(trial, band)
-    if complaints:
-        return complaints[0]
-    if not _bic(problem, trial) < _bic(problem, current):
-        return "not worth its parameters by BIC"
-    return ""
-
-
-def mode_complaints(fit: PoleFit, band: tuple[float, float]) -> tuple[str, ...]:
-    """Return why modes of a fit are not to be believed, one reason for each such mode.
-
-    Parameters
-    ----------
-    fit : PoleFit
-    band : tuple of float -- where a pole may stand [rad/s]
-    """
-    complaints = []
-    n, n_theta = len(fit.omegas), fit.n_parameters - fit.coefficients.size
-    width = fit.coefficients.shape[1]
-    n_columns = fit.n_columns
-    n_fixed = width - n * n_columns
-    for mode in range(n):
-        hertz = fit.omegas[mode] / (2.0 * np.pi)
-        spread = math.sqrt(max(float(fit.covariance[mode, mode]), 0.0))
-        strength = 0.0
-        for block, found in enumerate(fit.coefficients):
-            own = n_fixed + mode * n_columns + np.arange(n_columns)
-            places = n_theta + block * width + own
-            covariance = fit.covariance[np.ix_(places, places)]
-            strength += float(found[own] @ np.linalg.lstsq(covariance, found[own], rcond=1e-12)[0])
-        if not band[0] <= fit.omegas[mode] <= band[1]:
-            complaints.append(f"a pole at {hertz:.4g} Hz stands outside the measured band")
-        elif spread > _MAX_FREQUENCY_SD:
-            complaints.append(f"the pole at {hertz:.4g} Hz is known to {100.0 * spread:.2g} % only")
-        elif strength < chi_squared_isf(n_columns * len(fit.coefficients), _SIGNIFICANCE):
-            complaints.append(f"the residues at {hertz:.4g} Hz do not stand out of their uncertainty")
-    return tuple(complaints)
-
-
-def mode_warnings(fit: PoleFit, band: tuple[float, float]) -> list[str]:
-    """Return what a reader must know of a fit and its modes before trusting the numbers."""
-    warnings = [] if fit.converged else [f"the fit did not converge: {fit.reason}"]
-    warnings += mode_complaints(fit, band)
-    for omega, zeta in zip(fit.omegas, fit.zetas, strict=True):
-        if zeta <= 2.0 * MIN_DAMPING:
-            warnings.append(f"the damping ratio at {omega / (2.0 * np.pi):.4g} Hz ran to zero")
-    return warnings
+        Noise on the input reaches the outputs through the modes, and a mode beside a true one can pass for it
+        until every sample weighs by what the noise has left of it.
+        """
+        while len(weighed.fit.omegas) > 1:
+            fit, problem = weighed.fit, weighed.problem
+            modes = range(len(fit.omegas))
+            complaints = [mode_complaint(fit, problem, mode, self.band) for mode in modes]
+            if fit.converged and not any(complaints):
+                break
+            doubtful = [mode for mode in modes if complaints[mode]] or list(modes)
+            weakest = min(doubtful, key=lambda mode: mode_significance(fit, problem, mode, self.band)[0])
+            omegas, zetas = np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest)
+            fewer = self.fit(omegas, zetas, fit.clock)
+            following = self.weighed(fewer)
+            if not fewer.converged or not following.fit.converged:
+                break
+            beside = np.min(np.abs(np.log(omegas / fit.omegas[weakest])))
+            is_little = np.all(following.fit.sigmas < _HARDLY_MORE * fit.sigmas)
+            if not any(complaints) and not (beside < _BESIDE and is_little):
+                break
+            reason = complaints[weakest] or fit.reason
+            self.entries[self.chosen_entry] = dataclasses.replace(
+                self.entries[self.chosen_entry], refused_because=f"weighed by the noise, {reason}"
+            )
+            self.entries.append(self._entry(fewer, ""))
+            self.chosen_entry = len(self.entries) - 1
+            weighed = following
+        return weighed

@@ -12,8 +12,9 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.prior import Prior
+from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.modal_estimation.variable_projection import ModalFit, fit_modes
+from beam_ident.modal_estimation.variable_projection import fit_modes
 
 _TURNS = 6
 _SETTLED = 0.02  # standard deviations that a turn may still move a pole

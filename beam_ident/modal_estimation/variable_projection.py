@@ -1,81 +1,90 @@
-"""Maximum-likelihood fit of a modal model: variable projection with exact gradients.
+"""Maximum-likelihood fit of modes: variable projection with exact gradients.
 
-For given poles and clock all other parameters solve a linear least-squares problem
-(QR on scaled columns).  What remains, ``log omega`` and ``zeta`` of every mode and, where
-they are free, latency and clock rate, is found by Levenberg-Marquardt on the
-concentrated likelihood ``sum_j n_j/2 log RSS_j`` with the Jacobian projected onto the
-complement of the linear columns (Golub and Pereyra 1973, in Kaufman's form), so that
-every output weighs by its own noise.  A step that does not lower the cost is never
-taken, iterations are bounded, and the result says how it ended.  The covariance is
-the inverse of the full information matrix, linear parameters included.
+The data of every output j, samples of a record, lines of a frequency response or a decay, are
+
+    y_j = Phi_j(theta) c_j + e_j                                                                (1)
+
+with ``theta`` = (``log omega`` and ``zeta`` of every mode, latency and clock rate where they are free) and
+linear parameters ``c_j``: gains, residues, offsets, free responses.  For given theta the best c_j solve a
+linear least-squares problem (QR on scaled columns).  What remains is a function of theta alone,
+
+    V(theta) = sum_j n_j/2 log r_j^2,   r_j^2 = |y_j - Phi_j c_j(theta)|^2      noise of unknown level    (2)
+    V(theta) = sum_j 1/2 r_j^2                                                  rows weighed by their noise
+
+(Golub and Pereyra 1973), in which every output weighs by its own noise.  Levenberg-Marquardt minimises it.
+A step that does not lower the cost is never taken, iterations are bounded, and the result says how it ended.
+The covariance is the inverse of the full information matrix, linear parameters included.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.prior import Prior
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.regression import ClockState, ColumnBlock
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
-MAX_LATENCY_S = 0.2
 
 _MAX_CLOCK_RATE = 0.1
-
-
 _NOISE_FLOOR = 1e-10  # of the output's size: where rounding ends what residuals can tell
 
 
-@dataclass(frozen=True, eq=False)
-class ModalFit:
-    """The estimate and how it came about.
-
-    Attributes
-    ----------
-    omegas, zetas : ndarray, shape (n_modes,) -- natural frequencies [rad/s], damping ratios
-    clock : ClockState
-    coefficients : tuple of ndarray -- linear parameters of every output
-    residuals : tuple of ndarray -- measured minus modelled, per output
-    sigmas : ndarray, shape (n_outputs,) -- noise standard deviations
-    cost : float -- concentrated negative log-likelihood (up to a constant)
-    covariance : ndarray
-        Of (log omega.., zeta.., free clock parameters.., linear parameters of output 1, ..).
-        Under the noise as it is: autocorrelated where the residuals are, and after
-        ``WeightedFit`` with what noise on the input contributes.
-    information_condition : float
-        Condition of the scaled information matrix of poles and clock.
-    input_noise_shares : ndarray, shape (n_outputs,)
-        Share of each output's noise variance that noise on the input makes up.
-    rank_deficient : tuple of str -- outputs whose linear columns depend on each other
-    """
-
-    omegas: FloatArray
-    zetas: FloatArray
-    clock: ClockState
-    coefficients: tuple[FloatArray, ...]
-    residuals: tuple[FloatArray, ...]
-    sigmas: FloatArray
-    cost: float
-    covariance: FloatArray
-    information_condition: float
-    input_noise_shares: FloatArray
-    rank_deficient: tuple[str, ...]
-    converged: bool
-    reason: str
-    iterations: int
+class ModalProblem(Protocol):
+    """Data that are linear in everything but poles and clock: a time record, lines, a decay."""
 
     @property
-    def n_parameters(self) -> int:
-        """Number of estimated parameters."""
-        return len(self.covariance)
+    def values(self) -> Sequence[FloatArray]:
+        """What was measured, of every output; weighed where the rows are."""
+
+    @property
+    def block_of(self) -> Sequence[int]:
+        """Which block of columns goes with each output."""
+
+    @property
+    def is_noise_known(self) -> bool:
+        """Whether rows and values are divided by the noise's standard deviation."""
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether neighbouring rows are neighbours in time, so that their noise may be coloured."""
+
+    @property
+    def n_forced(self) -> int:
+        """Columns of a mode that the input drives; those of its free motion follow."""
+
+    @property
+    def max_latency_s(self) -> float:
+        """How far a latency may go [s]."""
+
+    @property
+    def n_samples(self) -> int:
+        """Number of rows, over all outputs."""
+
+    @property
+    def n_parameters_of_a_mode(self) -> int:
+        """Number of parameters that one more mode adds."""
+
+    def n_columns(self, n_modes: int) -> int:
+        """Number of linear parameters of one output."""
+
+    def blocks(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> list[ColumnBlock]:
+        """Return the columns of every block, and their derivatives where asked for."""
+
+    def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
+        """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +100,16 @@ class _State:
     solutions: list[LinearSolution]
 
 
-class _Problem:
-    """The likelihood of a regression as a function of its nonlinear parameters."""
+class _Likelihood:
+    """The cost as a function of the nonlinear parameters."""
 
-    def __init__(self, regression: ModalRegression, n_modes: int, latency: Prior, rate: Prior) -> None:
-        self.regression = regression
+    def __init__(self, problem: ModalProblem, n_modes: int, latency: Prior, rate: Prior) -> None:
+        self.problem = problem
         self.n_modes = n_modes
         self.latency, self.rate = latency, rate
         self.n_theta = 2 * n_modes + int(latency.is_free) + int(rate.is_free)
-        self.sizes = np.array([len(v) for v in regression.values], dtype=np.float64)
-        scale = np.array([max(float(np.max(np.abs(v))), 1e-300) for v in regression.values])
+        self.sizes = np.array([len(v) for v in problem.values], dtype=np.float64)
+        scale = np.array([max(float(np.max(np.abs(v))), 1e-300) for v in problem.values])
         self.floor = self.sizes * (_NOISE_FLOOR * scale) ** 2
 
     def clock(self, theta: FloatArray) -> ClockState:
@@ -125,49 +134,48 @@ class _Problem:
         return terms
 
     def state(self, theta: FloatArray) -> _State:
-        n = self.n_modes
-        regression = self.regression
-        blocks = regression.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
+        n, problem = self.n_modes, self.problem
+        blocks = problem.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
+        # One decomposition serves all outputs of a block: Phi = Q R, c = R^-1 Q^T y.
         solutions = [LinearSolution.of(block.matrix) for block in blocks]
         coefficients, residuals = [], []
-        for values, block in zip(regression.values, regression.block_of, strict=True):
+        for values, block in zip(problem.values, problem.block_of, strict=True):
             found = solutions[block].coefficients(values)
             coefficients.append(found)
             residuals.append(values - blocks[block].matrix @ found)
         rss = np.array([float(e @ e) for e in residuals]) + self.floor
-        cost = float(0.5 * np.sum(self.sizes * np.log(rss)))
+        # Equation (2).  A prior on the clock is one more observation, of weight 1 / sd.
+        cost = float(0.5 * np.sum(rss if problem.is_noise_known else self.sizes * np.log(rss)))
         cost += 0.5 * sum(deviation**2 for _, deviation, _ in self.prior_terms(theta))
         return _State(theta, cost, coefficients, residuals, rss, blocks, solutions)
 
     def jacobian(self, state: _State, output: int) -> FloatArray:
-        """Return the derivative of one output's model by the nonlinear parameters."""
-        block = state.blocks[self.regression.block_of[output]]
-        found = state.coefficients[output]
-        n = self.n_modes
-        result = np.empty((len(block.matrix), self.n_theta), order="F")
-        for mode, touched in enumerate(block.modes):
-            share = found[touched.columns]
-            result[:, mode] = touched.by_log_omega @ share
-            result[:, n + mode] = touched.by_zeta @ share
-        place = 2 * n
-        if place < self.n_theta:
-            assert block.by_time is not None
-            speed = block.by_time @ found
-            if self.latency.is_free:
-                result[:, place] = speed * block.latency_factor
-                place += 1
-            if self.rate.is_free:
-                result[:, place] = speed * block.rate_factor
-        return result
+        """Return ``(d Phi / d theta) c``, the derivative of one output's model with c held."""
+        block = state.blocks[self.problem.block_of[output]]
+        return block.slopes(state.coefficients[output], self.latency.is_free, self.rate.is_free)
 
     def normal_equations(self, state: _State, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return information matrix and descent direction of the nonlinear parameters."""
+        """Return information matrix and descent direction of the nonlinear parameters.
+
+        Notes
+        -----
+        With ``P = I - Q Q^T`` the residuals are ``P y`` and their exact derivative is
+        ``-(P D + (P D Phi^+)^T) y``, ``D = d Phi / d theta`` (Golub and Pereyra 1973, eq. 5.4).  Kaufman (1975)
+        leaves out the second term: it lies in the space of Phi, orthogonal to the first and to the residuals,
+        and is small where they are.  What is left is ``-P J``, ``J = D c``, so that with variances s_j
+
+            information = sum_j J^T P J / s_j,   -gradient = sum_j J^T P y_j / s_j = sum_j J^T e_j / s_j    (3)
+
+        The gradient of (2) is exact in this form: ``n_j / r_j^2 = 1 / s_j``.  And ``J^T P J`` is the Schur
+        complement of the linear parameters in the full information matrix, so that its inverse is the
+        covariance of theta with them unknown.
+        """
         information = np.zeros((self.n_theta, self.n_theta))
         direction = np.zeros(self.n_theta)
-        for output in range(self.regression.n_outputs):
+        for output, residuals in enumerate(state.residuals):
             jacobian = self.jacobian(state, output)
-            basis = state.solutions[self.regression.block_of[output]].basis
-            direction += jacobian.T @ state.residuals[output] / variances[output]
+            basis = state.solutions[self.problem.block_of[output]].basis
+            direction += jacobian.T @ residuals / variances[output]
             jacobian -= basis @ (basis.T @ jacobian)
             information += jacobian.T @ jacobian / variances[output]
         for place, deviation, weight in self.prior_terms(state.theta):
@@ -175,9 +183,15 @@ class _Problem:
             direction[place] -= deviation * weight
         return information, direction
 
+    def variances(self, state: _State, paid: FloatArray | float = 0.0) -> FloatArray:
+        """Return the noise's variance at every output, ``paid`` rows of each taken up by parameters."""
+        if self.problem.is_noise_known:
+            return np.ones(len(self.sizes))
+        return np.asarray(state.rss / np.maximum(self.sizes - paid, 1.0))
+
     def slope(self, state: _State) -> tuple[FloatArray, FloatArray]:
         """Return information matrix and descent direction of the concentrated likelihood."""
-        return self.normal_equations(state, state.rss / self.sizes)
+        return self.normal_equations(state, self.variances(state))
 
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         """Return where a step leads, frequencies moving by at most 10 % and damping staying positive."""
@@ -190,7 +204,8 @@ class _Problem:
         result[n : 2 * n] = np.clip(result[n : 2 * n], MIN_DAMPING, MAX_DAMPING)
         place = 2 * n
         if self.latency.is_free:
-            result[place] = np.clip(result[place], -MAX_LATENCY_S, MAX_LATENCY_S)
+            farthest = self.problem.max_latency_s
+            result[place] = np.clip(result[place], -farthest, farthest)
             place += 1
         if self.rate.is_free:
             result[place] = np.clip(result[place], -_MAX_CLOCK_RATE, _MAX_CLOCK_RATE)
@@ -198,7 +213,7 @@ class _Problem:
 
 
 def fit_modes(
-    regression: ModalRegression,
+    problem: ModalProblem,
     omegas: FloatArray,
     zetas: FloatArray,
     clock: ClockState,
@@ -207,11 +222,11 @@ def fit_modes(
     max_iterations: int = 40,
     target: float = math.inf,
 ) -> ModalFit:
-    """Fit all parameters of the modal model from a starting point.
+    """Fit poles, clock and all linear parameters from a starting point.
 
     Parameters
     ----------
-    regression : ModalRegression
+    problem : ModalProblem
     omegas, zetas : ndarray, shape (n_modes,) -- where to start [rad/s], [-]
     clock : ClockState -- where to start
     latency, clock_rate : Prior
@@ -223,35 +238,45 @@ def fit_modes(
     ModalFit
         With modes in order of frequency.
     """
-    n = len(omegas)
-    problem = _Problem(regression, n, latency, clock_rate)
+    likelihood = _Likelihood(problem, len(omegas), latency, clock_rate)
     start = [np.log(omegas), zetas]
     if latency.is_free:
         start.append(np.array([clock.latency]))
     if clock_rate.is_free:
         start.append(np.array([clock.rate]))
-    first = problem.state(problem.clipped(np.concatenate(start)))
-    return _finish(problem, minimise(problem, first, max_iterations, target))
+    first = likelihood.state(likelihood.clipped(np.concatenate(start)))
+    return _finished(likelihood, minimise(likelihood, first, max_iterations, target))
+
+
+def designs(problem: ModalProblem, fit: ModalFit, latency: Prior, clock_rate: Prior) -> list[FloatArray]:
+    """Return of every output the derivative of the model by (theta, its linear parameters), (n_rows, ..)."""
+    blocks = problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
+    own = [blocks[block] for block in problem.block_of]
+    return [
+        np.concatenate([b.slopes(found, latency.is_free, clock_rate.is_free), b.matrix], axis=1)
+        for b, found in zip(own, fit.coefficients, strict=True)
+    ]
 
 
 def _under_coloured_noise(
-    problem: _Problem, state: _State, variances: FloatArray, covariance: FloatArray
+    likelihood: _Likelihood, state: _State, variances: FloatArray, covariance: FloatArray
 ) -> FloatArray:
     """Return the covariance with the autocorrelation of the residuals taken into account.
 
-    ``H^-1 S H^-1 = H^-1 + H^-1 (S - H) H^-1``, S the covariance of the score.
+    ``H^-1 S H^-1 = H^-1 + H^-1 (S - H) H^-1``, H the information matrix of white noise, S the covariance of
+    the score under the noise as it is.
     """
-    regression, n_theta = problem.regression, problem.n_theta
+    n_theta = likelihood.n_theta
     excess = np.zeros_like(covariance)
     place = n_theta
     for output, residuals in enumerate(state.residuals):
-        matrix = state.blocks[regression.block_of[output]].matrix
+        matrix = state.blocks[likelihood.problem.block_of[output]].matrix
         here = np.concatenate([np.arange(n_theta), np.arange(place, place + matrix.shape[1])])
         place += matrix.shape[1]
         colour = autoregression(residuals)
         if len(colour) == 1:
             continue
-        design = np.concatenate([problem.jacobian(state, output), matrix], axis=1)
+        design = np.concatenate([likelihood.jacobian(state, output), matrix], axis=1)
         correlation = autocorrelation(colour, len(residuals))
         difference = score_covariance(design, correlation) - design.T @ design
         excess[np.ix_(here, here)] += difference / variances[output]
@@ -259,69 +284,61 @@ def _under_coloured_noise(
     return np.asarray(0.5 * (result + result.T))
 
 
-def _finish(problem: _Problem, minimum: Minimum[_State]) -> ModalFit:
+def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
     state, converged, reason = minimum.state, minimum.converged, minimum.reason
-    regression, n, n_theta = problem.regression, problem.n_modes, problem.n_theta
-    order = np.argsort(state.theta[:n])
-    ranks = np.array([len(state.solutions[b].kept) for b in regression.block_of])
-    freedom = problem.sizes - ranks - n_theta / regression.n_outputs
-    variances = state.rss / np.maximum(freedom, 1.0)
-    information, _ = problem.normal_equations(state, variances)
+    problem, n, n_theta = likelihood.problem, likelihood.n_modes, likelihood.n_theta
+    n_outputs = len(state.residuals)
+    solutions = [state.solutions[block] for block in problem.block_of]
+    ranks = np.array([len(solution.kept) for solution in solutions])
+    variances = likelihood.variances(state, ranks + n_theta / n_outputs)
+    information, _ = likelihood.normal_equations(state, variances)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(scale, scale)
     condition = float(np.linalg.cond(scaled)) if n_theta else 1.0
     theta_covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     if n_theta and not condition < 1e12:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
+    # With theta held, c_j scatters by s_j (Phi^T Phi)^-1; a change of theta moves it by B = -Phi^+ J.  Together
+    # cov(theta, c) = (1, B)^T cov(theta) (1, B) + diag(0, s_j (Phi^T Phi)^-1), the inverse of the full information.
     sizes = [len(c) for c in state.coefficients]
-    covariance = np.zeros((n_theta + sum(sizes), n_theta + sum(sizes)))
-    sensitivity = np.zeros((n_theta + sum(sizes), n_theta))
+    total = n_theta + sum(sizes)
+    covariance, sensitivity = np.zeros((total, total)), np.zeros((total, n_theta))
     sensitivity[:n_theta] = np.eye(n_theta)
     place = n_theta
-    for output in range(regression.n_outputs):
-        solution = state.solutions[regression.block_of[output]]
+    for output, solution in enumerate(solutions):
         here = slice(place, place + sizes[output])
-        sensitivity[here] = -solution.coefficients(problem.jacobian(state, output))
+        sensitivity[here] = -solution.coefficients(likelihood.jacobian(state, output))
         covariance[here, here] = variances[output] * solution.inverse_gram()
         place += sizes[output]
     covariance += sensitivity @ theta_covariance @ sensitivity.T
-    if reason != HOPELESS:
-        covariance = _under_coloured_noise(problem, state, variances, covariance)
-    # Put the modes in order of frequency, in the parameters and in every linear block.
-    n_fixed = regression.n_shared_fixed
-    permutation = np.arange(len(covariance))
-    permutation[:n] = order
-    permutation[n : 2 * n] = n + order
+    if problem.is_sequence and reason != HOPELESS:
+        covariance = _under_coloured_noise(likelihood, state, variances, covariance)
+    # Put the modes in order of frequency, in the parameters and in every output's coefficients.
+    order = np.argsort(state.theta[:n])
+    permutation = np.arange(total)
+    permutation[: 2 * n] = np.concatenate([order, n + order])
+    mode_columns = tuple(state.blocks[block].mode_columns for block in problem.block_of)
     coefficients = []
     place = n_theta
-    for output, found in enumerate(state.coefficients):
-        local = np.arange(sizes[output])
-        local[n_fixed : n_fixed + n] = n_fixed + order
-        if regression.structure.has_free_response and n:
-            n_own = regression.n_nuisance(n)
-            for first in range(n_fixed + n, sizes[output], n_own):
-                pairs = np.arange(first + n_own - 2 * n, first + n_own).reshape(n, 2)
-                local[pairs.ravel()] = pairs[order].ravel()
+    for found, columns in zip(state.coefficients, mode_columns, strict=True):
+        local = np.arange(len(found))
+        local[columns] = columns[order]
         coefficients.append(found[local])
-        permutation[place : place + sizes[output]] = place + local
-        place += sizes[output]
-    deficient = tuple(
-        name
-        for name, block, size in zip(regression.output_names, regression.block_of, sizes, strict=True)
-        if len(state.solutions[block].kept) < size
-    )
+        permutation[place : place + len(found)] = place + local
+        place += len(found)
     return ModalFit(
         omegas=np.exp(state.theta[:n])[order],
         zetas=state.theta[n : 2 * n][order],
-        clock=problem.clock(state.theta),
+        clock=likelihood.clock(state.theta),
         coefficients=tuple(coefficients),
+        mode_columns=mode_columns,
         residuals=tuple(state.residuals),
         sigmas=np.sqrt(variances),
         cost=state.cost,
         covariance=covariance[np.ix_(permutation, permutation)],
         information_condition=condition,
-        input_noise_shares=np.zeros(regression.n_outputs),
-        rank_deficient=deficient,
+        input_noise_shares=np.zeros(n_outputs),
+        rank_deficient=tuple(np.flatnonzero(ranks < sizes).tolist()),
         converged=converged,
         reason=reason,
         iterations=minimum.iterations,

@@ -29,9 +29,11 @@ from scipy.signal import lfilter
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
-from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING, ModalFit
+from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.scores import are_rounding
@@ -73,8 +75,9 @@ class WeightedFit:
 
     Parameters
     ----------
-    records : sequence of TimeRecord
-    regression : ModalRegression -- of these records; with the smoothing where the input is noisy
+    records : sequence of TimeRecord -- none of free decays
+    regression : ModalRegression or StackedRegression
+        Of these records, with the smoothing where the input is noisy; or of free decays.
     fit : ModalFit -- with equal weights, where to begin
     latency, clock_rate : Prior
     smoothing : Smoothing or None
@@ -84,7 +87,7 @@ class WeightedFit:
     def __init__(
         self,
         records: Sequence[TimeRecord],
-        regression: ModalRegression,
+        regression: ModalRegression | StackedRegression,
         fit: ModalFit,
         latency: Prior,
         clock_rate: Prior,
@@ -111,6 +114,12 @@ class WeightedFit:
     def is_needed(self) -> bool:
         """Whether the noise is other than what the fit took it for."""
         return self.smoothing is not None or any(len(colour) > 1 for colour in self.colours)
+
+    @property
+    def _driven(self) -> ModalRegression:
+        """The regression on records with an input, whose noise matters."""
+        assert isinstance(self.regression, ModalRegression)
+        return self.regression
 
     def result(self) -> ModalFit:
         """Return the fit weighed by its noise, or the given fit where that does not succeed.
@@ -199,29 +208,13 @@ class WeightedFit:
         for block, found in zip(self.regression.block_of, coefficients, strict=True):
             matrix = blocks[block].matrix
             full = np.zeros((len(matrix), total + 1), order="F")
-            full[:, : self.n_theta] = self._slopes(blocks[block], found)
+            full[:, : self.n_theta] = blocks[block].slopes(
+                found, self.latency.is_free, self.clock_rate.is_free
+            )
             full[:, first : first + len(found)] = matrix
             first += len(found)
             columns.append(full)
         return columns
-
-    def _slopes(self, block: ColumnBlock, found: FloatArray) -> FloatArray:
-        """Return the derivative of one output's model by the nonlinear parameters."""
-        n = len(self.fit.omegas)
-        result = np.empty((len(block.matrix), self.n_theta), order="F")
-        for mode, touched in enumerate(block.modes):
-            share = found[touched.columns]
-            result[:, mode] = touched.by_log_omega @ share
-            result[:, n + mode] = touched.by_zeta @ share
-        if self.n_theta > 2 * n:
-            assert block.by_time is not None
-            # The clock moves the instants (I.6), and the instants move the model.
-            speed = block.by_time @ found
-            if self.latency.is_free:
-                result[:, 2 * n] = speed * block.latency_factor
-            if self.clock_rate.is_free:
-                result[:, -1] = speed * block.rate_factor
-        return result
 
     def _filtered(self, output: int, columns: FloatArray) -> FloatArray:
         """Return columns passed through an output's whitening filter, each record for itself."""
@@ -274,7 +267,7 @@ class WeightedFit:
 
     def _disturbances(self, point: _Point) -> list[tuple[InputDisturbance, Observations]]:
         """Return the noise of every record's input and where it is seen."""
-        regression = self.regression
+        regression = self._driven
         assert self.smoothing is not None
         shared = np.array([found[: self.n_shared] for found in point.coefficients])
         result = []
@@ -323,11 +316,11 @@ class WeightedFit:
     def _on_inputs(self, values: Sequence[FloatArray], is_smooth: bool = False) -> ModalRegression:
         """Return the regression on other samples of every input."""
         records = []
-        for record, drive, own in zip(self.records, self.regression.drives, values, strict=True):
+        for record, drive, own in zip(self.records, self._driven.drives, values, strict=True):
             changed = InputSignal(drive.name, drive.unit, drive.times_s, own, drive.hold, drive.sigma)
             records.append(TimeRecord((changed,), record.outputs, record.start_ns, record.name))
         smoothing = None if is_smooth else self.smoothing
-        return ModalRegression(records, self.regression.structure, None, smoothing)
+        return ModalRegression(records, self._driven.structure, None, smoothing)
 
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray
@@ -379,7 +372,7 @@ class WeightedFit:
         """Return draws of what noise is left on every record's most likely input."""
         assert self.smoothing is not None
         rng = np.random.default_rng(0)
-        regression = self.regression
+        regression = self._driven
         inputs: list[list[FloatArray]] = []
         residuals = [np.empty((len(values), _DRAWS)) for values in regression.values]
         for draw in range(_DRAWS):

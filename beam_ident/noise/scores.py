@@ -8,6 +8,7 @@ part).  Whiteness of the residuals is tested with the Ljung-Box statistic.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +99,23 @@ def are_rounding(values: FloatArray, residuals: FloatArray) -> bool:
 def is_coloured(whiteness: Whiteness, values: FloatArray, residuals: FloatArray) -> bool:
     """Return whether residuals are not white and more than errors of arithmetic."""
     return not whiteness.is_white and not are_rounding(values, residuals)
+
+
+def colour_warning(
+    names: Sequence[str],
+    whiteness: Sequence[Whiteness],
+    values: Sequence[FloatArray],
+    residuals: Sequence[FloatArray],
+) -> list[str]:
+    """Return what must be known of a fit whose residuals are not white, nothing where they are."""
+    found = zip(names, whiteness, values, residuals, strict=True)
+    coloured = [name for name, own, seen, left in found if is_coloured(own, seen, left)]
+    if not coloured:
+        return []
+    return [
+        f"The residuals of {', '.join(coloured)} are not white. The fit is weighed by their autocorrelation and the "
+        "standard deviations include it; if it is unmodelled dynamics rather than noise, a bias remains."
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.argument_checks import require_frequency_record, require_whole_number
+from beam_ident.data.argument_checks import require_frequency_record, require_responses, require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.prior import Prior
 from beam_ident.errors import EstimationError
-from beam_ident.modal_estimation.frequency_domain import line_weights, require_responses, stacked_values
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
+from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import minimise
 from beam_ident.transfer_function.model import TransferFunctionModel

@@ -1,0 +1,168 @@
+"""Modal columns over rows of any kind, stacked and weighed: lines of frequency records, samples of decays.
+
+Rows that share columns form a basis: the lines of a record, the samples of a decay.  What is fitted with
+linear parameters of its own (an output, or a pair of output and input) stacks rows of one basis or of
+several, each row with a weight of its own.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Real columns of one mode (or the fixed ones) with their derivatives, each (n_rows, n_columns).
+
+    ``by_time`` is the derivative by the instant of measurement, None where no latency is estimated.
+    """
+
+    value: FloatArray
+    by_log_omega: FloatArray
+    by_zeta: FloatArray
+    by_time: FloatArray | None = None
+
+
+class ColumnBasis(ABC):
+    """Rows that share columns."""
+
+    @abstractmethod
+    def fixed(self, latency: float) -> Columns:
+        """Return the columns that no mode touches (derivatives by a mode are not used)."""
+
+    @abstractmethod
+    def modal(self, omega: float, zeta: float, latency: float) -> Columns:
+        """Return the columns of one mode."""
+
+    def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
+        """Return the columns of many candidate modes, shape (n_candidates, n_columns, n_rows)."""
+        found = [self.modal(float(w), float(z), latency).value for w, z in zip(omegas, zetas, strict=True)]
+        return np.stack([value.T for value in found])
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one record holds of an output: rows of a basis, measured values and weights, each (n_rows,)."""
+
+    basis: int
+    values: FloatArray
+    weights: FloatArray
+
+
+class StackedRegression:
+    """A modal model over bases as a linear problem with a few nonlinear parameters.
+
+    Parameters
+    ----------
+    bases : sequence of ColumnBasis
+    outputs : sequence of sequence of Part -- linear parameters are common to the parts of an output
+    is_noise_known : bool -- whether weights are one over the noise's standard deviation
+    is_sequence : bool -- whether rows are samples of a signal, in the order of time
+    n_forced : int -- columns of a mode that the input drives
+    """
+
+    max_latency_s = np.inf
+
+    def __init__(
+        self,
+        bases: Sequence[ColumnBasis],
+        outputs: Sequence[Sequence[Part]],
+        is_noise_known: bool,
+        is_sequence: bool = False,
+        n_forced: int = 1,
+    ) -> None:
+        self.bases, self.outputs = bases, outputs
+        self.is_noise_known, self.is_sequence, self.n_forced = is_noise_known, is_sequence, n_forced
+        self.values: list[FloatArray] = [
+            np.concatenate([part.weights * part.values for part in own]) for own in outputs
+        ]
+        self.block_of = range(len(outputs))
+        self.segments: list[list[tuple[int, slice]]] = []  # of every output: basis and its rows
+        for own in outputs:
+            ends = np.cumsum([len(part.values) for part in own]).tolist()
+            rows = [slice(end - len(part.values), end) for part, end in zip(own, ends, strict=True)]
+            self.segments.append([(part.basis, here) for part, here in zip(own, rows, strict=True)])
+        self.n_shared_fixed: int = bases[0].fixed(0.0).value.shape[1]
+        self._width: int = bases[0].modal(1.0, 0.1, 0.0).value.shape[1]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of real rows, over all outputs."""
+        return sum(len(values) for values in self.values)
+
+    @property
+    def n_parameters_of_a_mode(self) -> int:
+        """Number of parameters that one more mode adds."""
+        return 2 + self._width * len(self.outputs)
+
+    def n_columns(self, n_modes: int) -> int:
+        """Number of linear parameters of one output."""
+        return self.n_shared_fixed + n_modes * self._width
+
+    def blocks(
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+    ) -> list[ColumnBlock]:
+        """Return the columns of every output: the fixed ones, then those of all modes."""
+        del gradients
+        n, late = len(omegas), clock.latency
+        of_bases = []
+        for basis in self.bases:
+            modes = [basis.modal(float(w), float(z), late) for w, z in zip(omegas, zetas, strict=True)]
+            of_bases.append([basis.fixed(late), *modes])
+        # Side by side for each basis: all columns, and the derivatives of those of the modes.
+        plain = [np.concatenate([c.value for c in own], axis=1) for own in of_bases]
+        nothing = [np.zeros((len(own[0].value), 0)) for own in of_bases]
+        by_pole = [
+            np.concatenate([none, *(c.by_log_omega for c in own[1:]), *(c.by_zeta for c in own[1:])], axis=1)
+            for own, none in zip(of_bases, nothing, strict=True)
+        ]
+        rates = [[c.by_time for c in own if c.by_time is not None] for own in of_bases]
+        is_late = all(len(rate) == 1 + n for rate in rates)
+        by_time = [np.concatenate(rate, axis=1) for rate in rates] if is_late else []
+        columns = self.n_shared_fixed + np.arange(n * self._width).reshape(n, self._width)
+        result = []
+        for output, values in zip(self.outputs, self.values, strict=True):
+            n_rows = len(values)
+            slopes = _weighed(output, by_pole).reshape(n_rows, 2, n, self._width)
+            result.append(
+                ColumnBlock(
+                    matrix=_weighed(output, plain),
+                    mode_columns=columns,
+                    modes=tuple(ModeSlopes(slopes[:, 0, k], slopes[:, 1, k]) for k in range(n)),
+                    by_time=_weighed(output, by_time) if is_late else None,
+                    latency_factor=np.full(n_rows, -1.0),  # later stamps, earlier instants
+                    rate_factor=np.zeros(n_rows),
+                )
+            )
+        return result
+
+    def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
+        """Return the columns of single modes at every output, each (n_candidates, n_columns of a mode, n_rows)."""
+        found = [basis.scanned(omegas, zetas, clock.latency) for basis in self.bases]
+        return [
+            np.concatenate([found[part.basis] * part.weights for part in output], axis=2)
+            for output in self.outputs
+        ]
+
+    def modelled(self, fit: ModalFit) -> list[FloatArray]:
+        """Return what the model says on the rows of every basis, without weights, each (n_rows, n_outputs)."""
+        result = []
+        for basis in self.bases:
+            poles = zip(fit.omegas, fit.zetas, strict=True)
+            modes = [basis.modal(float(w), float(z), fit.clock.latency).value for w, z in poles]
+            columns = np.concatenate([basis.fixed(fit.clock.latency).value, *modes], axis=1)
+            result.append(columns @ np.array(fit.coefficients).T)
+        return result
+
+
+def _weighed(output: Sequence[Part], of_bases: Sequence[FloatArray]) -> FloatArray:
+    """Return weighed rows of an output from arrays given for every basis."""
+    return np.concatenate([part.weights[:, None] * of_bases[part.basis] for part in output])
