@@ -43,7 +43,6 @@ _ROWS_PER_UNKNOWN = 2
 _BESIDE = 0.05  # of the frequency
 _HARDLY_MORE = 1.1  # residuals without it over those with it
 _ITERATIONS = 40
-_TRIAL_ITERATIONS = 20  # a mode that is really there needs about six
 SHORT = 8  # iterations of a fit on the way
 _RIVAL_ITERATIONS = 6
 # From here on most are spurious: a given order is reached by short fits, the last one in full.
@@ -88,6 +87,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
     """
 
     remedy = "Excite more, record longer"  # for data that show no mode
+    trial_iterations = _ITERATIONS  # while the order is free
 
     def __init__(
         self,
@@ -158,7 +158,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
             No mode stands out of the noise.
         """
         limit = max_modes if n_modes is None else n_modes
-        thorough = self.max_iterations = _TRIAL_ITERATIONS if n_modes is None else _ITERATIONS
+        thorough = self.max_iterations = self.trial_iterations if n_modes is None else _ITERATIONS
         ended = "no candidate"
         while (n := len(self.chosen.omegas)) < limit:
             self.reweigh()

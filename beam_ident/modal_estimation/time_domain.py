@@ -131,6 +131,8 @@ def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
 class _TimeSearch(ModeSearch[ModalRegression]):
     """The search in records of an input and outputs."""
 
+    trial_iterations = 20  # each takes its time, and a mode that is really there needs about six
+
     def __init__(
         self,
         records: list[TimeRecord],

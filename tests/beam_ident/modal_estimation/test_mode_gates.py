@@ -1,0 +1,137 @@
+"""The same modes through all three domains: time record, frequency record and free decay give the same verdicts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import chirp, cont2discrete, lfilter
+
+from beam_ident import (
+    EstimationError,
+    FrequencyRecord,
+    InputSignal,
+    ModalStructure,
+    OutputSignal,
+    Prior,
+    TimeRecord,
+    fit_free_decay,
+    fit_frequency_modes,
+    identify,
+)
+
+PLAIN = ModalStructure(
+    "receptance", has_residual=False, has_offset=False, has_ramp=False, has_free_response=False
+)
+TICK_S = 0.005
+FINE = (5.0, 0.02, 1.0)  # hertz, damping ratio, static deflection (or amplitude of a decay)
+Mode = tuple[float, float, float]
+Fit = Callable[[int | None], Any]
+
+
+def time_record(second: Mode, noise: float, seed: int) -> Fit:
+    """Return `identify` on eight seconds under a swept force held between ticks, 1 to 20 Hz."""
+    ticks = chirp(TICK_S * np.arange(1602), 1.0, TICK_S * 1601, 20.0)
+    clean = np.zeros(1602)
+    for hertz, zeta, static in (FINE, second):
+        omega = 2.0 * np.pi * hertz
+        plant = ([static * omega**2], [1.0, 2.0 * zeta * omega, omega**2])
+        numerator, denominator, _ = cont2discrete(plant, TICK_S, "zoh")
+        clean += lfilter(np.squeeze(numerator), denominator, ticks)
+    values = clean[:-1:2] + noise * np.random.default_rng(seed).standard_normal(801)
+    drive = InputSignal("f", "N", (0.0, TICK_S), ticks, "zoh")
+    record = TimeRecord((drive,), (OutputSignal("y", "m", 2 * TICK_S * np.arange(801), values),))
+    return lambda n_modes: identify(record, PLAIN, n_modes, Prior(), Prior(), max_modes=3)
+
+
+def frequency_record(second: Mode, noise: float, seed: int) -> Fit:
+    """Return `fit_frequency_modes` on lines from 1 to 20 Hz, 0.25 Hz apart, their noise known."""
+    hertzes = np.arange(4, 81) / 4.0
+    s, rng = 2j * np.pi * hertzes, np.random.default_rng(seed)
+    response = np.zeros(len(s), dtype=complex)
+    for hertz, zeta, static in (FINE, second):
+        omega = 2.0 * np.pi * hertz
+        response += static * omega**2 / (s**2 + 2.0 * zeta * omega * s + omega**2)
+    response += noise / np.sqrt(2.0) * (rng.standard_normal(len(s)) + 1j * rng.standard_normal(len(s)))
+    variance = np.full((len(s), 1, 1), noise**2)
+    record = FrequencyRecord(2.0 * np.pi * hertzes, response[:, None, None], variance, ("y",), ("f",))
+    return lambda n_modes: fit_frequency_modes(record, PLAIN, n_modes, max_modes=3)
+
+
+def free_decay(second: Mode, noise: float, seed: int) -> Fit:
+    """Return `fit_free_decay` on two seconds of 60 samples each."""
+    times = np.arange(120) / 60.0
+    values = noise * np.random.default_rng(seed).standard_normal(120)
+    for hertz, zeta, amplitude in (FINE, second):
+        pole = 2.0 * np.pi * hertz * complex(-zeta, np.sqrt(1.0 - zeta**2))
+        values += amplitude * np.exp(pole * times).real
+    return lambda n_modes: fit_free_decay(OutputSignal("y", "m", times, values), n_modes, max_modes=3)
+
+
+DOMAINS = (time_record, frequency_record, free_decay)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A second mode that deserves a verdict: what says so, and each domain's mode, noise and seed."""
+
+    says: str
+    domains: tuple[tuple[Mode, float, int], ...]
+
+
+CASES = {
+    "fine": Case("", tuple(((12.1, 0.01, 0.3), 0.01, 0) for _ in DOMAINS)),
+    # Tens of thousands of cycles to ring down, of which a record shows a hundred and a line of 0.25 Hz nothing.
+    "unknown damping": Case(
+        "the damping ratio at # Hz is # +- #",
+        (((16.1, 2e-5, 0.05), 0.1, 1), ((16.1, 2e-5, 0.05), 0.2, 3), ((16.1, 2e-5, 0.3), 0.1, 1)),
+    ),
+    # Above what is excited; of the decay, less than half a cycle.
+    "outside the band": Case(
+        "the frequency ran out of the excited band, to # Hz",
+        (((40.0, 0.01, 0.3), 0.001, 1), ((40.0, 0.01, 0.3), 0.001, 1), ((0.2, 0.01, 0.3), 0.001, 2)),
+    ),
+    "residues within their uncertainty": Case(
+        "the mode at # Hz does not stand out of its uncertainty at any output",
+        (((12.1, 0.01, 0.005), 0.1, 2), ((12.1, 0.01, 0.006), 0.1, 2), ((12.1, 0.01, 0.15), 0.2, 2)),
+    ),
+    # What drives itself grows, which no damping ratio of the model can follow.
+    "damping at its bound": Case(
+        "the damping ratio at # Hz ran to zero",
+        (((16.1, -3e-4, 0.05), 0.01, 0), ((16.1, -3e-4, 0.05), 0.01, 0), ((16.1, -3e-4, 0.3), 0.01, 0)),
+    ),
+}
+
+
+def words(text: str) -> str:
+    """Return a verdict without its numbers."""
+    return re.sub(r"\d+(\.\d+)?(e[+-]?\d+)?", "#", text)
+
+
+@pytest.mark.parametrize("domain", range(3), ids=[make.__name__ for make in DOMAINS])
+@pytest.mark.parametrize("case", CASES)
+def test_the_same_cases_through_all_three_domains_give_the_same_verdicts(case, domain):
+    says = CASES[case].says
+    fit = DOMAINS[domain](*CASES[case].domains[domain])
+    free, given = fit(None), fit(2)
+    refused = {words(entry.refused_because) for entry in free.orders if entry.n_modes == 2}
+    (chosen,) = [entry.n_modes for entry in free.orders if entry.is_chosen]
+    warned = [words(said) for said in given.warnings if said.startswith("Mode ")]
+    assert chosen == (1 if says else 2)
+    assert says in refused
+    assert warned == ([f"Mode #: {says}."] if says else [])
+    # An order that is given is kept, and the table says what speaks against it.
+    (kept,) = [entry for entry in given.orders if entry.is_chosen]
+    assert kept.n_modes == 2
+    assert words(kept.refused_because) in (says, "the fit did not converge: stopped after # iterations")
+
+
+@pytest.mark.parametrize("make", DOMAINS)
+def test_noise_alone_is_refused_with_the_same_words(make):
+    fit = make((12.1, 0.01, 0.1), 100.0, 0)  # drowns the first mode too
+    with pytest.raises(EstimationError, match=r"no mode between .* Hz stands out of the noise"):
+        fit(None)
