@@ -15,7 +15,7 @@ from beam_ident.errors import EstimationError
 
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # of the largest value: less is no movement
 _MIN_SIZE = 1e-100  # size of a signal: squares of what is smaller, or larger than its inverse, are lost
-_LARGEST_RESPONSE = 1e60  # squares of squares must not overflow
+_MAX_RESPONSE = 1e60  # squares of squares must not overflow
 
 
 def require_record(record: object) -> None:
@@ -90,10 +90,10 @@ def require_responses(record: FrequencyRecord) -> None:
         for i, drive in enumerate(record.input_names):
             values = record.response[:, j, i]
             largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
-            if largest > 0.0 and not 1.0 / _LARGEST_RESPONSE < largest < _LARGEST_RESPONSE:
+            if largest > 0.0 and not 1.0 / _MAX_RESPONSE < largest < _MAX_RESPONSE:
                 raise EstimationError(
                     f"frequency record {record.name!r}: the response of {output!r} to {drive!r} reaches "
-                    f"{largest:.3g}; expected between {1.0 / _LARGEST_RESPONSE:g} and {_LARGEST_RESPONSE:g}. "
+                    f"{largest:.3g}; expected between {1.0 / _MAX_RESPONSE:g} and {_MAX_RESPONSE:g}. "
                     "Use other units"
                 )
             if not largest > 0.0:

@@ -16,7 +16,7 @@ from scipy.signal import spectrogram
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
 
-_LEAST_CYCLES = 1.5  # in a record
+_MIN_CYCLES = 1.5  # in a record
 _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
@@ -35,7 +35,7 @@ class Band:
     @staticmethod
     def without_input(length_s: float, output_rate_hz: float) -> Band:
         """Return where a record of this length and mean rate can show modes that nothing excites."""
-        low = _LEAST_CYCLES / length_s
+        low = _MIN_CYCLES / length_s
         return Band(low, max(0.5 * output_rate_hz, 2.0 * low), False)
 
 
@@ -74,7 +74,7 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     above = frequencies[force_like > _UPPER_SHARE * peak]
     within = frequencies[force_like > _LOWER_SHARE * peak]
     high = float(above[-1]) + 1.0 / (segment * step)
-    low = max(_LEAST_CYCLES / length_s, 0.7 * float(within[0]))
+    low = max(_MIN_CYCLES / length_s, 0.7 * float(within[0]))
     return Band(low, max(high, 2.0 * low), True)
 
 

@@ -35,7 +35,7 @@ from beam_ident.numerics.free_motion import free_motions
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
-_MOST_FREQUENCIES = 2000
+_MAX_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
 
 
@@ -133,7 +133,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         self.sizes = [max(float(np.std(s.values)), 1e-300) for s in signals]
         longest = max(float(t[-1] - t[0]) for t in times)
         rate = max((len(t) - 1) / float(t[-1] - t[0]) for t in times)
-        count = min(max(int(longest * rate), 8), _MOST_FREQUENCIES)
+        count = min(max(int(longest * rate), 8), _MAX_FREQUENCIES)
         self.omegas = np.asarray(np.pi * rate * (np.arange(count) + 1.0) / count)
         bases = [_DecayBasis(s.times_s - self.start, s.exposure_s) for s in signals]
         outputs = [

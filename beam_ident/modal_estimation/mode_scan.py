@@ -46,6 +46,21 @@ class Candidate:
     gain: float
 
 
+def likelihood_gains(
+    problem: ModalProblem, fit: ModalFit, omegas: FloatArray, zetas: FloatArray
+) -> FloatArray:
+    """Return by how much each candidate mode would raise the log-likelihood, with all poles of a fit held.
+
+    Parameters
+    ----------
+    problem : ModalProblem
+    fit : ModalFit -- the modes there are
+    omegas, zetas : ndarray, shape (n_candidates,) -- [rad/s], [-]
+    """
+    columns = problem.candidates(omegas, zetas, fit.clock)
+    return _gains(problem, [_Candidates.of(own) for own in columns], fit)
+
+
 def rivals(
     problem: ModalProblem, fit: ModalFit, families: Sequence[Family], excluded: Sequence[float]
 ) -> list[Candidate]:
@@ -60,8 +75,7 @@ def rivals(
     excluded : sequence of float -- frequencies [rad/s] whose neighbourhood has been tried in vain
     """
     omegas, zetas = (np.concatenate([family[k] for family in families]) for k in range(2))
-    candidates = [_Candidates.of(own) for own in problem.candidates(omegas, zetas, fit.clock)]
-    gains = _without(_gains(problem, candidates, fit), omegas, excluded)
+    gains = _without(likelihood_gains(problem, fit, omegas, zetas), omegas, excluded)
     best, first = [], 0
     for family in families:
         place = first + int(np.argmax(gains[first : first + len(family[0])]))

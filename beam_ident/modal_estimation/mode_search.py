@@ -35,7 +35,7 @@ from beam_ident.noise.scores import Scores
 from beam_ident.numerics.levenberg_marquardt import HOPELESS
 
 MAX_MODES = 10
-_MOST_MODES = 40
+_MAX_ORDER = 40
 
 # Rows for each unknown of an output; a level of the noise that is to be estimated too takes twice as many.
 _ROWS_PER_UNKNOWN = 2
@@ -60,8 +60,8 @@ def silent(phrase: str, share: float) -> None:
 def checked_limit(n_modes: int | None, max_modes: int) -> int:
     """Return how many modes are looked for at most, or raise EstimationError for an impossible number."""
     if n_modes is not None:
-        require_whole_number("n_modes", n_modes, 1, _MOST_MODES)
-    require_whole_number("max_modes", max_modes, 1, _MOST_MODES)
+        require_whole_number("n_modes", n_modes, 1, _MAX_ORDER)
+    require_whole_number("max_modes", max_modes, 1, _MAX_ORDER)
     return max_modes if n_modes is None else n_modes
 
 
