@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from beam_ident.arrays import ComplexArray, FloatArray
+    from beam_ident.modal.free_decay_result import FreeDecay
+    from beam_ident.modal.frequency_domain_result import FrequencyDomainResult
     from beam_ident.modal.identification_result import IdentificationResult
     from beam_ident.modal_analysis.refinement import ModalAnalysis
-    from beam_ident.modal_estimation.free_decay import FreeDecay
-    from beam_ident.modal_estimation.frequency_domain import FrequencyDomainResult
     from beam_ident.noise.line_misfit import LineMisfit
     from beam_ident.noise.scores import Scores, Whiteness
     from beam_ident.subspace.model import SubspaceModel

@@ -1,8 +1,8 @@
 """Columns of the modal model at the lines of a frequency record.
 
 Holds, exposures and folded lines enter through the record's ``Folding``: a line's column is the sum over all
-frequencies that fall into its bin, so that a response measured through a zero-order hold, or above half the
-camera's rate, is compared with what the model would show there.
+frequencies that fall into its bin, equation (F.4) of ``docs/frequency-domain.md``, so that a response measured
+through a zero-order hold, or above half the camera's rate, is compared with what the model would show there.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class LineBasis(ColumnBasis):
         return np.asarray(self._scanned[self._scanned > 0] - 1)
 
     def _with_tails(self, lines: ComplexArray, expansion: Sequence[tuple[int, float]]) -> FloatArray:
-        """Return a real column: the sum over all images, and what its first terms in 1/s add for those left out."""
+        """Return a real column: the sum over all images, with the tails of (F.5) for those that are not listed."""
         if self.tails is not None:
             for power, factor in expansion:
                 lines = lines + factor * self.tails[:, power + 2]

@@ -1,19 +1,21 @@
 """Maximum-likelihood fit of modes: variable projection with exact gradients.
 
-The data of every output j, samples of a record, lines of a frequency response or a decay, are
+The values of every output j (samples of a record or of a decay, lines of a frequency response) are linear in
+gains, residues, offsets and free responses once the poles and the clock, ``theta``, are known; equation numbers are
+those of ``docs/identification.md``:
 
-    y_j = Phi_j(theta) c_j + e_j                                                                (1)
+    y_j = X_j(theta) b_j + e_j                                                                       (I.7)
 
-with ``theta`` = (``log omega`` and ``zeta`` of every mode, latency and clock rate where they are free) and
-linear parameters ``c_j``: gains, residues, offsets, free responses.  For given theta the best c_j solve a
-linear least-squares problem (QR on scaled columns).  What remains is a function of theta alone,
+For given theta the best ``b_j`` solve a linear least-squares problem (QR on scaled columns). What remains is a
+function of theta alone (Golub and Pereyra 1973): with the residuals ``r_j`` of that problem,
 
-    V(theta) = sum_j n_j/2 log r_j^2,   r_j^2 = |y_j - Phi_j c_j(theta)|^2      noise of unknown level    (2)
-    V(theta) = sum_j 1/2 r_j^2                                                  rows weighed by their noise
+    V(theta) = sum_j n_j/2 log |r_j|^2      where the level of the noise is unknown                  (I.8)
+    V(theta) = sum_j |r_j|^2 / 2            where rows are divided by the noise's standard deviation
 
-(Golub and Pereyra 1973), in which every output weighs by its own noise.  Levenberg-Marquardt minimises it.
-A step that does not lower the cost is never taken, iterations are bounded, and the result says how it ended.
-The covariance is the inverse of the full information matrix, linear parameters included.
+so that every output weighs by its own noise. theta holds ``log omega`` and ``zeta`` of every mode and, where they are
+free, latency and clock rate. Levenberg-Marquardt minimises V. A step that does not lower it is never taken,
+iterations are bounded, and the result says how it ended. The covariance is the inverse of the full information
+matrix, linear parameters included.
 """
 
 from __future__ import annotations
@@ -136,7 +138,7 @@ class _Likelihood:
     def state(self, theta: FloatArray) -> _State:
         n, problem = self.n_modes, self.problem
         blocks = problem.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
-        # One decomposition serves all outputs of a block: Phi = Q R, c = R^-1 Q^T y.
+        # One decomposition serves all outputs of a block: X = Q R, b = R^-1 Q^T y, r = (1 - Q Q^T) y.
         solutions = [LinearSolution.of(block.matrix) for block in blocks]
         coefficients, residuals = [], []
         for values, block in zip(problem.values, problem.block_of, strict=True):
@@ -144,13 +146,13 @@ class _Likelihood:
             coefficients.append(found)
             residuals.append(values - blocks[block].matrix @ found)
         rss = np.array([float(e @ e) for e in residuals]) + self.floor
-        # Equation (2).  A prior on the clock is one more observation, of weight 1 / sd.
+        # V of (I.8). A prior on the clock is one more observation, of weight 1 / sd.
         cost = float(0.5 * np.sum(rss if problem.is_noise_known else self.sizes * np.log(rss)))
         cost += 0.5 * sum(deviation**2 for _, deviation, _ in self.prior_terms(theta))
         return _State(theta, cost, coefficients, residuals, rss, blocks, solutions)
 
     def jacobian(self, state: _State, output: int) -> FloatArray:
-        """Return ``(d Phi / d theta) c``, the derivative of one output's model with c held."""
+        """Return ``J = (dX/dtheta) b``, the derivative of one output's model with b held."""
         block = state.blocks[self.problem.block_of[output]]
         return block.slopes(state.coefficients[output], self.latency.is_free, self.rate.is_free)
 
@@ -159,16 +161,16 @@ class _Likelihood:
 
         Notes
         -----
-        With ``P = I - Q Q^T`` the residuals are ``P y`` and their exact derivative is
-        ``-(P D + (P D Phi^+)^T) y``, ``D = d Phi / d theta`` (Golub and Pereyra 1973, eq. 5.4).  Kaufman (1975)
-        leaves out the second term: it lies in the space of Phi, orthogonal to the first and to the residuals,
-        and is small where they are.  What is left is ``-P J``, ``J = D c``, so that with variances s_j
+        With ``P = 1 - Q Q^T`` and ``D = dX/dtheta`` the residuals are ``P y``. Their exact derivative is
+        ``-P D b - (P D X^+)^T y`` (Golub and Pereyra 1973, from the derivative of the projector). The second
+        term lies in the space of X, at right angles to the first and to the residuals, and is as small as
+        they are. Kaufman (1975) leaves it out, which is (I.9), ``dr/dtheta = -P J``. Then
 
-            information = sum_j J^T P J / s_j,   -gradient = sum_j J^T P y_j / s_j = sum_j J^T e_j / s_j    (3)
+            information = sum_j J_j^T P_j J_j / s_j,    -gradient = sum_j J_j^T r_j / s_j
 
-        The gradient of (2) is exact in this form: ``n_j / r_j^2 = 1 / s_j``.  And ``J^T P J`` is the Schur
-        complement of the linear parameters in the full information matrix, so that its inverse is the
-        covariance of theta with them unknown.
+        with the variances ``s_j = |r_j|^2 / n_j``, or 1 where the rows are weighed. The gradient of V is
+        exact all the same. ``J^T P J`` is the Schur complement of ``X^T X`` in the information on theta and b
+        together, so that its inverse is the covariance of theta with b unknown.
         """
         information = np.zeros((self.n_theta, self.n_theta))
         direction = np.zeros(self.n_theta)
@@ -263,8 +265,8 @@ def _under_coloured_noise(
 ) -> FloatArray:
     """Return the covariance with the autocorrelation of the residuals taken into account.
 
-    ``H^-1 S H^-1 = H^-1 + H^-1 (S - H) H^-1``, H the information matrix of white noise, S the covariance of
-    the score under the noise as it is.
+    The sandwich (I.11), as ``H^-1 + H^-1 (S - H) H^-1``: H is the information under white noise, S the covariance
+    of the score under the noise as it is.
     """
     n_theta = likelihood.n_theta
     excess = np.zeros_like(covariance)
@@ -298,8 +300,8 @@ def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
     theta_covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     if n_theta and not condition < 1e12:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
-    # With theta held, c_j scatters by s_j (Phi^T Phi)^-1; a change of theta moves it by B = -Phi^+ J.  Together
-    # cov(theta, c) = (1, B)^T cov(theta) (1, B) + diag(0, s_j (Phi^T Phi)^-1), the inverse of the full information.
+    # With theta held, b_j scatters by s_j (X^T X)^-1; a change of theta moves it by B = -X^+ J. Together
+    # cov(theta, b) = (1, B)^T cov(theta) (1, B) + diag(0, s_j (X^T X)^-1), the inverse of the full information.
     sizes = [len(c) for c in state.coefficients]
     total = n_theta + sum(sizes)
     covariance, sensitivity = np.zeros((total, total)), np.zeros((total, n_theta))
