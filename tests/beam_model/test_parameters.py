@@ -95,3 +95,12 @@ def test_a_height_off_the_beam_is_refused(height: float) -> None:
 def test_the_last_ratio_holds_for_all_modes_above(ratios: list[float]) -> None:
     damping = Damping(ratios=tuple(ratios))
     assert damping.modal_ratio(50) == (ratios[-1] if ratios else 0.0)
+
+
+@pytest.mark.parametrize("name", ["viscous", "air", "internal"])
+@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf])
+def test_a_damping_that_feeds_the_beam_is_refused(name: str, value: float) -> None:
+    with pytest.raises(BeamParameterError) as caught:
+        Damping(**{name: value})
+    assert caught.value.name == f"damping.{name}"
+    assert getattr(Damping(**{name: 0.0}), name) == 0.0

@@ -65,4 +65,21 @@ def test_a_candidate_of_a_late_response_counts_as_much_as_a_fit_with_it():
     for gain, *pole in list(zip(found, *candidates, strict=True))[:-1]:
         assert gain == pytest.approx(cost(present) - cost(present, pole), rel=3e-6)
     # What is there already lowers nothing, however rounding falls.
-    assert found[-1] < 1e-6 * cost(present)
+    assert found[-1] == 0.0
+
+
+def test_the_cost_is_the_misfit_and_what_was_known_of_the_latency():
+    omegas = np.linspace(1.0, 100.0, 300)
+    s = 1j * omegas
+    response = np.exp(-0.004 * s) / (s**2 + 0.2 * s + 400.0)
+    values = np.concatenate([response.real, response.imag])
+    values = values + 1e-4 * np.random.default_rng(1).standard_normal(600)
+    structure = ModalStructure("receptance", has_residual=False)
+    basis = LineBasis(FrequencyRecord(omegas, response), structure)
+    prior = Prior(0.003, 2e-4)  # five deviations from the truth
+    problem = PoleProblem((basis,), ((Part(0, values, np.full(600, 1e4)),),), latency=prior)
+    found = fit_poles(problem, np.array([20.0]), np.array([0.005]))
+    left = float(found.residuals[0] @ found.residuals[0])
+    assert 0.003 < found.latency <= 0.004 + 1e-5
+    expected = 0.5 * left + 0.5 * ((found.latency - 0.003) / 2e-4) ** 2
+    assert found.cost == pytest.approx(expected, rel=1e-9)

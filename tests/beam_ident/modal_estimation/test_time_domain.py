@@ -344,3 +344,18 @@ def test_coloured_noise_is_seen_and_widens_the_intervals_of_slow_modes():
     assert 1.7 < ratio[0] < 2.1
     assert ratio[2] < 0.9
     assert np.max(np.abs(z_scores(found.model))) < 4.0
+
+
+def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
+    record = beam_record(2, noise=1e-7, encoder=0.0)
+    outputs = []
+    for j, output in enumerate(record.outputs):
+        share = (output.times_s - np.mean(output.times_s)) / np.ptp(output.times_s)
+        values = output.values + (j + 1) * (2e-4 - 3e-4 * share)
+        outputs.append(OutputSignal(output.name, "m", output.times_s, values, output.exposure_s))
+    found = identify(TimeRecord(record.inputs, tuple(outputs)), n_modes=3, **EXACT_CLOCK)
+    for j, output in enumerate(found.outputs):
+        own = output.records[0]
+        assert (own.offset, own.ramp) == pytest.approx(((j + 1) * 2e-4, -(j + 1) * 3e-4), rel=0.02)
+    plain = identify(record, ModalStructure(has_offset=False, has_ramp=False), n_modes=3, **EXACT_CLOCK)
+    assert {(output.records[0].offset, output.records[0].ramp) for output in plain.outputs} == {(0.0, 0.0)}

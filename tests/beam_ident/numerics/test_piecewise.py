@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident.numerics.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial
+from beam_ident.numerics.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial, regular_period
 from beam_ident.responses.periodic_averaging import hold_gain
 
 PERIOD_S = 1e-3
@@ -61,3 +61,14 @@ def test_the_derivative_of_held_values_is_zero_inside_the_steps():
     times = np.array([0.5, 1.5, 2.5])
     np.testing.assert_array_equal(held.derivative()(times), 0.0)
     np.testing.assert_array_equal(held.derivative().antiderivative()(times), 0.0)
+
+
+@pytest.mark.parametrize("period", [1e-7, 1e-3, 10.0])
+def test_stamps_are_regular_within_a_nanosecond_and_a_thousandth_of_the_period(period):
+    times = period * np.arange(100)
+    assert regular_period(times) == pytest.approx(period, rel=1e-12)
+    allowed = min(1e-9, 1e-3 * period)
+    for share, is_regular in ((0.9, True), (1.1, False)):
+        moved = times.copy()
+        moved[50] += share * allowed
+        assert (regular_period(moved) is not None) is is_regular

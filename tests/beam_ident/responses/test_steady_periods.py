@@ -110,3 +110,11 @@ def test_warnings_are_stored_and_kept_by_whatever_is_made_of_the_record():
         np.arange(1.0, 6.0), values, input_names=("u2",), warnings=("look out", "and here")
     )
     assert beside([record, other]).warnings == ("look out", "and here")
+
+
+@pytest.mark.parametrize(("share", "has_changed"), [(0.5, False), (2.0, True)])
+def test_a_change_of_the_input_counts_from_a_millionth_of_its_power(share, has_changed):
+    ticks = np.tile(np.sin(2 * np.pi * np.arange(320) / 320), (5, 1))
+    power = 0.5  # of the sine
+    ticks[3, 40:60] += np.tile([1.0, -1.0], 10) * np.sqrt(share * 1e-6 * power)  # the third of 16 blocks
+    assert input_changes(ticks) is has_changed

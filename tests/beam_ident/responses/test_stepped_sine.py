@@ -85,3 +85,12 @@ def test_what_is_no_sine_or_no_step_is_refused():
     still = TimeRecord((InputSignal("u", "", (0.0, TICK_S), np.zeros(45000)),), record.outputs)
     with pytest.raises(EstimationError, match="does not move"):
         stepped_sine_response(still, FREQUENCIES_HZ, STARTS, STARTS + 3.0)
+
+
+def test_an_input_that_stands_still_during_one_step_is_refused_by_its_frequency():
+    record = stepped_record()
+    drive = record.inputs[0]
+    values = np.where((drive.times_s >= STARTS[2]) & (drive.times_s < STARTS[3]), 0.0, drive.values)
+    still = TimeRecord((InputSignal("u", "", drive.times_s, values),), record.outputs)
+    with pytest.raises(EstimationError, match=r"does not move at 4\.7 Hz from 24\.000 s"):
+        stepped_sine_response(still, FREQUENCIES_HZ, STARTS + WAIT_S, STARTS + STEP_S - 0.05)

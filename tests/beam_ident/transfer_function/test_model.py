@@ -121,3 +121,14 @@ def test_conversions_without_delays_say_so():
         CASES["delay"].to_control()
     with pytest.raises(EstimationError, match="improper"):
         model([1.0, 2.0, 3.0], [1.0, 2.0]).state_space()
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, 0.02])
+def test_a_late_step_is_zero_before_its_delay_and_the_textbooks_after(exposure_s):
+    late = model([5.0], [1.0, 5.0], delay=0.5)
+    drive = InputSignal("u", "", (0.0, 0.1), np.ones(30), "zoh")
+    times = np.array([0.02, 0.3, 0.48, 0.52, 0.7, 2.0])
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    seen = times[:, None] - 0.5 + 0.5 * exposure_s * nodes
+    truth = np.where(seen > 0.0, 1.0 - np.exp(-5.0 * np.maximum(seen, 0.0)), 0.0) @ weights / 2
+    np.testing.assert_allclose(late.simulate(drive, times, exposure_s), truth, atol=1e-9)

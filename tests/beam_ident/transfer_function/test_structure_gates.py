@@ -18,6 +18,7 @@ from beam_ident import (
     fit_frequency_transfer_function,
     select_transfer_function,
 )
+from beam_ident.transfer_function.structure_gates import structure_complaint
 
 STAMPS = 0.01 * np.arange(1, 600)
 PLANT = TransferFunctionModel(np.array([8.0]), np.array([1.0, 4.0]), 0.0, np.zeros((3, 3)), 1.0, "u", "y")
@@ -87,3 +88,17 @@ def test_what_is_no_free_decay_is_flagged():
         assert fit_free_decay(OutputSignal("y", "m", times, seen), n_modes=1).warnings
     ringing = np.exp(-0.5 * times) * np.cos(20.0 * times) + 0.02 * rng.standard_normal(400)
     assert fit_free_decay(OutputSignal("y", "m", times, ringing)).warnings == ()
+
+
+@pytest.mark.parametrize(("deviations", "is_cancelled"), [(1.0, True), (20.0, False)])
+def test_a_pair_of_zeros_cancels_a_mode_within_its_deviations_and_not_beyond(deviations, is_cancelled):
+    # Zeros at -0.4 +- 20.1j beside poles at -0.4 +- 20j: the last coefficient moves them by 1/(2 * 20.1).
+    numerator = np.array([1.0, 0.8, 0.4**2 + 20.1**2])
+    denominator = np.polymul([1.0, 0.8, 0.4**2 + 20.0**2], [1.0, 5.0])
+    covariance = np.zeros((7, 7))
+    covariance[5, 5] = (2.0 * 20.1 * 0.1 / deviations) ** 2
+    covariance[:3, :3] = 1e-12 * np.eye(3)
+    model = TransferFunctionModel(numerator, denominator, 0.0, covariance, 1.0, "u", "y")
+    complaint = structure_complaint(model)
+    assert ("a zero cancels the pole at 20 rad/s" in complaint) is is_cancelled
+    assert bool(complaint) is is_cancelled

@@ -262,3 +262,21 @@ def test_the_flexible_robot_arm_is_predicted_on_its_unseen_half(order, least):
     found = estimate_transfer_function(first, order, order, has_free_response=True)
     prediction = validate(found.model, second).output("acceleration")
     assert prediction.scores.fit_percent >= least
+
+
+def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
+    rng = np.random.default_rng(0)
+    drive = InputSignal("u", "", (0.0, 0.01), rng.standard_normal(1500), "zoh")
+    stamps = 0.01 * np.arange(2, 1400)
+    plant = TransferFunctionModel(np.array([8.0]), np.array([1.0, 4.0]), 0.0, np.zeros((3, 3)), 0.0)
+    clean = plant.simulate(drive, stamps)
+    share = (stamps - np.mean(stamps)) / (stamps[-1] - stamps[0])
+    seen = OutputSignal("y", "", stamps, clean + 3.0 - 2.0 * share + 1e-3 * rng.standard_normal(len(stamps)))
+    record = TimeRecord((drive,), (seen,))
+    for method in ("auto", "rivc"):
+        both = estimate_transfer_function(
+            record, 1, 0, method=method, has_offset=True, has_ramp=True
+        ).records[0]
+        assert (both.offset, both.ramp) == pytest.approx((3.0, -2.0), abs=0.01)
+        neither = estimate_transfer_function(record, 1, 0, method=method).records[0]
+        assert (neither.offset, neither.ramp) == (0.0, 0.0)

@@ -55,6 +55,7 @@ def _write(folder: Path, text: str) -> None:
         (("info", "rig.yaml"), ("rig.yaml", "no bag")),
         (("simulate", "--bag", "."), (".", "exist")),
         (("simulate",), ("--bag",)),
+        (("export", "run"), ("--csv", "--flat-bag", "required")),
         (("replay", "nowhere"), ("nowhere", "does not exist")),
         (("record", "rig.yaml"), ("exists already",)),
         (("up", "--rig", "real"), ("serial.port",)),
