@@ -1,8 +1,8 @@
 """One dialect in all three packages and on their pages: one docstring markup, one name for a thing, plain words."""
 
 import ast
+import functools
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,67 +21,70 @@ WORDS = {
     r"\b(angular|circular|radian) frequenc": "omega [rad/s], natural frequency",
 }
 NAMES = {
-    r"frequencies": "omegas [rad/s], natural_frequencies [rad/s] or frequencies_hz",
-    r"(maximum|minimum)_\w+": "max_..., min_...",
-    r"_?(MOST|LEAST|LARGEST|SMALLEST|MAXIMUM|MINIMUM|FEWEST|LONGEST)(_\w+)?": "MAX_..., MIN_...",
+    r"beam_(model|ident)\.frequencies": "omegas [rad/s], natural_frequencies [rad/s] or frequencies_hz",
+    r"\w+\.(maximum|minimum)_\w+": "max_..., min_...",
+    r"\w+\._?(LEAST|SMALLEST|MAXIMUM|MINIMUM|FEWEST|LONGEST)(_\w+)?": "MAX_..., MIN_...",
 }
 SINGLE_BACKTICKS = r"(?<!`)`(?!`)[^`\n]+`(?!`)|:(class|func|meth|mod|attr|ref|doc):"
 PARTS = (ast.Module, ast.ClassDef, ast.FunctionDef)
 
 
-def sources() -> list[Path]:
-    return sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+@functools.cache
+def nodes() -> list[tuple[str, ast.AST]]:
+    """Return every node of the packages' code with its file."""
+    files = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    return [
+        (path.relative_to(ROOT).as_posix(), node)
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, (*PARTS, ast.Constant))
+    ]
 
 
-def is_help_text(path: Path) -> bool:
-    return path.relative_to(ROOT).as_posix().startswith(HELP_TEXTS)
+@functools.cache
+def texts() -> list[tuple[str, str]]:
+    """Return every page, and every string of code with its place; what they quote is not theirs."""
+    pages = [(page.name, page.read_text(encoding="utf-8")) for page in sorted((ROOT / "docs").glob("*.md"))]
+    strings = [
+        (f"{name}:{node.lineno}", node.value)
+        for name, node in nodes()
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    return [(place, re.sub(r"`[^`]*`", "", text)) for place, text in pages + strings]
 
 
-def texts() -> Iterator[tuple[str, str]]:
-    """Yield every page, and every string of code with its place."""
-    for page in sorted((ROOT / "docs").glob("*.md")):
-        yield page.name, page.read_text(encoding="utf-8")
-    for path in sources():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                yield f"{path.relative_to(ROOT)}:{node.lineno}", node.value
+def names_of(node: ast.AST) -> list[str]:
+    """Return the arguments of a function, the fields of a class, or the constants of a module."""
+    if isinstance(node, ast.FunctionDef):
+        return [argument.arg for argument in (*node.args.args, *node.args.kwonlyargs)]
+    body = node.body if isinstance(node, ast.ClassDef | ast.Module) else []
+    targets = [part.target for part in body if isinstance(part, ast.AnnAssign)]
+    targets += [target for part in body if isinstance(part, ast.Assign) for target in part.targets]
+    return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
 @pytest.mark.parametrize("pattern", WORDS)
 def test_pages_docstrings_and_messages_are_in_plain_words(pattern: str) -> None:
-    # A quotation in backticks is somebody else's word.
-    found = [place for place, text in texts() if re.search(pattern, re.sub(r"`[^`]*`", "", text))]
+    found = [place for place, text in texts() if re.search(pattern, text)]
     assert not found, f"write {WORDS[pattern]!r} instead"
 
 
 @pytest.mark.parametrize("pattern", NAMES)
 def test_a_thing_has_one_name(pattern: str) -> None:
-    found = []
-    for path in sources():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = (
-                [a.arg for a in (*node.args.args, *node.args.kwonlyargs)]
-                if isinstance(node, PARTS[2])
-                else []
-            )
-            if isinstance(node, ast.ClassDef):
-                names = [
-                    field.target.id
-                    for field in node.body
-                    if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-                ]
-            if isinstance(node, ast.Module):
-                targets = [t for part in node.body if isinstance(part, ast.Assign) for t in part.targets]
-                names = [target.id for target in targets if isinstance(target, ast.Name)]
-            found += [f"{path.relative_to(ROOT)}: {name}" for name in names if re.fullmatch(pattern, name)]
+    found = [
+        f"{file}: {name}"
+        for file, node in nodes()
+        for name in names_of(node)
+        if re.fullmatch(pattern, f"{file.split('/')[0]}.{name}")
+    ]
     assert not found, f"call it {NAMES[pattern]}"
 
 
 def test_literals_in_docstrings_stand_in_double_backticks() -> None:
-    found = []
-    for path in sources():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, PARTS) and not is_help_text(path):
-                text = ast.get_docstring(node) or ""
-                found += [f"{path.relative_to(ROOT)}: {m[0]}" for m in re.finditer(SINGLE_BACKTICKS, text)]
+    found = [
+        f"{file}: {match[0]}"
+        for file, node in nodes()
+        if isinstance(node, PARTS) and not file.startswith(HELP_TEXTS)
+        for match in re.finditer(SINGLE_BACKTICKS, ast.get_docstring(node) or "")
+    ]
     assert not found
