@@ -43,6 +43,42 @@ class RecordFit:
     noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OverOneOutput:
+    """What a result says over the samples of one output.
+
+    Attributes
+    ----------
+    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
+        The samples that entered the fit, in the order of the records; stamps in s.
+    noise_coefficients : ndarray
+        1, c_1 .. c_p of an autoregression of the noise, 1 alone where it has none; of the first record.
+    records : tuple of RecordFit -- the same record by record
+    scores : Scores -- with several records, each about its own mean
+    whiteness : Whiteness
+        Of the residuals, or of the innovations of their autoregression; in units of each record's level.
+    condition : float -- of the scaled information matrix
+    converged : bool
+    reason : str
+    iterations : int
+    warnings : tuple of str -- what a reader must know before trusting the numbers
+    """
+
+    times_s: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+    residuals: FloatArray
+    noise_coefficients: FloatArray
+    records: tuple[RecordFit, ...]
+    scores: Scores
+    whiteness: Whiteness
+    condition: float
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+
 class OverOutputs:
     """What a result says over its ``outputs``: a tuple with one of each for every output.
 

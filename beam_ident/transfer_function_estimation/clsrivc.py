@@ -32,7 +32,7 @@ from beam_ident.data.argument_checks import require_records, require_whole_numbe
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
-from beam_ident.noise.record_fit import RecordFit, pooled_scores
+from beam_ident.noise.record_fit import OverOneOutput, RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial, regular_period
@@ -53,42 +53,18 @@ _ROUNDING = 1e-6  # of a coefficient: a thousandth of it is exact enough where t
 _WHITENINGS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedLoopResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ClosedLoopResult(OverOneOutput):
     """The plant that was found in a loop.
 
     Attributes
     ----------
     model : TransferFunctionModel -- of the plant, with the covariance of the instrumental estimator
-    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
-        The model's response to the measured input; the residuals contain the noise in its colour.
-        In the order of the records.
-    noise_coefficients : ndarray
-        1, c_1 .. c_p of the autoregression that whitens the residuals; of the first record.
-    records : tuple of RecordFit -- the same record by record
-    scores : Scores
-    whiteness : Whiteness -- of the whitened residuals
-    condition : float -- of the scaled matrix Z^T Psi
-    converged : bool
-    reason : str
-    iterations : int
-    warnings : tuple of str -- what a reader must know before trusting the numbers
+        Beside it, everything that ``OverOneOutput`` lists: ``modelled`` is the model's response to the measured
+        input, ``residuals`` contain the noise in its colour, ``condition`` is that of the scaled matrix Z^T Psi.
     """
 
     model: TransferFunctionModel
-    times_s: FloatArray
-    measured: FloatArray
-    modelled: FloatArray
-    residuals: FloatArray
-    noise_coefficients: FloatArray
-    records: tuple[RecordFit, ...]
-    scores: Scores
-    whiteness: Whiteness
-    condition: float
-    converged: bool
-    reason: str
-    iterations: int
-    warnings: tuple[str, ...]
 
 
 @on_one_thread

@@ -28,7 +28,7 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.noise.record_fit import OverOutputs, RecordFit, pooled_scores
+from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -61,50 +61,25 @@ _MAX_INTEGRATORS = 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RationalFit:
+class RationalFit(OverOneOutput):
     """What is to be known about the estimation of transfer functions to one output.
 
     Attributes
     ----------
-    method : str -- which estimator the numbers come from
-    times_s, measured, modelled, residuals : ndarray, shape (n_used,)
-        The samples that entered the fit, in the order of the records.
-    noise_coefficients : ndarray
-        1, c_1 .. c_p of the noise's autoregression; 1 alone for all methods but "rivc".  Of the first record.
-    scores : Scores -- with several records, each about its own mean
-    whiteness : Whiteness
-        Of the residuals, or of the innovations of their autoregression; in units of each record's level.
+    method : str -- which estimator the numbers come from; only "rivc" has ``noise_coefficients``
     bic, yic : float
         Bayesian information criterion, and Young's information criterion
         ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
-    condition : float -- of the scaled information matrix
-    converged : bool
-    reason : str
-    iterations : int
     offset, ramp : float
         Of the first record: at its middle, and over its whole length.
-    records : tuple of RecordFit -- the same record by record
-    warnings : tuple of str -- what a reader must know before trusting the numbers
+        Beside these, everything that ``OverOneOutput`` lists.
     """
 
     method: Method
-    times_s: FloatArray
-    measured: FloatArray
-    modelled: FloatArray
-    residuals: FloatArray
-    noise_coefficients: FloatArray
-    scores: Scores
-    whiteness: Whiteness
     bic: float
     yic: float
-    condition: float
-    converged: bool
-    reason: str
-    iterations: int
     offset: float
     ramp: float
-    records: tuple[RecordFit, ...]
-    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,7 +89,7 @@ class TransferFunctionResult(RationalFit):
     Attributes
     ----------
     model : TransferFunctionModel
-        Beside it, everything that ``RationalFit`` lists.
+        Beside it, everything that ``RationalFit`` and ``OverOneOutput`` list.
     """
 
     model: TransferFunctionModel
@@ -127,7 +102,7 @@ class MultiInputResult(RationalFit):
     Attributes
     ----------
     model : MultiInputModel
-        Beside it, everything that ``RationalFit`` lists.
+        Beside it, everything that ``RationalFit`` and ``OverOneOutput`` list.
     """
 
     model: MultiInputModel

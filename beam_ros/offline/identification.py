@@ -486,6 +486,12 @@ def format_table(content: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def format_files(content: Mapping[str, Any]) -> str:
+    """Say where report and model were written."""
+    report = content.get("report", "none: it shows what the estimator modal finds")
+    return f"report   {report}\nmodel    {content['model']}"
+
+
 def _or_dash(value: float, form: str) -> str:
     """Return a number in a format that begins with alignment and width, or a dash where it is not known."""
     return (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from beam_ident import (
     TimeRecord,
     estimator_meanings,
     find_estimator,
+    restore,
     run_estimator,
 )
 from beam_ros.cli.main import main
@@ -103,6 +105,9 @@ def test_every_estimator_identifies_the_recorded_bag(
     assert {path.name for path in out.iterdir()} == {"model.json"} | (
         {"report.html"} if name == "modal" else set()
     )
+    document = json.loads((out / "model.json").read_text())
+    for stored in document.get("models", [document.get("model")]):
+        assert restore(stored).to_dict() == stored
     # The first mode, 4.3839 Hz: lines of 0.15 Hz place it within a fraction of one.
     assert "4.38" in printed if name != "local_polynomial" else "4.37" in printed
 

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     rig = read_rig(arguments)
     folder = run_folder(arguments.out, f"demo-{arguments.rig}")
     from beam_ros.launching.demo import conduct_demo
-    from beam_ros.offline.identification import format_table
+    from beam_ros.offline.identification import format_files, format_table
 
     started = time.monotonic()
     result = conduct_demo(rig, RigKind(arguments.rig), folder, record_images=arguments.images)
@@ -48,6 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"\n{format_table(result)}\n")
     for line in (*result["notes"], *result["warnings"]):
         print(f"note: {line}")
-    print(f"report   {result['report']}\nmodel    {result['model']}\nbag      {result['bag']}")
+    print(f"{format_files(result)}\nbag      {result['bag']}")
     print(f"took     {time.monotonic() - started:.0f} s")
     return 0

@@ -51,7 +51,7 @@ def epilog() -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    from beam_ros.offline.identification import format_table, identify_bag
+    from beam_ros.offline.identification import format_files, format_table, identify_bag
 
     rig = read_rig(arguments) if arguments.rig_file or arguments.parameters else None
     with Progress("identify", 1.0) as stage:
@@ -81,6 +81,5 @@ def run(arguments: argparse.Namespace) -> int:
     for line in (*result["notes"], *result["warnings"]):
         print(f"note: {line}")
     if arguments.report is not None:
-        report = result.get("report", "none: it shows what the estimator modal finds")
-        print(f"report   {report}\nmodel    {result['model']}")
+        print(format_files(result))
     return 0
