@@ -75,11 +75,11 @@ def test_the_cost_is_the_misfit_and_what_was_known_of_the_latency():
     values = np.concatenate([response.real, response.imag])
     values = values + 1e-4 * np.random.default_rng(1).standard_normal(600)
     structure = ModalStructure("receptance", has_residual=False)
-    basis = LineBasis(FrequencyRecord(omegas, response), structure)
+    basis = LineBasis(FrequencyRecord(omegas, response), structure, is_late=True)
     prior = Prior(0.003, 2e-4)  # five deviations from the truth
-    problem = PoleProblem((basis,), ((Part(0, values, np.full(600, 1e4)),),), latency=prior)
-    found = fit_poles(problem, np.array([20.0]), np.array([0.005]))
-    left = float(found.residuals[0] @ found.residuals[0])
-    assert 0.003 < found.latency <= 0.004 + 1e-5
-    expected = 0.5 * left + 0.5 * ((found.latency - 0.003) / 2e-4) ** 2
+    problem = StackedRegression([basis], [[Part(0, values, np.full(600, 1e4))]], is_noise_known=True)
+    found = fit_modes(problem, np.array([20.0]), np.array([0.005]), ClockState(prior.mean), prior, Prior())
+    left, latency = float(found.residuals[0] @ found.residuals[0]), found.clock.latency
+    assert 0.003 < latency <= 0.004 + 1e-5
+    expected = 0.5 * left + 0.5 * ((latency - 0.003) / 2e-4) ** 2
     assert found.cost == pytest.approx(expected, rel=1e-9)
