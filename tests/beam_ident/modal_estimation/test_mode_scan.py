@@ -64,8 +64,8 @@ def test_a_candidate_of_a_late_response_counts_as_much_as_a_fit_with_it():
     present = (one.omegas[0], one.zetas[0])
     for gain, *pole in list(zip(found, *candidates, strict=True))[:-1]:
         assert gain == pytest.approx(cost(present) - cost(present, pole), rel=3e-6)
-    # What is there already lowers nothing, however rounding falls.
-    assert found[-1] == 0.0
+    # What is there already lowers nothing: the scan's ridge keeps rounding from being divided by rounding.
+    assert abs(found[-1]) < 1e-9 * found[0], found
 
 
 def test_the_cost_is_the_misfit_and_what_was_known_of_the_latency():
