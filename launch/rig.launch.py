@@ -45,7 +45,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     if kind is RigKind.EMULATED:
         parameters.append(emulated_port(str(Path(tempfile.mkdtemp(prefix="beam-rig-")) / "controller")))
     follows_clock = values.simulation.real_time_factor != 1.0
-    has_images = kind is not RigKind.SIMULATED or bool(values["simulation.images"])
+    has_images = kind is not RigKind.SIMULATED or values.simulation.images
     return [
         Node(
             package="beam_ros",

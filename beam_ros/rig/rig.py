@@ -74,8 +74,9 @@ class Rig(RigParameters):
             A name is unknown or a value wrong.
         """
         try:
-            rig = self._of({**self.values, **check_parameters(changes)})
-            check_relations(rig)
+            checked = check_parameters(changes)
+            rig = self._of({**self.values, **checked})
+            check_relations(rig, [name for name in checked if rig[name] != self[name]])
         except ParameterFileError as err:
             raise ParameterFileError(f"{source}{err}") from err
         return rig

@@ -44,7 +44,7 @@ def _write(folder: Path, text: str) -> None:
     ("arguments", "words"),
     [
         (("frobnicate",), ("unknown verb 'frobnicate'", "beam --help")),
-        (("run", "frobnicator"), ("invalid choice", "simulator")),
+        (("run", "frobnicator"), ("unknown node 'frobnicator'", "simulator")),
         (("run",), ("NODE", "--help")),
         (("model", "--rig-file", "nowhere.yaml"), ("nowhere.yaml", "no such file")),
         (("model", "--rig-file", "rig.yaml"), ("rig.yaml", "beam.length is 300", "0.01 to 5 m")),
