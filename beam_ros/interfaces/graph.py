@@ -256,11 +256,14 @@ def _group(group: str, *left_out: str) -> tuple[str, ...]:
     return tuple(f"{group}.{field.name}" for field in fields(GROUPS[group]) if field.name not in left_out)
 
 
-_BEAM = (*_group("beam"), "markers.heights", "markers.masses", "hub.mass")
+_BEAM = (*_group("beam", "max_root_strain"), "markers.heights", "markers.masses", "hub.mass")
 """What the model of the beam is made from."""
 
-_HUB = (*_BEAM, *_group("hub", "mass", "applied_hold", "measured_hold"))
-"""What the hub may do, and what it may do to the beam."""
+_AXIS = _group("hub", "mass", "max_tip_deflection", "applied_hold", "measured_hold")
+"""What the hub can do and how it is commanded."""
+
+_GUARD = ("hub.max_tip_deflection", "beam.max_root_strain")
+"""What the hub may do to the beam, besides ``hub.max_effort``."""
 
 _FILM = (
     *("markers.names", "markers.diameter", "tracker.polarity"),
@@ -278,7 +281,7 @@ NODES: dict[str, Node] = {
             (*_HUB_PUBLISHES, *_CAMERA, "beam/displacement", "/clock"),
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_HUB, *_FILM, "simulation.images", "simulation.real_time_factor"),
+            (*_BEAM, *_AXIS, *_GUARD, *_FILM, "simulation.images", "simulation.real_time_factor"),
             "the beam on its hub, integrated in real time, and the camera that films it",
         ),
         Node(
@@ -287,7 +290,7 @@ NODES: dict[str, Node] = {
             _HUB_PUBLISHES,
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_HUB, *_group("serial")),
+            (*_BEAM, *_AXIS, *_GUARD, *_group("serial")),
             "the motion controller behind a serial port",
         ),
         Node(
@@ -296,7 +299,7 @@ NODES: dict[str, Node] = {
             (*_CAMERA, "/diagnostics"),
             (),
             (),
-            (*_HUB, *_FILM, *_group("emulator")),
+            (*_BEAM, *_AXIS, *_FILM, *_group("emulator")),
             "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
         ),
         Node(
@@ -319,7 +322,10 @@ NODES: dict[str, Node] = {
             ("hub/sequence", "excitation/info", "/diagnostics"),
             ("hub/sequence_state",),
             ("excitation/start", "excitation/stop"),
-            (*_HUB, *_group("excitation")),
+            (
+                *(*_BEAM, *_GUARD, "hub.travel", "hub.max_speed", "hub.max_acceleration", "hub.max_effort"),
+                *("hub.command_mode", "hub.period", *_group("excitation")),
+            ),
             "chirps, multisines and steps for the hub, checked against its limits",
             calls=("hub/stop",),
         ),
