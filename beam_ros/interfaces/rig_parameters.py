@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_type_hints
 
+from beam_ident.excitation import RECIPES
 from beam_ros.errors import ParameterFileError, likeliest
 from beam_ros.interfaces.parameter import Parameter, Value, live, parameters_of, setting
 
@@ -153,22 +154,7 @@ class SimulationSettings:
 class ExcitationSettings:
     """The signal that moves the hub; docs/excitation.md says what each kind reads."""
 
-    kind: str = live(
-        "signal",
-        choices=(
-            "chirp",
-            "linear_chirp",
-            "multisine",
-            "prbs",
-            "step",
-            "doublet",
-            "pulse",
-            "sine",
-            "stepped_sine",
-            "noise",
-            "moves",
-        ),
-    )
+    kind: str = live("signal", choices=tuple(RECIPES))
     acceleration: float = live("amplitude", "m/s^2", 0.0001, 1e3, within=("hub.max_acceleration", 1.0))
     max_displacement: float = live("amplitude at low frequency", "m", 1e-6, 5.0, within=("hub.travel", 0.5))
     start_frequency: float = live("lowest frequency", "Hz", 0.001, 1e4)

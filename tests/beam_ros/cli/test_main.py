@@ -98,7 +98,7 @@ def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path)
     told = beam(tmp_path, "info", "first")
     assert told.returncode == 0
     assert "hub/measured" in told.stdout
-    assert "log_chirp" in told.stdout
+    assert "-p excitation.kind:=chirp -p excitation.acceleration:=0.7" in told.stdout
     counted = strictly(beam(tmp_path, "info", "first", "--json"))
     csv = beam(tmp_path, "export", "first", "--csv", "tables").stdout.split()
     measured = [path for path in csv if "measured" in path]
