@@ -146,5 +146,5 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
         declared = set(NODES[name].parameters)
         undeclared |= {(name, parameter) for parameter in reads - declared}
         unread |= {(name, parameter) for parameter in declared - reads}
-    assert {(n, p) for n, p in undeclared if not p.startswith("serial.")} == set()
+    assert undeclared == set()
     assert {parameter for _, parameter in unread} <= ONLY_OTHERWISE_READ, unread
