@@ -38,3 +38,10 @@ def likeliest(name: str, known: Iterable[str]) -> str:
     """Return the known name that a misspelt one most likely means; empty where none is near."""
     near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return near[0] if near else ""
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Say which known name a misspelt one most likely means, or which names there are."""
+    names = list(known)
+    near = likeliest(name, names)
+    return f"did you mean {near}?" if near else f"expected one of {', '.join(names)}"

@@ -13,7 +13,13 @@ from beam_ident import (
 
 # Twelve periods of 10 s on odd lines; one of every four is left out, so that distortion would show there.
 recipe = Multisine(
-    low_hz=0.5, high_hz=40.0, line_period_s=10.0, n_periods=12, odd_only=True, detection_group=4, seed=3
+    start_frequency=0.5,
+    end_frequency=40.0,
+    line_period=10.0,
+    n_periods=12,
+    lines="random_odd",
+    detection_group=4,
+    seed=3,
 )
 record = film(1, recipe)
 

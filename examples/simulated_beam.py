@@ -18,7 +18,7 @@ TRUTH = ModalModel(
     covariance=np.zeros((14, 14)),
     noise_sd=np.ones(2),
 )
-CHIRP = LogChirp(start_hz=1.0, end_hz=45.0, sweep_s=8.0, still_s=4.0)
+CHIRP = LogChirp(start_frequency=1.0, end_frequency=45.0, duration=8.0, still=4.0)
 
 
 def film(seed: int, recipe: Recipe = CHIRP, rate_hz: float = 100.0, noise: float = 4e-6) -> TimeRecord:

@@ -7,7 +7,7 @@ from beam_ident import PointToPoint, assess_repeatability, identify, validate
 models = [identify(film(seed), n_modes=2).model for seed in range(1, 5)]
 
 # A move that the model has never seen.
-move = PointToPoint(waypoints=(0.002, -0.001, 0.0), speed=0.03, acceleration=0.4, dwell_s=1.0, still_s=3.0)
+move = PointToPoint(waypoints=(0.002, -0.001, 0.0), speed=0.03, acceleration=0.4, dwell=1.0, still=3.0)
 unseen = film(10, recipe=move)
 for output in validate(models[0], unseen).outputs:
     print(f"{output.name}: {output.verdict}")

@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -84,6 +84,7 @@ class Executables:
         *arguments: str,
         environment: Mapping[str, str] | None = None,
         timeout_s: float = 60.0,
+        program: Sequence[str] = (),
     ) -> RunningExecutable:
         """Start an executable in a process group of its own.
 
@@ -93,11 +94,12 @@ class Executables:
         *arguments : str -- its command line
         environment : mapping, optional -- variables on top of the session's private domain
         timeout_s : float -- hard limit; the process is killed and the test fails
+        program : sequence of str -- what runs the executable in its own way; by default the suite's own
         """
         log = self._folder / f"{len(self._running)}-{name}.log"
         with log.open("wb") as stream:
             process = subprocess.Popen(
-                [*command(name), *arguments],
+                [*(program or command(name)), *arguments],
                 cwd=self._folder,
                 env=child_environment({MARK: self._mark, **(environment or {})}),
                 stdin=subprocess.DEVNULL,
@@ -119,6 +121,12 @@ class Executables:
         running.wait(timeout_s)
         return running
 
+    def interrupt(self) -> None:
+        """Ask everything that still runs to end."""
+        for running in reversed(self._running):
+            if running.process.poll() is None:
+                running.process.send_signal(signal.SIGINT)
+
     def close(self) -> None:
         """End what still runs; fail the test for what had to be killed."""
         faults = []
@@ -126,8 +134,7 @@ class Executables:
             running.deadline.cancel()
             if running.is_overdue:
                 faults.append(f"{running.name} was killed at its time limit:\n{running.output()}")
-            if running.process.poll() is None:
-                running.process.send_signal(signal.SIGINT)
+        self.interrupt()
         for running in reversed(self._running):
             try:
                 running.process.wait(_GRACE_S)

@@ -37,19 +37,19 @@ class LevelRecipe(Recipe):
     ----------
     drive : {"position", "velocity", "acceleration", "force"}
     amplitude : float -- level [m], [m/s], [m/s^2] or, for a force, in the unit of the input
-    rise_s : float -- length of each smooth edge [s]; 0 for sharp ones
-    still_s : float -- stretch at rest afterwards [s]
+    edge_time : float -- length of each smooth edge [s]; 0 for sharp ones
+    still : float -- stretch at rest afterwards [s]
     """
 
     drive: str = "position"
     amplitude: float = 0.0005
-    rise_s: float = 0.05
-    still_s: float = 10.0
+    edge_time: float = 0.05
+    still: float = 10.0
 
     def _check(self) -> None:
         self._one_of("drive", DRIVES)
         self._not_zero("amplitude")
-        self._not_negative("rise_s", "still_s")
+        self._not_negative("edge_time", "still")
 
     @property
     @abstractmethod
@@ -61,9 +61,9 @@ class LevelRecipe(Recipe):
         """Return the signal in its own quantity at any times [s], zero outside."""
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], the still stretch included."""
-        return self.active_s + self.still_s
+        return self.active_s + self.still
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m], where that is what the levels are.
@@ -93,7 +93,7 @@ class LevelRecipe(Recipe):
             velocities = self.waveform(times)
             inside = slice(1, self._active(times).stop)
             velocities = self._high_passed(velocities, inside, period_s)
-            fade = max(self.rise_s, period_s)
+            fade = max(self.edge_time, period_s)
             shape = window(times, self.active_s, fade, fade)
             velocities -= shape * (np.sum(velocities) / np.sum(shape))
             return np.asarray(np.diff(velocities) / period_s)
@@ -115,7 +115,7 @@ class LevelRecipe(Recipe):
 
 
 def levels_at(
-    times_s: FloatArray, switches_s: Sequence[float] | FloatArray, levels: FloatArray, rise_s: float
+    times_s: FloatArray, switches_s: Sequence[float] | FloatArray, levels: FloatArray, edge_time: float
 ) -> FloatArray:
     """Return a signal that goes to ``levels[k]`` at ``switches_s[k]``, from 0 before the first.
 
@@ -124,17 +124,17 @@ def levels_at(
     times_s : ndarray -- [s]
     switches_s : sequence of float, shape (n,) -- increasing [s]
     levels : ndarray, shape (n,)
-    rise_s : float -- length of the smooth way to the next level [s]; 0 for a jump
+    edge_time : float -- length of the smooth way to the next level [s]; 0 for a jump
     """
     switches = np.asarray(switches_s, dtype=np.float64)
     slack = _EDGE * float(np.min(np.diff(switches)))
     place = np.searchsorted(switches - slack, times_s, side="right")
     padded = np.concatenate([[0.0, 0.0], levels])
     now, before = padded[place + 1], padded[place]
-    if rise_s == 0.0:
+    if edge_time == 0.0:
         return np.asarray(now)
     since = times_s - switches[np.maximum(place - 1, 0)]
-    return np.asarray(before + (now - before) * smooth_rise(since / rise_s))
+    return np.asarray(before + (now - before) * smooth_rise(since / edge_time))
 
 
 def _brought_home(accelerations: FloatArray, inside: slice) -> FloatArray:
@@ -160,19 +160,21 @@ class PulseRecipe(LevelRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
-    width_s : float -- of each pulse, no shorter than its edges [s]
-    gap_s : float -- rest between pulses [s]
+    drive, amplitude, edge_time, still : see ``LevelRecipe``
+    width : float -- of each pulse, no shorter than its edges [s]
+    gap : float -- rest between pulses [s]
     """
 
-    width_s: float = 0.1
-    gap_s: float = 0.1
+    width: float = 0.1
+    gap: float = 0.1
 
     def _check(self) -> None:
         super()._check()
-        self._positive("width_s")
-        self._not_negative("gap_s")
-        self._require(self.rise_s <= self.width_s, "rise_s", self.rise_s, f"at most width_s = {self.width_s}")
+        self._positive("width")
+        self._not_negative("gap")
+        self._require(
+            self.edge_time <= self.width, "edge_time", self.edge_time, f"at most width = {self.width}"
+        )
 
 
 @dataclass(frozen=True)
@@ -181,9 +183,9 @@ class Pulse(PulseRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
-    width_s : float -- from edge to edge [s]
-    gap_s : float -- between the pulses of one train [s]
+    drive, amplitude, edge_time, still : see ``LevelRecipe``
+    width : float -- from edge to edge [s]
+    gap : float -- between the pulses of one train [s]
 
     Notes
     -----
@@ -203,15 +205,15 @@ class Pulse(PulseRecipe):
     def active_s(self) -> float:
         """Length of the train [s]."""
         n = len(self._signs)
-        return n * self.width_s + (n - 1) * self.gap_s + self.rise_s
+        return n * self.width + (n - 1) * self.gap + self.edge_time
 
     def waveform(self, times_s: FloatArray) -> FloatArray:
         """Return the signal in its own quantity at any times [s]."""
         total = np.zeros(np.shape(times_s))
         for k, sign in enumerate(self._signs):
-            start = k * (self.width_s + self.gap_s)
+            start = k * (self.width + self.gap)
             level = np.array([sign * self.amplitude, 0.0])
-            total += levels_at(times_s, (start, start + self.width_s), level, self.rise_s)
+            total += levels_at(times_s, (start, start + self.width), level, self.edge_time)
         return total
 
 
@@ -221,34 +223,34 @@ class Doublet(PulseRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
-    width_s : float -- of each half [s]
-    gap_s : float -- rest before the mirrored doublet of an acceleration [s]
+    drive, amplitude, edge_time, still : see ``LevelRecipe``
+    width : float -- of each half [s]
+    gap : float -- rest before the mirrored doublet of an acceleration [s]
 
     Notes
     -----
-    Its spectrum is zero at 0 Hz and peaks near 0.37 / ``width_s``.  An acceleration doublet is a move; it
+    Its spectrum is zero at 0 Hz and peaks near 0.37 / ``width``.  An acceleration doublet is a move; it
     is followed by its mirror image, which brings the axis home.
     """
 
     kind: ClassVar[str] = "doublet"
 
-    gap_s: float = 1.0
+    gap: float = 1.0
 
     @property
     def active_s(self) -> float:
         """Length of the doublet, with its mirror image where there is one [s]."""
-        once = 2.0 * self.width_s + self.rise_s
-        return 2.0 * once + self.gap_s if self.drive == "acceleration" else once
+        once = 2.0 * self.width + self.edge_time
+        return 2.0 * once + self.gap if self.drive == "acceleration" else once
 
     def waveform(self, times_s: FloatArray) -> FloatArray:
         """Return the signal in its own quantity at any times [s]."""
         levels = self.amplitude * np.array([1.0, -1.0, 0.0])
-        switches = np.array([0.0, self.width_s, 2.0 * self.width_s])
-        values = levels_at(times_s, switches, levels, self.rise_s)
+        switches = np.array([0.0, self.width, 2.0 * self.width])
+        values = levels_at(times_s, switches, levels, self.edge_time)
         if self.drive == "acceleration":
-            later = 2.0 * self.width_s + self.rise_s + self.gap_s
-            values = values + levels_at(times_s, switches + later, -levels, self.rise_s)
+            later = 2.0 * self.width + self.edge_time + self.gap
+            values = values + levels_at(times_s, switches + later, -levels, self.edge_time)
         return values
 
 
@@ -298,71 +300,76 @@ class Prbs(LevelRecipe):
 
     Parameters
     ----------
-    drive, amplitude, rise_s, still_s : see ``LevelRecipe``
+    drive, amplitude, edge_time, still : see ``LevelRecipe``
     order : int -- of the shift register, 3 to 18; a period has ``2^order - 1`` clocks
-    clock_s : float -- time between two possible switches [s]
+    clock_period : float -- time between two possible switches [s]
     n_periods : int -- how often it repeats
     inverse_repeat : bool
         Every period is followed by its negative: only odd lines are excited, and even
         distortion shows on the others.
-    high_pass_hz : float
+    high_pass : float
         For velocity and acceleration: content below this frequency is taken out [Hz], because the integral of
         a binary sequence wanders far; 0 takes out no more than what brings the axis home.
 
     Notes
     -----
-    The power density of the levels is flat within 3 dB up to ``0.44 / clock_s``.
+    The power density of the levels is flat within 3 dB up to ``0.44 / clock_period``.
     """
 
     kind: ClassVar[str] = "prbs"
 
     drive: str = "acceleration"
     amplitude: float = 0.3
-    rise_s: float = 0.0
+    edge_time: float = 0.0
     order: int = 11
-    clock_s: float = 0.005
+    clock_period: float = 0.005
     n_periods: int = 1
     inverse_repeat: bool = False
-    high_pass_hz: float = 1.0
+    high_pass: float = 1.0
 
     def _check(self) -> None:
         super()._check()
         self._require(self.order in _TAPS, "order", self.order, f"from {min(_TAPS)} to {max(_TAPS)}")
-        self._positive("clock_s")
+        self._positive("clock_period")
         self._require(self.n_periods >= 1, "n_periods", self.n_periods, "at least 1")
-        self._not_negative("high_pass_hz")
-        self._require(self.rise_s <= self.clock_s, "rise_s", self.rise_s, f"at most clock_s = {self.clock_s}")
-        highest = 0.1 / self.clock_s
+        self._not_negative("high_pass")
         self._require(
-            self.high_pass_hz <= highest,
-            "high_pass_hz",
-            self.high_pass_hz,
+            self.edge_time <= self.clock_period,
+            "edge_time",
+            self.edge_time,
+            f"at most clock_period = {self.clock_period}",
+        )
+        highest = 0.1 / self.clock_period
+        self._require(
+            self.high_pass <= highest,
+            "high_pass",
+            self.high_pass,
             f"at most {highest:g}, a tenth of the clock's rate",
         )
 
     @property
-    def line_period_s(self) -> float:
+    def line_period(self) -> float:
         """Length of one period, with its negative where that follows [s]."""
         n_clocks = (1 << self.order) - 1
-        return (2.0 if self.inverse_repeat else 1.0) * n_clocks * self.clock_s
+        return (2.0 if self.inverse_repeat else 1.0) * n_clocks * self.clock_period
 
     @property
     def active_s(self) -> float:
         """Length of all periods and the last edge [s]."""
-        return self.n_periods * self.line_period_s + self.rise_s
+        return self.n_periods * self.line_period + self.edge_time
 
     def line_spacing_hz(self, near_hz: float) -> float:
         """Return the spacing of the excited lines [Hz]."""
         del near_hz
-        return (2.0 if self.inverse_repeat else 1.0) / self.line_period_s
+        return (2.0 if self.inverse_repeat else 1.0) / self.line_period
 
     def waveform(self, times_s: FloatArray) -> FloatArray:
         """Return the signal in its own quantity at any times [s], before anything is taken out."""
         sequence = maximal_length_sequence(self.order)
         period = np.concatenate([sequence, -sequence]) if self.inverse_repeat else sequence
         levels = self.amplitude * np.append(np.tile(period, self.n_periods), 0.0)
-        switches = np.asarray(self.clock_s * np.arange(len(levels)), dtype=np.float64)
-        return levels_at(times_s, switches, levels, self.rise_s)
+        switches = np.asarray(self.clock_period * np.arange(len(levels)), dtype=np.float64)
+        return levels_at(times_s, switches, levels, self.edge_time)
 
     def _accelerations(self, period_s: float) -> FloatArray:
         self._check_clock(period_s)
@@ -373,23 +380,23 @@ class Prbs(LevelRecipe):
         return super()._held_values(period_s)
 
     def _check_clock(self, period_s: float) -> None:
-        ticks = self.clock_s / period_s if period_s > 0.0 else 0.0
+        ticks = self.clock_period / period_s if period_s > 0.0 else 0.0
         self._require(
             ticks > 0.5 and abs(ticks - round(ticks)) < 1e-6,
-            "clock_s",
-            self.clock_s,
+            "clock_period",
+            self.clock_period,
             f"a whole number of periods of {period_s} s",
         )
 
     def _high_passed(self, values: FloatArray, inside: slice, period_s: float) -> FloatArray:
-        """Take out the cosines below ``high_pass_hz`` over the active stretch."""
-        if self.high_pass_hz == 0.0:
+        """Take out the cosines below ``high_pass`` over the active stretch."""
+        if self.high_pass == 0.0:
             return values
         from scipy.fft import dct, idct  # here: recipes are read where none is high-passed, and fast
 
         part = values[inside]
         content = dct(part, norm="ortho")
-        content[: int(np.ceil(2.0 * len(part) * period_s * self.high_pass_hz))] = 0.0
+        content[: int(np.ceil(2.0 * len(part) * period_s * self.high_pass))] = 0.0
         result = np.array(values)
         result[inside] = idct(content, norm="ortho")
         return result

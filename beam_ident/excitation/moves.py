@@ -28,34 +28,37 @@ class Step(Recipe):
 
     Parameters
     ----------
-    distance : float -- how far [m], either sign
-    rise_s : float -- length of the move [s]
-    hold_s : float -- rest at the far end [s]
-    still_s : float -- rest at home afterwards [s]
+    step_size : float -- how far [m], either sign
+    rise_time : float -- length of the move [s]
+    duration : float -- both moves and the rest at the far end [s]
+    still : float -- rest at home afterwards [s]
     """
 
     kind: ClassVar[str] = "step"
 
-    distance: float = 0.005
-    rise_s: float = 0.2
-    hold_s: float = 10.0
-    still_s: float = 10.0
+    step_size: float = 0.005
+    rise_time: float = 0.2
+    duration: float = 10.4
+    still: float = 10.0
 
     def _check(self) -> None:
-        self._not_zero("distance")
-        self._positive("rise_s")
-        self._not_negative("hold_s", "still_s")
+        self._not_zero("step_size")
+        self._positive("rise_time")
+        self._not_negative("still")
+        self._require(
+            self.duration >= 2.0 * self.rise_time, "duration", self.duration, "at least two rise times"
+        )
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], both rests included."""
-        return 2.0 * self.rise_s + self.hold_s + self.still_s
+        return self.duration + self.still
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
-        out = smooth_rise(np.asarray(times_s) / self.rise_s)
-        back = smooth_rise((np.asarray(times_s) - self.rise_s - self.hold_s) / self.rise_s)
-        return np.asarray(self.distance * (out - back))
+        out = smooth_rise(np.asarray(times_s) / self.rise_time)
+        back = smooth_rise((np.asarray(times_s) - self.duration) / self.rise_time + 1.0)
+        return np.asarray(self.step_size * (out - back))
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,8 @@ class PointToPoint(Recipe):
     waypoints : tuple of float -- displacements to visit, from 0; the last is 0 again [m]
     profile : {"bounded_jerk", "quintic", "cycloidal"}
     speed, acceleration, jerk : float -- largest of each [m/s], [m/s^2], [m/s^3]
-    dwell_s : float -- rest at every way-point [s]
-    still_s : float -- rest at home afterwards [s]
+    dwell : float -- rest at every way-point [s]
+    still : float -- rest at home afterwards [s]
 
     Notes
     -----
@@ -78,15 +81,15 @@ class PointToPoint(Recipe):
     acceleration is zero at both ends.
     """
 
-    kind: ClassVar[str] = "point_to_point"
+    kind: ClassVar[str] = "moves"
 
     waypoints: tuple[float, ...] = (0.002, -0.002, 0.0)
     profile: str = "bounded_jerk"
     speed: float = 0.05
     acceleration: float = 0.5
     jerk: float = 20.0
-    dwell_s: float = 2.0
-    still_s: float = 10.0
+    dwell: float = 2.0
+    still: float = 10.0
 
     def _check(self) -> None:
         points = self.waypoints
@@ -96,7 +99,7 @@ class PointToPoint(Recipe):
         self._require(bool(np.all(moves != 0.0)), "waypoints", points, "each different from the one before")
         self._one_of("profile", PROFILES)
         self._positive("speed", "acceleration", "jerk")
-        self._not_negative("dwell_s", "still_s")
+        self._not_negative("dwell", "still")
 
     @property
     def move_times_s(self) -> tuple[float, ...]:
@@ -104,9 +107,9 @@ class PointToPoint(Recipe):
         return tuple(self._move_time(abs(move)) for move in np.diff((0.0, *self.waypoints)).tolist())
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], all rests included."""
-        return sum(self.move_times_s) + (len(self.waypoints) - 1) * self.dwell_s + self.still_s
+        return sum(self.move_times_s) + (len(self.waypoints) - 1) * self.dwell + self.still
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
@@ -114,9 +117,9 @@ class PointToPoint(Recipe):
         start = 0.0
         for move, length in zip(np.diff((0.0, *self.waypoints)).tolist(), self.move_times_s, strict=True):
             total += math.copysign(1.0, move) * self._travelled(abs(move), length, times_s - start)
-            start += length + self.dwell_s
+            start += length + self.dwell
         # The way-points' differences need not add up to zero exactly; the end is exact by definition.
-        return np.asarray(np.where(times_s >= start - self.dwell_s, 0.0, total))
+        return np.asarray(np.where(times_s >= start - self.dwell, 0.0, total))
 
     def _move_time(self, distance: float) -> float:
         if self.profile == "bounded_jerk":

@@ -19,6 +19,7 @@ from beam_ident.excitation.periodic_sum import sum_of_lines
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.windows import displacement_amplitude, window
 
+LINES = ("full", "odd", "random_odd")
 PHASES = ("random", "schroeder", "crest")
 
 _DETECTION_STREAM = 1 << 32  # seeds of the left-out lines lie apart from those of the phases
@@ -30,23 +31,24 @@ class Multisine(Recipe):
 
     Parameters
     ----------
-    low_hz, high_hz : float -- band [Hz]; the lines are multiples of 1 / ``line_period_s``
-    line_period_s : float -- period of the signal [s]
+    start_frequency, end_frequency : float -- band [Hz]; the lines are multiples of 1 / ``line_period``
+    line_period : float -- period of the signal [s]
     n_periods : int -- how often it repeats
-    rms_acceleration : float -- root mean square of the acceleration [m/s^2]
-    displacement_ceiling : float
+    acceleration : float -- root mean square of the acceleration [m/s^2]
+    max_displacement : float
         Largest amplitude of one line's displacement [m], for the low ones.
-    odd_only : bool -- keep odd lines only, so that even distortion shows on the others
+    lines : {"full", "odd", "random_odd"}
+        With odd lines only, even distortion shows on the others; where some odd lines are left out too, odd
+        distortion shows there.
     seed : int -- seed of random phases and of the lines left out
-    still_s : float -- stretch of a still hub afterwards [s]
-    fade_s : float -- smooth ramps at both ends [s]
+    still : float -- stretch of a still hub afterwards [s]
+    fade : float -- smooth ramps at both ends [s]
     detection_group : int
-        With ``odd_only``: of every so many odd lines in turn one, drawn by the seed, is left out,
-        so that odd distortion shows there (a random-odd multisine); 0 leaves none out.
+        Of a random-odd multisine: of every so many odd lines in turn one, drawn by the seed, is left out.
     phases : {"random", "schroeder", "crest"}
         Random ones make the signal near Gaussian; Schroeder's and the crest-optimised ones keep
         its acceleration low between ramps.
-    velocity_ceiling : float or None -- largest amplitude of one line's velocity [m/s]
+    max_velocity : float -- largest amplitude of one line's velocity [m/s]; 0: no ceiling
     phases_rad : tuple of float
         The phases, where they are optimised: found once, when the recipe is made, and stored with it, so
         that they are the same wherever it is read.  Leave it empty.
@@ -54,48 +56,42 @@ class Multisine(Recipe):
 
     kind: ClassVar[str] = "multisine"
 
-    low_hz: float = 1.0
-    high_hz: float = 95.0
-    line_period_s: float = 10.0
+    start_frequency: float = 1.0
+    end_frequency: float = 95.0
+    line_period: float = 10.0
     n_periods: int = 2
-    rms_acceleration: float = 0.5
-    displacement_ceiling: float = 0.001
-    odd_only: bool = False
+    acceleration: float = 0.5
+    max_displacement: float = 0.001
+    lines: str = "full"
     seed: int = 0
-    still_s: float = 10.0
-    fade_s: float = 0.5
-    detection_group: int = 0
+    still: float = 10.0
+    fade: float = 0.5
+    detection_group: int = 4
     phases: str = "random"
-    velocity_ceiling: float | None = None
+    max_velocity: float = 0.0
     phases_rad: tuple[float, ...] = ()
 
     def _check(self) -> None:
         self._positive(
-            "low_hz",
-            "high_hz",
-            "line_period_s",
-            "rms_acceleration",
-            "displacement_ceiling",
-            "fade_s",
-            "velocity_ceiling",
+            "start_frequency",
+            "end_frequency",
+            "line_period",
+            "acceleration",
+            "max_displacement",
+            "fade",
         )
         self._require(self.n_periods >= 1, "n_periods", self.n_periods, "at least 1")
         self._require(0 <= self.seed < 1 << 32, "seed", self.seed, "a whole number from 0 below 2^32")
-        self._not_negative("still_s")
+        self._not_negative("still", "max_velocity")
         self._require(
-            self.fade_s <= self.active_s / 2, "fade_s", self.fade_s, "at most half of all periods together"
+            self.fade <= self.active_s / 2, "fade", self.fade, "at most half of all periods together"
         )
         group = self.detection_group
-        self._require(group == 0 or group >= 2, "detection_group", group, "0 or at least 2")
-        self._require(
-            group == 0 or self.odd_only,
-            "detection_group",
-            group,
-            "0, or odd_only=True: lines are left out among odd ones only",
-        )
+        self._require(group >= 2, "detection_group", group, "at least 2")
+        self._one_of("lines", LINES)
         self._one_of("phases", PHASES)
         n_lines = len(self.lines_hz)
-        self._require(n_lines > 0, "high_hz", self.high_hz, "a band with at least one line in it")
+        self._require(n_lines > 0, "end_frequency", self.end_frequency, "a band with at least one line in it")
         if self.phases == "crest" and not self.phases_rad:
             optimised = optimised_phases(self._line_numbers()[0], self._acceleration_amplitudes())
             object.__setattr__(self, "phases_rad", tuple(optimised.tolist()))
@@ -110,7 +106,7 @@ class Multisine(Recipe):
     @property
     def active_s(self) -> float:
         """Length of all periods together [s]."""
-        return self.n_periods * self.line_period_s
+        return self.n_periods * self.line_period
 
     @property
     def steady_window_s(self) -> tuple[float, float]:
@@ -118,34 +114,34 @@ class Multisine(Recipe):
 
         What it moves repeats only once it has settled: leave that time out too, at the start.
         """
-        return self.fade_s, self.active_s - self.fade_s
+        return self.fade, self.active_s - self.fade
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], the still stretch included."""
-        return self.active_s + self.still_s
+        return self.active_s + self.still
 
     def line_spacing_hz(self, near_hz: float) -> float:
         """Return the spacing of the excited lines [Hz]."""
         del near_hz
-        return (2.0 if self.odd_only else 1.0) / self.line_period_s
+        return (1.0 if self.lines == "full" else 2.0) / self.line_period
 
     @property
     def lines_hz(self) -> FloatArray:
         """Frequencies of the excited lines [Hz]."""
-        return np.asarray(self._line_numbers()[0] / self.line_period_s)
+        return np.asarray(self._line_numbers()[0] / self.line_period)
 
     @property
     def even_detection_lines_hz(self) -> FloatArray:
         """Even lines inside the band, free for even distortion [Hz]; none for a full multisine."""
         excited = self._line_numbers()[0]
         inside = np.arange(excited[0], excited[-1] + 1)
-        return np.asarray(inside[(inside % 2 == 0) & self.odd_only] / self.line_period_s)
+        return np.asarray(inside[(inside % 2 == 0) & (self.lines != "full")] / self.line_period)
 
     @property
     def odd_detection_lines_hz(self) -> FloatArray:
         """Odd lines left out, free for odd distortion [Hz]."""
-        return np.asarray(self._line_numbers()[1] / self.line_period_s)
+        return np.asarray(self._line_numbers()[1] / self.line_period)
 
     def crest_factor(self) -> float:
         """Return the crest factor of the acceleration between the ramps, on a grid of 16 points a cycle."""
@@ -158,26 +154,26 @@ class Multisine(Recipe):
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
         numbers = self._line_numbers()[0]
-        total = sum_of_lines(times_s, numbers, self._amplitudes(), self._phases(), self.line_period_s)
-        return np.asarray(window(times_s, self.active_s, self.fade_s, self.fade_s) * total)
+        total = sum_of_lines(times_s, numbers, self._amplitudes(), self._phases(), self.line_period)
+        return np.asarray(window(times_s, self.active_s, self.fade, self.fade) * total)
 
     def _line_numbers(self) -> tuple[IndexArray, IndexArray]:
         """Return the numbers of the excited lines and of the odd ones left out."""
-        first = max(math.ceil(self.low_hz * self.line_period_s - 1e-9), 1)
-        last = math.floor(self.high_hz * self.line_period_s + 1e-9)
+        first = max(math.ceil(self.start_frequency * self.line_period - 1e-9), 1)
+        last = math.floor(self.end_frequency * self.line_period + 1e-9)
         numbers = np.arange(first, last + 1)
-        if self.odd_only:
+        if self.lines != "full":
             numbers = numbers[numbers % 2 == 1]
-        n_groups = len(numbers) // self.detection_group if self.detection_group else 0
-        places = seeds.choices(_DETECTION_STREAM + self.seed, n_groups, max(self.detection_group, 1))
+        n_groups = len(numbers) // self.detection_group if self.lines == "random_odd" else 0
+        places = seeds.choices(_DETECTION_STREAM + self.seed, n_groups, self.detection_group)
         left_out = np.arange(n_groups) * self.detection_group + places
         return np.delete(numbers, left_out), numbers[left_out]
 
     def _amplitudes(self) -> FloatArray:
         """Return the lines' amplitudes of displacement [m]."""
         omega = 2.0 * np.pi * self.lines_hz
-        per_line = self.rms_acceleration * math.sqrt(2.0 / len(omega))
-        return displacement_amplitude(omega, per_line, self.velocity_ceiling, self.displacement_ceiling)
+        per_line = self.acceleration * math.sqrt(2.0 / len(omega))
+        return displacement_amplitude(omega, per_line, self.max_velocity, self.max_displacement)
 
     def _acceleration_amplitudes(self) -> FloatArray:
         return np.asarray(self._amplitudes() * (2.0 * np.pi * self.lines_hz) ** 2)

@@ -25,15 +25,15 @@ class BandLimitedNoise(Recipe):
 
     Parameters
     ----------
-    low_hz, high_hz : float -- band [Hz]
-    length_s : float -- length of the noise [s]
-    rms_acceleration : float -- expected root mean square of the acceleration [m/s^2]
-    displacement_ceiling : float
+    start_frequency, end_frequency : float -- band [Hz]
+    duration : float -- length of the noise [s]
+    acceleration : float -- expected root mean square of the acceleration [m/s^2]
+    max_displacement : float
         Expected root mean square of the displacement that the lines of a whole octave may have [m]: holds
         low frequencies down.
     seed : int
-    still_s : float -- stretch at rest afterwards [s]
-    fade_s : float -- smooth ramps at both ends [s]
+    still : float -- stretch at rest afterwards [s]
+    fade : float -- smooth ramps at both ends [s]
 
     Notes
     -----
@@ -41,48 +41,53 @@ class BandLimitedNoise(Recipe):
     Bell Syst. Tech. J. 23, 1944).
     """
 
-    kind: ClassVar[str] = "band_limited_noise"
+    kind: ClassVar[str] = "noise"
 
-    low_hz: float = 1.0
-    high_hz: float = 95.0
-    length_s: float = 20.0
-    rms_acceleration: float = 0.3
-    displacement_ceiling: float = 0.001
+    start_frequency: float = 1.0
+    end_frequency: float = 95.0
+    duration: float = 20.0
+    acceleration: float = 0.3
+    max_displacement: float = 0.001
     seed: int = 0
-    still_s: float = 10.0
-    fade_s: float = 0.5
+    still: float = 10.0
+    fade: float = 0.5
 
     def _check(self) -> None:
-        self._positive("low_hz", "high_hz", "length_s", "rms_acceleration", "displacement_ceiling", "fade_s")
-        self._not_negative("still_s")
+        self._positive(
+            "start_frequency", "end_frequency", "duration", "acceleration", "max_displacement", "fade"
+        )
+        self._not_negative("still")
         self._require(0 <= self.seed < 1 << 32, "seed", self.seed, "a whole number from 0 below 2^32")
-        self._require(self.fade_s <= self.length_s / 2, "fade_s", self.fade_s, "at most half of length_s")
+        self._require(self.fade <= self.duration / 2, "fade", self.fade, "at most half of duration")
         self._require(
-            len(self._line_numbers()) > 0, "high_hz", self.high_hz, "a band of at least 1 / length_s"
+            len(self._line_numbers()) > 0,
+            "end_frequency",
+            self.end_frequency,
+            "a band of at least 1 / duration",
         )
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], the still stretch included."""
-        return self.length_s + self.still_s
+        return self.duration + self.still
 
     def _line_numbers(self) -> IndexArray:
-        first = max(math.ceil(self.low_hz * self.length_s - 1e-9), 1)
-        last = math.floor(self.high_hz * self.length_s + 1e-9)
+        first = max(math.ceil(self.start_frequency * self.duration - 1e-9), 1)
+        last = math.floor(self.end_frequency * self.duration + 1e-9)
         return np.arange(first, last + 1)
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
         numbers = self._line_numbers()
-        lines = numbers / self.length_s
+        lines = numbers / self.duration
         omega = 2.0 * np.pi * lines
         # An octave around f holds f / sqrt(2) hertz of lines, which share the ceiling.
-        ceiling = self.displacement_ceiling * np.sqrt(2.0 * math.sqrt(2.0) / (lines * self.length_s))
-        per_line = self.rms_acceleration * math.sqrt(2.0 / len(lines))
-        amplitudes = displacement_amplitude(omega, per_line, None, ceiling)
+        ceiling = self.max_displacement * np.sqrt(2.0 * math.sqrt(2.0) / (lines * self.duration))
+        per_line = self.acceleration * math.sqrt(2.0 / len(lines))
+        amplitudes = displacement_amplitude(omega, per_line, 0.0, ceiling)
         drawn = seeds.uniform(self.seed, 2 * len(lines))
         # Box and Muller: a Rayleigh radius and a uniform phase make two normal parts.
         radii = np.sqrt(-np.log1p(-drawn[0::2])) * amplitudes
         phases = 2.0 * np.pi * drawn[1::2]
-        shape = window(times_s, self.length_s, self.fade_s, self.fade_s)
-        return shape * sum_of_lines(times_s, numbers, radii, phases, self.length_s)
+        shape = window(times_s, self.duration, self.fade, self.fade)
+        return shape * sum_of_lines(times_s, numbers, radii, phases, self.duration)

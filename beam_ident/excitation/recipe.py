@@ -1,6 +1,7 @@
 """What a recipe is: a signal as a few exact numbers, checked, and written down without loss.
 
-Every recipe is a frozen dataclass of plain numbers, with a seed where it needs one.  A recipe
+Every recipe is a frozen dataclass of plain numbers, with a seed where it needs one: seconds, metres, and hertz for
+frequencies.  Kinds and fields are the words of the rig file's ``excitation`` too.  A recipe
 describes a displacement ``x(t)`` that is zero before and after.  It is sampled to accelerations
 that are held (ZOH) over a period T,
 
@@ -34,7 +35,7 @@ from beam_ident.excitation.sampled import AxisLimits, HeldInput, SampledExcitati
 RECIPES: dict[str, type[Recipe]] = {}
 """Every kind of recipe by the name under which it is stored."""
 
-_SCHEMA = 1
+_SCHEMA = 2
 _MAX_SAMPLES = 50_000_000
 
 
@@ -66,7 +67,7 @@ class Recipe(ABC):
 
     @property
     @abstractmethod
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], the still stretch at the end included."""
 
     @abstractmethod
@@ -76,7 +77,7 @@ class Recipe(ABC):
     def line_spacing_hz(self, near_hz: float) -> float:
         """Return the spacing of the frequencies that this signal resolves around one of them [Hz]."""
         del near_hz  # the same everywhere, but for signals made of chosen frequencies
-        return 1.0 / self.duration_s
+        return 1.0 / self.total_s
 
     def sample(self, period_s: float = 1e-3, limits: AxisLimits | None = None) -> SampledExcitation:
         """Sample to accelerations held over a period, checked against limits.
@@ -158,17 +159,17 @@ class Recipe(ABC):
 
     def _ticks(self, period_s: float) -> FloatArray:
         """Return the ticks from one before the start to one after the end [s]."""
-        if not (math.isfinite(period_s) and 0.0 < period_s < self.duration_s / 4.0):
+        if not (math.isfinite(period_s) and 0.0 < period_s < self.total_s / 4.0):
             raise ExcitationError(
                 f"{type(self).__name__}: period_s is {period_s}; expected between 0 and a quarter of the "
-                f"{self.duration_s} s"
+                f"{self.total_s} s"
             )
-        if self.duration_s / period_s > _MAX_SAMPLES:
+        if self.total_s / period_s > _MAX_SAMPLES:
             raise ExcitationError(
-                f"{type(self).__name__}: period_s is {period_s}, which makes {self.duration_s / period_s:.3g} "
+                f"{type(self).__name__}: period_s is {period_s}, which makes {self.total_s / period_s:.3g} "
                 f"samples; expected at most {_MAX_SAMPLES:.0e}; give times in seconds"
             )
-        n = round(self.duration_s / period_s) + 2
+        n = round(self.total_s / period_s) + 2
         # Half a tick late, so that the first difference is still at rest.
         return np.asarray(np.arange(-1, n + 1) * period_s, dtype=np.float64)
 

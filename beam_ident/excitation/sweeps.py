@@ -21,35 +21,33 @@ from beam_ident.excitation.windows import displacement_amplitude, window
 class _Sweep(Recipe):
     """What all sweeps share: their numbers, and amplitudes under the ceilings; see ``LogChirp``."""
 
-    start_hz: float = 1.0
-    end_hz: float = 95.0
-    sweep_s: float = 20.0
+    start_frequency: float = 1.0
+    end_frequency: float = 95.0
+    duration: float = 20.0
     acceleration: float = 0.7
-    displacement_ceiling: float = 0.005
-    still_s: float = 10.0
-    fade_in_s: float = 1.0
-    fade_out_s: float = 0.25
-    velocity_ceiling: float | None = None
+    max_displacement: float = 0.005
+    still: float = 10.0
+    fade_in: float = 1.0
+    fade_out: float = 0.25
+    max_velocity: float = 0.0
 
     def _check(self) -> None:
-        self._positive(
-            "start_hz", "end_hz", "sweep_s", "acceleration", "displacement_ceiling", "velocity_ceiling"
-        )
-        self._not_negative("still_s")
-        for name in ("fade_in_s", "fade_out_s"):
+        self._positive("start_frequency", "end_frequency", "duration", "acceleration", "max_displacement")
+        self._not_negative("still", "max_velocity")
+        for name in ("fade_in", "fade_out"):
             value = getattr(self, name)
-            self._require(0.0 < value <= self.sweep_s / 2, name, value, "between 0 and half of sweep_s")
+            self._require(0.0 < value <= self.duration / 2, name, value, "between 0 and half of duration")
 
     @property
-    def duration_s(self) -> float:
+    def total_s(self) -> float:
         """Length [s], the still stretch included."""
-        return self.sweep_s + self.still_s
+        return self.duration + self.still
 
     def _swept(self, times: FloatArray, frequency: FloatArray, phase: FloatArray) -> FloatArray:
         amplitude = displacement_amplitude(
-            2.0 * np.pi * frequency, self.acceleration, self.velocity_ceiling, self.displacement_ceiling
+            2.0 * np.pi * frequency, self.acceleration, self.max_velocity, self.max_displacement
         )
-        shape = window(times, self.sweep_s, self.fade_in_s, self.fade_out_s)
+        shape = window(times, self.duration, self.fade_in, self.fade_out)
         return np.asarray(shape * amplitude * np.sin(phase))
 
 
@@ -59,13 +57,13 @@ class LogChirp(_Sweep):
 
     Parameters
     ----------
-    start_hz, end_hz : float -- first and last frequency [Hz]
-    sweep_s : float -- length of the sweep [s]
+    start_frequency, end_frequency : float -- first and last frequency [Hz]
+    duration : float -- length of the sweep [s]
     acceleration : float -- amplitude of the acceleration [m/s^2]
-    displacement_ceiling : float -- largest amplitude of the displacement [m]
-    still_s : float -- stretch of a still hub after the sweep [s]
-    fade_in_s, fade_out_s : float -- smooth ramps at both ends of the sweep [s]
-    velocity_ceiling : float or None -- largest amplitude of the velocity [m/s]
+    max_displacement : float -- largest amplitude of the displacement [m]
+    still : float -- stretch of a still hub after the sweep [s]
+    fade_in, fade_out : float -- smooth ramps at both ends of the sweep [s]
+    max_velocity : float -- largest amplitude of the velocity [m/s]; 0: no ceiling
 
     Notes
     -----
@@ -73,18 +71,23 @@ class LogChirp(_Sweep):
     ``2 pi f0 L (e^(t/L) - 1)`` with ``L = sweep / ln(f1/f0)``.
     """
 
-    kind: ClassVar[str] = "log_chirp"
+    kind: ClassVar[str] = "chirp"
 
     def _check(self) -> None:
         super()._check()
-        self._require(self.end_hz > self.start_hz, "end_hz", self.end_hz, f"above start_hz = {self.start_hz}")
+        self._require(
+            self.end_frequency > self.start_frequency,
+            "end_frequency",
+            self.end_frequency,
+            f"above start_frequency = {self.start_frequency}",
+        )
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
-        times = np.clip(times_s, 0.0, self.sweep_s)
-        growth = self.sweep_s / math.log(self.end_hz / self.start_hz)
-        frequency = self.start_hz * np.exp(times / growth)
-        phase = 2.0 * np.pi * growth * (frequency - self.start_hz)
+        times = np.clip(times_s, 0.0, self.duration)
+        growth = self.duration / math.log(self.end_frequency / self.start_frequency)
+        frequency = self.start_frequency * np.exp(times / growth)
+        phase = 2.0 * np.pi * growth * (frequency - self.start_frequency)
         return self._swept(times, frequency, phase)
 
 
@@ -94,8 +97,8 @@ class LinearChirp(_Sweep):
 
     Parameters
     ----------
-    start_hz, end_hz : float -- first and last frequency [Hz]; downwards too
-    sweep_s, acceleration, displacement_ceiling, still_s, fade_in_s, fade_out_s, velocity_ceiling
+    start_frequency, end_frequency : float -- first and last frequency [Hz]; downwards too
+    duration, acceleration, max_displacement, still, fade_in, fade_out, max_velocity
         As in ``LogChirp``.
 
     Notes
@@ -109,12 +112,15 @@ class LinearChirp(_Sweep):
     def _check(self) -> None:
         super()._check()
         self._require(
-            self.end_hz != self.start_hz, "end_hz", self.end_hz, f"other than start_hz = {self.start_hz}"
+            self.end_frequency != self.start_frequency,
+            "end_frequency",
+            self.end_frequency,
+            f"other than start_frequency = {self.start_frequency}",
         )
 
     def displacement(self, times_s: FloatArray) -> FloatArray:
         """Return the displacement [m] at any times [s]."""
-        times = np.clip(times_s, 0.0, self.sweep_s)
-        slope = (self.end_hz - self.start_hz) / self.sweep_s
-        phase = 2.0 * np.pi * times * (self.start_hz + 0.5 * slope * times)
-        return self._swept(times, self.start_hz + slope * times, phase)
+        times = np.clip(times_s, 0.0, self.duration)
+        slope = (self.end_frequency - self.start_frequency) / self.duration
+        phase = 2.0 * np.pi * times * (self.start_frequency + 0.5 * slope * times)
+        return self._swept(times, self.start_frequency + slope * times, phase)

@@ -51,8 +51,8 @@ def soft_minimum(first: FloatArray | float, second: FloatArray) -> FloatArray:
 def displacement_amplitude(
     omega: FloatArray,
     acceleration: float,
-    velocity_ceiling: float | None,
-    displacement_ceiling: float | FloatArray,
+    max_velocity: float,
+    max_displacement: float | FloatArray,
 ) -> FloatArray:
     """Return the amplitude of displacement of constant acceleration under ceilings [m].
 
@@ -60,13 +60,13 @@ def displacement_amplitude(
     ----------
     omega : ndarray -- [rad/s]
     acceleration : float -- amplitude of the acceleration [m/s^2]
-    velocity_ceiling : float or None -- largest amplitude of the velocity [m/s]
-    displacement_ceiling : float or ndarray -- largest amplitude of the displacement [m]
+    max_velocity : float -- largest amplitude of the velocity [m/s]; 0: no ceiling
+    max_displacement : float or ndarray -- largest amplitude of the displacement [m]
 
     Notes
     -----
     ``min(displacement, velocity / omega, acceleration / omega^2)``, the corners rounded: flat in
     acceleration above, in velocity between, in displacement below.
     """
-    amplitude = soft_minimum(displacement_ceiling, acceleration / omega**2)
-    return amplitude if velocity_ceiling is None else soft_minimum(velocity_ceiling / omega, amplitude)
+    amplitude = soft_minimum(max_displacement, acceleration / omega**2)
+    return soft_minimum(max_velocity / omega, amplitude) if max_velocity else amplitude

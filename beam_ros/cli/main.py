@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from beam_ros.errors import faults_of_the_user
+from beam_ros.errors import faults_of_the_user, suggestion
 
 LIVE: dict[str, str] = {
     "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
@@ -118,7 +118,7 @@ def main(argv: list[str] | None = None) -> int:
     verb, *rest = arguments
     if verb not in VERBS:
         print(
-            f"beam: unknown verb {verb!r}: expected one of {', '.join(VERBS)}; `beam --help` explains them",
+            f"beam: unknown verb {verb!r} ({suggestion(verb, VERBS)}); `beam --help` explains them",
             file=sys.stderr,
         )
         return FAULT_OF_THE_USER

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable, Collection
 from datetime import datetime
 from pathlib import Path
 
-from beam_ros.errors import UsageError
+from beam_ros.errors import UsageError, suggestion
 from beam_ros.rig.rig import Rig
 
 
@@ -32,6 +33,17 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="one parameter on top of the file, as for a node: -p camera.rate:=50.0",
     )
+
+
+def one_of(what: str, known: Collection[str]) -> Callable[[str], str]:
+    """Return the reader of an argument that names one of the known, and suggests the likeliest where it does not."""
+
+    def read(name: str) -> str:
+        if name not in known:
+            raise argparse.ArgumentTypeError(f"unknown {what} {name!r} ({suggestion(name, known)})")
+        return name
+
+    return read
 
 
 def read_rig(arguments: argparse.Namespace) -> Rig:

@@ -1,11 +1,14 @@
-"""From the rig's ``excitation`` parameters to a recipe: one small function for each kind of signal.
+"""From the rig's ``excitation`` parameters to a recipe: the one table of the kinds of excitation.
 
-Which parameters a kind reads stands in its function and in docs/excitation.md; the others are left alone.
+A kind is a recipe of ``beam_ident``, under the recipe's own name. It reads the parameters that are named as the
+recipe's fields are, and what else its row says; the others are left alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 from beam_ident.errors import IdentificationError
 from beam_ident.excitation import (
@@ -21,12 +24,99 @@ from beam_ident.excitation import (
     Sine,
     Step,
     SteppedSine,
+    describe_recipe,
 )
 from beam_ros.errors import UsageError
+from beam_ros.interfaces.rig_parameters import ExcitationSettings
 from beam_ros.rig.rig import Rig
 
 _USUAL_LINE_PERIOD_S = 10.0
-_BROADBAND = ("chirp", "linear_chirp", "multisine", "noise")
+_LEVEL_OF_DRIVE = {"acceleration": "acceleration", "velocity": "speed", "position": "step_size"}
+
+
+def _fades(excitation: ExcitationSettings) -> dict[str, Any]:
+    return {
+        "fade_in": min(1.0, excitation.duration / 4),
+        "fade_out": min(0.25, excitation.duration / 4),
+    }
+
+
+def _fade(excitation: ExcitationSettings) -> dict[str, Any]:
+    return {"fade": min(0.5, excitation.duration / 4)}
+
+
+def _periods(excitation: ExcitationSettings) -> dict[str, Any]:
+    duration, period = excitation.duration, excitation.line_period
+    n_periods = max(1, round(duration / (period or _USUAL_LINE_PERIOD_S)))
+    return {"n_periods": n_periods, "line_period": period or duration / n_periods, **_fade(excitation)}
+
+
+def _level(excitation: ExcitationSettings) -> dict[str, Any]:
+    return {"amplitude": getattr(excitation, _LEVEL_OF_DRIVE[excitation.drive])}
+
+
+def _sequence(excitation: ExcitationSettings) -> dict[str, Any]:
+    clocks = (2 if excitation.inverse_repeat else 1) * (2**excitation.order - 1)
+    n_periods = max(1, round(excitation.duration / (clocks * excitation.clock_period)))
+    return {"n_periods": n_periods, **_level(excitation)}
+
+
+def _fade_cycles(excitation: ExcitationSettings) -> dict[str, Any]:
+    return {"fade_cycles": min(4.0, excitation.duration * excitation.start_frequency / 4)}
+
+
+def _nothing(_excitation: ExcitationSettings) -> dict[str, Any]:
+    return {}
+
+
+@dataclass(frozen=True)
+class ExcitationKind:
+    """A word that ``excitation.kind`` may be.
+
+    Attributes
+    ----------
+    recipe : type -- its fields are the parameters that are read
+    more : callable -- makes the fields that are no parameters, or are not taken as they are
+    also_reads : tuple of str -- parameters that ``more`` reads besides
+    is_band : bool -- excites a band up to ``end_frequency``
+    """
+
+    recipe: type[Recipe]
+    more: Callable[[ExcitationSettings], dict[str, Any]] = _nothing
+    also_reads: tuple[str, ...] = ()
+    is_band: bool = False
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of the parameters in ``excitation.`` that the kind reads, in the table's order."""
+        wanted = {field.name for field in fields(self.recipe)} | set(self.also_reads)
+        return tuple(field.name for field in fields(ExcitationSettings) if field.name in wanted)
+
+    def build(self, excitation: ExcitationSettings) -> Recipe:
+        """Make the recipe."""
+        taken = {field.name for field in fields(self.recipe)} & set(self.reads)
+        return self.recipe(**{name: getattr(excitation, name) for name in taken} | self.more(excitation))
+
+
+_LEVELS = tuple(_LEVEL_OF_DRIVE.values())
+
+KINDS: dict[str, ExcitationKind] = {
+    kind.recipe.kind: kind
+    for kind in (
+        ExcitationKind(LogChirp, _fades, is_band=True),
+        ExcitationKind(LinearChirp, _fades, is_band=True),
+        ExcitationKind(Multisine, _periods, ("duration",), is_band=True),
+        ExcitationKind(BandLimitedNoise, _fade, is_band=True),
+        ExcitationKind(Prbs, _sequence, ("duration", *_LEVELS)),
+        ExcitationKind(Pulse, _level, _LEVELS),
+        ExcitationKind(Doublet, _level, _LEVELS),
+        ExcitationKind(Step),
+        ExcitationKind(PointToPoint),
+        ExcitationKind(Sine, _fade_cycles),
+        ExcitationKind(SteppedSine),
+    )
+}
+"""The kinds of excitation by their name."""
 
 
 def recipe_of_rig(rig: Rig) -> Recipe:
@@ -37,168 +127,36 @@ def recipe_of_rig(rig: Rig) -> Recipe:
     UsageError
         The parameters do not make a signal.
     """
-    kind = rig.excitation.kind
+    kind = KINDS[rig.excitation.kind]
     highest, nyquist = rig.excitation.end_frequency, 0.5 / rig.hub.period
-    if kind in _BROADBAND and highest > nyquist:
+    if kind.is_band and highest > nyquist:
         raise UsageError(
             f"excitation.end_frequency is {highest:g} Hz: expected at most {nyquist:g} Hz, half the rate "
             "of hub.period"
         )
     try:
-        return RECIPE_OF_KIND[kind](rig)
+        return kind.build(rig.excitation)
     except IdentificationError as err:
         raise UsageError(f"excitation parameters: {err}") from err
 
 
-def _chirp(rig: Rig, chirp: type[LogChirp] | type[LinearChirp]) -> Recipe:
-    duration = rig.excitation.duration
-    return chirp(
-        start_hz=rig.excitation.start_frequency,
-        end_hz=rig.excitation.end_frequency,
-        sweep_s=duration,
-        acceleration=rig.excitation.acceleration,
-        displacement_ceiling=rig.excitation.max_displacement,
-        still_s=rig.excitation.still,
-        fade_in_s=min(1.0, duration / 4),
-        fade_out_s=min(0.25, duration / 4),
-        velocity_ceiling=_velocity_ceiling(rig),
-    )
+def describe_excitation(info: Mapping[str, Any]) -> str:
+    """Return an excitation as it is typed after ``-p``: its kind and what that kind reads.
+
+    Parameters
+    ----------
+    info : mapping -- content of ``excitation/info``; without the rig's parameters, its recipe is described
+    """
+    excitation = info.get("rig", {}).get("excitation", {})
+    kind = KINDS.get(excitation.get("kind"))
+    if kind is None:
+        return describe_recipe(info.get("recipe", {}))
+    names = [name for name in ("kind", *kind.reads) if name in excitation]
+    return " ".join(f"-p excitation.{name}:={_typed(excitation[name])}" for name in names)
 
 
-def _velocity_ceiling(rig: Rig) -> float | None:
-    return rig.excitation.max_velocity or None
-
-
-def _multisine(rig: Rig) -> Recipe:
-    duration, period = rig.excitation.duration, rig.excitation.line_period
-    n_periods = max(1, round(duration / (period or _USUAL_LINE_PERIOD_S)))
-    lines = rig.excitation.lines
-    return Multisine(
-        low_hz=rig.excitation.start_frequency,
-        high_hz=rig.excitation.end_frequency,
-        line_period_s=period or duration / n_periods,
-        n_periods=n_periods,
-        rms_acceleration=rig.excitation.acceleration,
-        displacement_ceiling=rig.excitation.max_displacement,
-        odd_only=lines != "full",
-        seed=rig.excitation.seed,
-        still_s=rig.excitation.still,
-        fade_s=min(0.5, duration / 4),
-        detection_group=rig.excitation.detection_group if lines == "random_odd" else 0,
-        phases=rig.excitation.phases,
-        velocity_ceiling=_velocity_ceiling(rig),
-    )
-
-
-def _prbs(rig: Rig) -> Recipe:
-    order, clock_s = rig.excitation.order, rig.excitation.clock_period
-    is_inverse = rig.excitation.inverse_repeat
-    period_s = (2.0 if is_inverse else 1.0) * (2**order - 1) * clock_s
-    return Prbs(
-        drive=rig.excitation.drive,
-        amplitude=_level(rig),
-        rise_s=rig.excitation.edge_time,
-        still_s=rig.excitation.still,
-        order=order,
-        clock_s=clock_s,
-        n_periods=max(1, round(rig.excitation.duration / period_s)),
-        inverse_repeat=is_inverse,
-        high_pass_hz=rig.excitation.high_pass,
-    )
-
-
-def _level(rig: Rig) -> float:
-    """Return the level of pulses, doublets and sequences in the quantity that they are designed in."""
-    excitation = rig.excitation
-    return {
-        "position": excitation.step_size,
-        "velocity": excitation.speed,
-        "acceleration": excitation.acceleration,
-    }[excitation.drive]
-
-
-def _step(rig: Rig) -> Recipe:
-    rise = rig.excitation.rise_time
-    return Step(
-        distance=rig.excitation.step_size,
-        rise_s=rise,
-        hold_s=max(0.0, rig.excitation.duration - 2 * rise),
-        still_s=rig.excitation.still,
-    )
-
-
-def _pulse(rig: Rig, pulse: type[Pulse] | type[Doublet]) -> Recipe:
-    return pulse(
-        drive=rig.excitation.drive,
-        amplitude=_level(rig),
-        rise_s=rig.excitation.edge_time,
-        still_s=rig.excitation.still,
-        width_s=rig.excitation.width,
-        gap_s=rig.excitation.gap,
-    )
-
-
-def _sine(rig: Rig) -> Recipe:
-    frequency = rig.excitation.start_frequency
-    n_cycles = rig.excitation.duration * frequency
-    return Sine(
-        frequency_hz=frequency,
-        acceleration=rig.excitation.acceleration,
-        n_cycles=n_cycles,
-        fade_cycles=min(4.0, n_cycles / 4),
-        still_s=rig.excitation.still,
-        displacement_ceiling=rig.excitation.max_displacement,
-    )
-
-
-def _stepped_sine(rig: Rig) -> Recipe:
-    return SteppedSine(
-        frequencies_hz=rig.excitation.frequencies,
-        acceleration=rig.excitation.acceleration,
-        displacement_ceiling=rig.excitation.max_displacement,
-        settle_cycles=rig.excitation.settle_cycles,
-        measure_cycles=rig.excitation.measure_cycles,
-        still_s=rig.excitation.still,
-    )
-
-
-def _noise(rig: Rig) -> Recipe:
-    duration = rig.excitation.duration
-    return BandLimitedNoise(
-        low_hz=rig.excitation.start_frequency,
-        high_hz=rig.excitation.end_frequency,
-        length_s=duration,
-        rms_acceleration=rig.excitation.acceleration,
-        displacement_ceiling=rig.excitation.max_displacement,
-        seed=rig.excitation.seed,
-        still_s=rig.excitation.still,
-        fade_s=min(0.5, duration / 4),
-    )
-
-
-def _moves(rig: Rig) -> Recipe:
-    return PointToPoint(
-        waypoints=rig.excitation.waypoints,
-        profile=rig.excitation.profile,
-        speed=rig.excitation.speed,
-        acceleration=rig.excitation.acceleration,
-        jerk=rig.excitation.jerk,
-        dwell_s=rig.excitation.dwell,
-        still_s=rig.excitation.still,
-    )
-
-
-RECIPE_OF_KIND: dict[str, Callable[[Rig], Recipe]] = {
-    "chirp": lambda rig: _chirp(rig, LogChirp),
-    "linear_chirp": lambda rig: _chirp(rig, LinearChirp),
-    "multisine": _multisine,
-    "prbs": _prbs,
-    "step": _step,
-    "doublet": lambda rig: _pulse(rig, Doublet),
-    "pulse": lambda rig: _pulse(rig, Pulse),
-    "sine": _sine,
-    "stepped_sine": _stepped_sine,
-    "noise": _noise,
-    "moves": _moves,
-}
-"""What makes the recipe of each word that ``excitation.kind`` may be."""
+def _typed(value: object) -> str:
+    """Return a value as a shell and YAML read it."""
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_typed, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)

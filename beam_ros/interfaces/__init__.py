@@ -1,1 +1,1 @@
-"""What the rooms agree on: the graph of nodes and topics, and the schema of the parameters."""
+"""What the rooms agree on: the graph of nodes and topics, and the table of the rig's parameters."""

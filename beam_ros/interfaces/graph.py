@@ -1,4 +1,4 @@
-"""The rig's graph as one table: nodes, topics, services, types and qualities of service.
+"""The rig's graph as one table: nodes, topics, services, types, qualities of service, and who reads what.
 
 Everything that names a topic reads it here: the nodes, the recorder, the bag writer, ``beam up``, the launch
 file, the viewers' layouts and the tests. Names are relative, so that a namespace moves the whole rig. The
@@ -7,8 +7,10 @@ table is data; nothing here needs ROS.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
+
+from beam_ros.interfaces.rig_parameters import GROUPS
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -88,7 +90,9 @@ class Node:
     ----------
     executable : str -- what ``ros2 run beam_ros ...`` and ``beam run ...`` start
     name : str -- name on the graph; the simulator and the driver are both ``hub``
-    publishes, subscribes, serves : tuple of str -- names in TOPICS and SERVICES
+    publishes, subscribes : tuple of str -- names in TOPICS; some only at certain values of the parameters
+    serves, calls : tuple of str -- names in SERVICES
+    parameters : tuple of str -- names in RIG_PARAMETERS: those that the node reads, which it declares
     meaning : str -- one line
     """
 
@@ -97,7 +101,9 @@ class Node:
     publishes: tuple[str, ...]
     subscribes: tuple[str, ...]
     serves: tuple[str, ...]
+    parameters: tuple[str, ...]
     meaning: str
+    calls: tuple[str, ...] = ()
 
 
 _DATA = QualityOfService(depth=1000)
@@ -242,6 +248,29 @@ _HUB_PUBLISHES = (
 )
 _HUB_SERVES = ("hub/enable", "hub/home", "hub/stop", "hub/clear_fault")
 _CAMERA = ("camera/image_raw", "camera/camera_info")
+_RECORDED = tuple(name for name, topic in TOPICS.items() if not topic.is_drawing)
+
+
+def _group(group: str, *left_out: str) -> tuple[str, ...]:
+    """Return the names of a group's parameters, without some of its fields."""
+    return tuple(f"{group}.{field.name}" for field in fields(GROUPS[group]) if field.name not in left_out)
+
+
+_BEAM = (*_group("beam", "max_root_strain"), "markers.heights", "markers.masses", "hub.mass")
+"""What the model of the beam is made from."""
+
+_AXIS = _group("hub", "mass", "max_tip_deflection", "applied_hold", "measured_hold")
+"""What the hub can do and how it is commanded."""
+
+_GUARD = ("hub.max_tip_deflection", "beam.max_root_strain")
+"""What the hub may do to the beam, besides ``hub.max_effort``."""
+
+_FILM = (
+    *("markers.names", "markers.diameter", "tracker.polarity"),
+    *_group("camera", "name", "focus"),
+    *("simulation.realistic", "simulation.displacement_noise", "simulation.seed"),
+)
+"""What a simulated camera shows of the beam."""
 
 NODES: dict[str, Node] = {
     node.executable: node
@@ -252,6 +281,7 @@ NODES: dict[str, Node] = {
             (*_HUB_PUBLISHES, *_CAMERA, "beam/displacement", "/clock"),
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
+            (*_BEAM, *_AXIS, *_GUARD, *_FILM, "simulation.images", "simulation.real_time_factor"),
             "the beam on its hub, integrated in real time, and the camera that films it",
         ),
         Node(
@@ -260,6 +290,7 @@ NODES: dict[str, Node] = {
             _HUB_PUBLISHES,
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
+            (*_BEAM, *_AXIS, *_GUARD, *_group("serial")),
             "the motion controller behind a serial port",
         ),
         Node(
@@ -268,6 +299,7 @@ NODES: dict[str, Node] = {
             (*_CAMERA, "/diagnostics"),
             (),
             (),
+            (*_BEAM, *_AXIS, *_FILM, *_group("emulator")),
             "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
         ),
         Node(
@@ -276,26 +308,44 @@ NODES: dict[str, Node] = {
             ("beam/displacement", "beam/markers", "beam/shape", "tracker/debug_image", "/diagnostics"),
             (*_CAMERA, "hub/state"),
             ("tracker/reset", "tracker/capture_point", "tracker/fit_calibration", "tracker/tare"),
+            (
+                *_BEAM,
+                *("markers.names", "markers.diameter", "hub.encoder_resolution", "hub.max_tip_deflection"),
+                *_group("camera"),
+                *_group("tracker"),
+            ),
             "sub-pixel positions of the markers in the camera's frames",
         ),
         Node(
             "excitation_generator",
             "excitation",
             ("hub/sequence", "excitation/info", "/diagnostics"),
-            ("hub/sequence_state", "hub/state"),
+            ("hub/sequence_state",),
             ("excitation/start", "excitation/stop"),
+            (
+                *(*_BEAM, *_GUARD, "hub.travel", "hub.max_speed", "hub.max_acceleration", "hub.max_effort"),
+                *("hub.command_mode", "hub.period", *_group("excitation")),
+            ),
             "chirps, multisines and steps for the hub, checked against its limits",
+            calls=("hub/stop",),
         ),
         Node(
             "bag_recorder",
             "recorder",
             ("recorder/state", "/diagnostics"),
-            (),
+            _RECORDED,
             ("recorder/start", "recorder/stop"),
+            _group("recorder"),
             "every topic but the images into one bag",
         ),
         Node(
-            "bag_player", "player", ("/diagnostics",), (), (), "a bag back onto its topics; commands left out"
+            "bag_player",
+            "player",
+            _RECORDED,
+            (),
+            (),
+            _group("player"),
+            "a bag back onto its topics; commands left out",
         ),
         Node(
             "identifier",
@@ -303,6 +353,7 @@ NODES: dict[str, Node] = {
             ("identification/result", "/diagnostics"),
             (),
             ("identifier/identify",),
+            _group("identifier"),
             "continuous-time model with common poles from a recorded bag",
         ),
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from beam_ros.errors import ParameterFileError, likeliest
+from beam_ros.errors import ParameterFileError, likeliest, suggestion
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
@@ -40,6 +40,8 @@ class Parameter:
     minimum, maximum : float or None -- inclusive limits, for every element of a list
     choices : tuple of str -- the allowed words, empty where any text will do
     is_live : bool -- may be changed while a node runs
+    within : (str, float) or None
+        A parameter and the share of it that the magnitude may reach: a range that another parameter gives.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Parameter:
     maximum: float | None
     choices: tuple[str, ...]
     is_live: bool
+    within: tuple[str, float] | None
 
     def expectation(self) -> str:
         """Say in words which values are allowed."""
@@ -108,8 +111,8 @@ class Parameter:
         has_unit = self.unit not in ("", "1")
         unit = f" {self.unit}" if has_unit and isinstance(value, (int, float)) else ""
         remedy = f"; give it in {self.unit}" if has_unit else ""
-        if isinstance(value, str) and (near := likeliest(value, self.choices)):
-            remedy = f"; did you mean {near}?"
+        if isinstance(value, str) and likeliest(value, self.choices):
+            remedy = f"; {suggestion(value, self.choices)}"
         return ParameterFileError(f"{self.name} is {seen}{unit}: expected {self.expectation()}{remedy}")
 
 
@@ -121,9 +124,10 @@ def setting(
     *,
     choices: tuple[str, ...] = (),
     is_live: bool = False,
+    within: tuple[str, float] | None = None,
 ) -> Any:
     """Describe a field of a group; its arguments are those of ``Parameter``, and its default stands in rig.yaml."""
-    row = Parameter("", None, description, unit, minimum, maximum, choices, is_live)
+    row = Parameter("", None, description, unit, minimum, maximum, choices, is_live, within)
     return field(metadata={"parameter": row})
 
 

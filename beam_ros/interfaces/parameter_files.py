@@ -61,14 +61,26 @@ def parameter_sections(path: Path) -> dict[str, Mapping[str, Any]]:
     document = read_yaml(path)
     if not isinstance(document, Mapping) or not document:
         raise ParameterFileError(f"{path}: holds no parameters; {_SHAPE}")
-    sections = {}
-    for node, section in document.items():
-        if not isinstance(section, Mapping) or set(section) != {"ros__parameters"}:
-            raise ParameterFileError(f"{path}: section {node!r} is no set of ROS parameters; {_SHAPE}")
-        if not isinstance(section["ros__parameters"], Mapping):
-            raise ParameterFileError(f"{path}: section {node!r} has an empty `ros__parameters:`; {_SHAPE}")
-        sections[str(node)] = section["ros__parameters"]
-    return sections
+    try:
+        return dict(_sections(document))
+    except ParameterFileError as err:
+        raise ParameterFileError(f"{path}: {err}; {_SHAPE}") from err
+
+
+def _sections(tree: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield what stands below every ``ros__parameters:``, whose node may be named at several levels."""
+    for key, section in tree.items():
+        name = f"{prefix}{key}"
+        if not isinstance(section, Mapping) or not section:
+            raise ParameterFileError(f"section {name!r} is no set of ROS parameters")
+        if "ros__parameters" not in section:
+            yield from _sections(section, f"{name}/")
+        elif not isinstance(section["ros__parameters"], Mapping):
+            raise ParameterFileError(f"section {name!r} has an empty `ros__parameters:`")
+        elif len(section) > 1:
+            raise ParameterFileError(f"section {name!r} holds more than `ros__parameters:`")
+        else:
+            yield name, section["ros__parameters"]
 
 
 def parameters_in_file(path: Path) -> dict[str, Value]:

@@ -8,10 +8,11 @@ documentation prints them, so that ``--params-file`` and ``beam --rig-file`` mea
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, get_type_hints
+from typing import Any, Literal, get_type_hints
 
+from beam_ident.excitation import RECIPES
 from beam_ros.errors import ParameterFileError, likeliest
 from beam_ros.interfaces.parameter import Parameter, Value, live, parameters_of, setting
 
@@ -70,7 +71,7 @@ class HubSettings:
     measured_hold: Literal["linear", "cubic"] = setting("between ticks, of the position")
     period: float = setting("tick of the device", "s", 0.0001, 0.1)
     watchdog: float = setting("silence until the device stops by itself", "s", 0.05, 5.0)
-    homing_speed: float = setting("speed while homing", "m/s", 0.001, 1.0)
+    homing_speed: float = setting("speed while homing", "m/s", 0.001, 1.0, within=("hub.max_speed", 1.0))
 
 
 @dataclass(frozen=True)
@@ -153,32 +154,17 @@ class SimulationSettings:
 class ExcitationSettings:
     """The signal that moves the hub; docs/excitation.md says what each kind reads."""
 
-    kind: str = live(
-        "signal",
-        choices=(
-            "chirp",
-            "linear_chirp",
-            "multisine",
-            "prbs",
-            "step",
-            "doublet",
-            "pulse",
-            "sine",
-            "stepped_sine",
-            "noise",
-            "moves",
-        ),
-    )
-    acceleration: float = live("amplitude", "m/s^2", 0.0001, 1e3)
-    max_displacement: float = live("amplitude at low frequency", "m", 1e-6, 5.0)
+    kind: str = live("signal", choices=tuple(RECIPES))
+    acceleration: float = live("amplitude", "m/s^2", 0.0001, 1e3, within=("hub.max_acceleration", 1.0))
+    max_displacement: float = live("amplitude at low frequency", "m", 1e-6, 5.0, within=("hub.travel", 0.5))
     start_frequency: float = live("lowest frequency", "Hz", 0.001, 1e4)
     end_frequency: float = live("highest frequency", "Hz", 0.001, 1e4)
     duration: float = live("excitation", "s", 0.01, 3600.0)
     still: float = live("still hub afterwards", "s", 0.0, 3600.0)
-    step_size: float = live("displacement of the step", "m", -1.0, 1.0)
+    step_size: float = live("displacement of the step", "m", -1.0, 1.0, within=("hub.travel", 0.5))
     rise_time: float = live("of the step", "s", 0.001, 60.0)
     seed: int = live("of random phases, lines and noise", "", 0, 2**31 - 1)
-    max_velocity: float = live("amplitude; 0: no ceiling", "m/s", 0.0, 10.0)
+    max_velocity: float = live("amplitude; 0: no ceiling", "m/s", 0.0, 10.0, within=("hub.max_speed", 1.0))
     max_jerk: float = live("refused above; 0: no limit", "m/s^3", 0.0, 1e9)
     line_period: float = live("of the multisine; 0: near 10 s, a part of the duration", "s", 0.0, 3600.0)
     lines: Literal["full", "odd", "random_odd"] = live("of the multisine")
@@ -187,7 +173,9 @@ class ExcitationSettings:
     drive: Literal["acceleration", "velocity", "position"] = live(
         "quantity whose levels prbs, pulse and doublet set"
     )
-    speed: float = live("level in velocity; largest of the moves", "m/s", 1e-6, 10.0)
+    speed: float = live(
+        "level in velocity; largest of the moves", "m/s", 1e-6, 10.0, within=("hub.max_speed", 1.0)
+    )
     edge_time: float = live("smooth edges of prbs, pulse, doublet", "s", 0.0, 60.0)
     clock_period: float = live("of the prbs", "s", 1e-5, 60.0)
     order: int = live("of the prbs: 2^order - 1 clocks", "", 3, 18)
@@ -198,7 +186,9 @@ class ExcitationSettings:
     frequencies: tuple[float, ...] = live("of the stepped sine, in turn", "Hz", 0.001, 1e4)
     settle_cycles: float = live("of the stepped sine", "1", 0.0, 1e5)
     measure_cycles: int = live("of the stepped sine", "", 1, 100_000)
-    waypoints: tuple[float, ...] = live("of the moves; the last is 0", "m", -1.0, 1.0)
+    waypoints: tuple[float, ...] = live(
+        "of the moves; the last is 0", "m", -1.0, 1.0, within=("hub.travel", 0.5)
+    )
     profile: Literal["bounded_jerk", "quintic", "cycloidal"] = live("of the moves")
     jerk: float = live("largest of the moves", "m/s^3", 0.001, 1e6)
     dwell: float = live("rest at every way-point", "s", 0.0, 3600.0)
@@ -253,6 +243,11 @@ class RigParameters:
     player: PlayerSettings
     identifier: IdentifierSettings
 
+    def __getitem__(self, name: str) -> Any:
+        """Return a parameter's value by its dotted name, for whoever goes through the whole table."""
+        group, _, leaf = name.partition(".")
+        return getattr(getattr(self, group), leaf)
+
 
 GROUPS = get_type_hints(RigParameters)
 """The class of each group by the group's name."""
@@ -287,14 +282,24 @@ def _unknown_parameter(name: str) -> ParameterFileError:
     return ParameterFileError(f"unknown parameter {name}: {hint}")
 
 
-def check_relations(rig: RigParameters) -> None:
+def check_relations(rig: RigParameters, given: Iterable[str] = ()) -> None:
     """Check what no single parameter can say of itself.
+
+    Parameters
+    ----------
+    rig : RigParameters
+    given : iterable of str
+        Names that are being set. What another parameter limits is checked where it is set, so that a smaller
+        hub does not forbid a rig whose excitation nobody has asked for.
 
     Raises
     ------
     ParameterFileError
-        Lists of markers of unequal length, heights out of order or above the tip, a band upside down.
+        Lists of markers of unequal length, heights out of order or above the tip, a band upside down, a magnitude
+        beyond the hub's limit.
     """
+    for name in given:
+        _check_within(rig, RIG_PARAMETERS[name])
     names, heights = rig.markers.names, rig.markers.heights
     for key, column in vars(rig.markers).items():
         if isinstance(column, tuple) and len(column) != len(names):
@@ -328,4 +333,19 @@ def check_relations(rig: RigParameters) -> None:
         raise ParameterFileError(
             f"excitation.start_frequency is {start:g} Hz and excitation.end_frequency {end:g} Hz: expected "
             "the start below the end"
+        )
+
+
+def _check_within(rig: RigParameters, parameter: Parameter) -> None:
+    if parameter.within is None:
+        return
+    limiting, share = parameter.within
+    limit = share * rig[limiting]
+    value = rig[parameter.name]
+    largest = max(map(abs, value)) if isinstance(value, tuple) else abs(value)
+    if largest > limit:
+        part = "" if share == 1.0 else f"{share:g} times "
+        raise ParameterFileError(
+            f"{parameter.name} is {largest:g} {parameter.unit}: expected at most {limit:g} {parameter.unit}, "
+            f"{part}{limiting}; lower it, or set {limiting} to what the axis can do"
         )

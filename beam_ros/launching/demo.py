@@ -163,7 +163,7 @@ def _measure_and_identify(rig: Rig, client: RigClient, length_s: float) -> dict[
                 f"the sequence ended as {client.sequence['state']}: {client.sequence['reason']}; expected done"
             )
         stage.finish(
-            f"{recipe_of_rig(rig).duration_s - rig.excitation.still:g} s of excitation, then "
+            f"{recipe_of_rig(rig).total_s - rig.excitation.still:g} s of excitation, then "
             f"{rig.excitation.still:g} s still"
         )
     with Progress("record", 1.0) as stage:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
-from beam_ros.errors import RigUnavailableError, UsageError
+from beam_ros.errors import RigUnavailableError, UsageError, suggestion
 from beam_ros.interfaces.graph import NODES, RigKind
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
@@ -212,7 +212,7 @@ class NodeGroup:
         """
         if executable not in NODES:
             raise RigUnavailableError(
-                f"unknown node {executable!r}: expected one of {', '.join(sorted(NODES))}; `beam run --help` "
+                f"unknown node {executable!r} ({suggestion(executable, NODES)}); `beam run --help` "
                 "explains them"
             )
         self.log_folder.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,6 @@ from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
 from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
 from beam_ros.hub.sequences import MAX_CHUNK_POINTS
-from beam_ros.interfaces import graph
 from beam_ros.messages import MessageContentError
 from beam_ros.shell.node import RigNode, run_node
 
@@ -42,9 +41,7 @@ class ExcitationGenerator(RigNode):
         group = ReentrantCallbackGroup()
         self.serve("excitation/start", self._on_start, callback_group=group)
         self.serve("excitation/stop", self._on_stop, callback_group=group)
-        self._hub_stop = self.create_client(
-            self.types.service_class(graph.TRIGGER), "hub/stop", callback_group=group
-        )
+        self._hub_stop = self.call_of("hub/stop", callback_group=group)
         self.create_timer(_TICK_S, self._send)
         self._plan = plan_excitation(self.rig)
         self._publish_info(self._plan, {})

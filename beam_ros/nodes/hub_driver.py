@@ -29,7 +29,8 @@ def _connect(rig: Rig) -> Hub:
     end = time.monotonic() + rig.serial.patience
     while not port.exists() and time.monotonic() < end and rclpy.ok():
         time.sleep(_LOOK_AGAIN_S)
-    return DriverHub(rig.hub_parameters(), guard=tip_guard(rig))
+    parameters = rig.hub_parameters(serial_port=rig.serial.port, serial_baud=rig.serial.baud)
+    return DriverHub(parameters, guard=tip_guard(rig))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -32,12 +32,12 @@ from beam_ident import (
     run_estimator,
     validate,
 )
-from beam_ident.excitation import describe_recipe
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
+from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.process.folders import make_folder
 from beam_ros.process.strict_json import strict_json
@@ -454,10 +454,9 @@ def _write(folder: Path, experiment: Experiment, result: Result, content: dict[s
 
 def _provenance(experiment: Experiment) -> dict[str, str]:
     rig = experiment.rig
-    recipe = experiment.info.get("recipe", {})
     return {
         "bag": str(experiment.path),
-        "excitation": describe_recipe(recipe),
+        "excitation": describe_excitation(experiment.info),
         "hub": f"commanded in {experiment.info.get('mode', rig.hub.command_mode)}, "
         f"encoder {rig.hub.encoder_resolution * 1e6:g} um",
         "camera": f"{rig.camera.rate:g} frames/s, exposure {rig.camera.exposure * 1e3:g} ms",

@@ -74,8 +74,9 @@ class Rig(RigParameters):
             A name is unknown or a value wrong.
         """
         try:
-            rig = self._of({**self.values, **check_parameters(changes)})
-            check_relations(rig)
+            checked = check_parameters(changes)
+            rig = self._of({**self.values, **checked})
+            check_relations(rig, [name for name in checked if rig[name] != self[name]])
         except ParameterFileError as err:
             raise ParameterFileError(f"{source}{err}") from err
         return rig
@@ -174,12 +175,12 @@ class Rig(RigParameters):
 
         return NonlinearTerms(self.beam_model(), AirDrag(self.beam.width))
 
-    def hub_parameters(self, **simulated: Any) -> HubParameters:
+    def hub_parameters(self, **more: Any) -> HubParameters:
         """The axis and its controller.
 
         Parameters
         ----------
-        **simulated -- what only a simulated or emulated device has, such as ``clock_drift_ppm``
+        **more -- how a real device is reached, or what only a simulated one has, such as ``clock_drift_ppm``
         """
         from beam_ros.hub.parameters import HubParameters
 
@@ -193,9 +194,7 @@ class Rig(RigParameters):
             period_ns=round(self.hub.period * 1e9),
             watchdog_s=self.hub.watchdog,
             homing_speed=self.hub.homing_speed,
-            serial_port=self.serial.port,
-            serial_baud=self.serial.baud,
-            **simulated,
+            **more,
         )
 
     def camera_parameters(self) -> CameraParameters:

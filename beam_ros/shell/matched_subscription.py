@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from beam_ros.interfaces.graph import QualityOfService, Topic
-from beam_ros.shell.node import RigNode, qos_profile
+from beam_ros.shell.node import RigNode
 
 
 class MatchedSubscription:
@@ -56,13 +56,7 @@ class MatchedSubscription:
             self._subscribe()
 
     def _subscribe(self) -> None:
-        self._subscription = self._node.create_subscription(
-            self._node.types.message_class(self._topic.type_name),
-            self._topic.name,
-            self._callback,
-            qos_profile(self._qos),
-            raw=self._raw,
-        )
+        self._subscription = self._node.listen(self._topic.name, self._callback, self._qos, raw=self._raw)
 
     def close(self) -> None:
         """Give the subscription up."""

@@ -1,12 +1,13 @@
 """What every node of the rig shares: its start and end, its parameters, its topics and its diagnostics.
 
 A node file adds wiring and callbacks of a few lines to ``RigNode`` and hands its class to ``run_node``.
-Parameters come from the one schema, topics and services from the one table, so that no node can spell either
-differently.
+Parameters, topics and services come from the tables of ``beam_ros.interfaces``, so that no node can spell them
+differently, and a node declares the parameters that it reads and no others.
 """
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -15,6 +16,8 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.client import Client
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -25,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from beam_ros import messages
-from beam_ros.errors import ParameterFileError, RigError, UsageError, faults_of_the_user
+from beam_ros.errors import ParameterFileError, RigError, UsageError, faults_of_the_user, suggestion
 from beam_ros.interfaces import graph
 from beam_ros.interfaces.parameter import Parameter
 from beam_ros.interfaces.parameter_files import parameter_sections
@@ -55,7 +58,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         description=f"{parameter.description}{unit}",
         additional_constraints=parameter.expectation(),
         read_only=not parameter.is_live,
-        dynamic_typing=True,
     )
     if parameter.minimum is not None and parameter.maximum is not None:
         if parameter.kind is float:
@@ -76,7 +78,7 @@ class RigNode(Node):  # type: ignore[misc]
 
     Attributes
     ----------
-    rig : Rig -- the parameters this node was started with, checked
+    rig : Rig -- the parameters in force, checked; those of other nodes as this node's file gives them
     types : RosTypes -- rclpy's message classes, as the message builders want them
 
     Raises
@@ -90,6 +92,7 @@ class RigNode(Node):  # type: ignore[misc]
         super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True)
         self.types = RosTypes()
         self.rig = self._declare_parameters()
+        self.add_pre_set_parameters_callback(self._in_their_types)
         self.add_on_set_parameters_callback(self._check_new_values)
         self._diagnostics = self.offer("/diagnostics")
         self.create_timer(1.0, self._publish_diagnostics)
@@ -102,41 +105,73 @@ class RigNode(Node):  # type: ignore[misc]
             and not name.startswith("qos_overrides.")
         }
         rig = Rig.from_file().with_values({name: _plain(value) for name, value in given.items()})
-        for name, value in rig.values.items():
-            descriptor = _descriptor(RIG_PARAMETERS[name])
-            if name in given:
-                self.set_descriptor(name, descriptor)
-            else:
-                self.declare_parameter(name, value, descriptor)
+        for name in given:
+            self.undeclare_parameter(name)
+        for name in self.row.parameters:
+            self.declare_parameter(name, rig[name], _descriptor(RIG_PARAMETERS[name]), ignore_override=True)
         return rig
+
+    def _in_their_types(self, parameters: list[RosParameter]) -> list[RosParameter]:
+        """Return new values in their parameters' types; what cannot be one is refused in the next steps."""
+        taken = []
+        for parameter in parameters:
+            name = parameter.name
+            if not self.has_parameter(name):
+                raise ParameterNotDeclaredException(f"{name} ({suggestion(name, self.row.parameters)})")
+            if name in RIG_PARAMETERS:
+                with contextlib.suppress(ParameterFileError):
+                    value = RIG_PARAMETERS[name].check(_plain(parameter.value))
+                    parameter = RosParameter(name, value=value)
+            taken.append(parameter)
+        return taken
 
     def _check_new_values(self, parameters: list[RosParameter]) -> SetParametersResult:
         try:
-            self.rig = self.rig.with_values({p.name: _plain(p.value) for p in parameters})
+            new = {p.name: _plain(p.value) for p in parameters if p.name in RIG_PARAMETERS}
+            self.rig = self.rig.with_values(new)
         except ParameterFileError as err:
             return SetParametersResult(successful=False, reason=str(err))
         return SetParametersResult(successful=True)
 
     def offer(self, topic: str) -> Publisher:
         """Create the publisher of a topic of the table that this node may publish."""
-        if topic not in self.row.publishes:
-            raise ValueError(f"{self.row.executable} publishes {self.row.publishes}, not {topic}")
+        _require(topic, self.row.publishes, f"{self.row.executable} publishes")
         row = graph.TOPICS[topic]
         return self.create_publisher(self.types.message_class(row.type_name), topic, qos_profile(row.qos))
 
-    def listen(self, topic: str, callback: Callable[..., None], **options: Any) -> Subscription:
-        """Create the subscription of a topic of the table; ``raw=True`` hands over the wire's bytes."""
+    def listen(
+        self,
+        topic: str,
+        callback: Callable[..., None],
+        qos: graph.QualityOfService | None = None,
+        **options: Any,
+    ) -> Subscription:
+        """Create the subscription of a topic of the table; ``raw=True`` hands over the wire's bytes.
+
+        Parameters
+        ----------
+        topic : str -- name in the table
+        callback : callable -- takes a message
+        qos : QualityOfService, optional -- by default the table's
+        **options -- for rclpy
+        """
+        _require(topic, self.row.subscribes, f"{self.row.executable} subscribes to")
         row = graph.TOPICS[topic]
         return self.create_subscription(
-            self.types.message_class(row.type_name), topic, callback, qos_profile(row.qos), **options
+            self.types.message_class(row.type_name), topic, callback, qos_profile(qos or row.qos), **options
         )
 
     def serve(self, service: str, callback: Callable[..., Any], **options: Any) -> Service:
         """Create a service of the table that this node may serve."""
-        if service not in self.row.serves:
-            raise ValueError(f"{self.row.executable} serves {self.row.serves}, not {service}")
+        _require(service, self.row.serves, f"{self.row.executable} serves")
         row = graph.SERVICES[service]
         return self.create_service(self.types.service_class(row.type_name), service, callback, **options)
+
+    def call_of(self, service: str, **options: Any) -> Client:
+        """Create the client of a service of the table that this node may call."""
+        _require(service, self.row.calls, f"{self.row.executable} calls")
+        row = graph.SERVICES[service]
+        return self.create_client(self.types.service_class(row.type_name), service, **options)
 
     def now_ns(self) -> int:
         """Now by the node's clock [ns, UNIX unless simulated time is in use]."""
@@ -156,8 +191,13 @@ class RigNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(messages.diagnostics(self.types, self.now_ns(), [status]))
 
 
+def _require(name: str, names: tuple[str, ...], who: str) -> None:
+    if name not in names:
+        raise ValueError(f"{who} {names}, not {name}: add it to the node's row in interfaces.graph")
+
+
 def _plain(value: Any) -> object:
-    """Turn rclpy's array types into lists, which the schema knows."""
+    """Turn rclpy's array types into lists, which the table knows."""
     return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
@@ -218,17 +258,18 @@ def _initialise(arguments: list[str]) -> None:
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     for path in files:
         parameter_sections(Path(path))
-    surplus = remove_ros_args(arguments)[1:]
-    if surplus:
-        raise UsageError(
-            f"unknown arguments {' '.join(surplus)}: expected --ros-args [-p name:=value] [--params-file FILE] "
-            "[-r from:=to]"
-        )
     try:
-        rclpy.init(args=arguments)
+        surplus = remove_ros_args(arguments)[1:]
+        if not surplus:
+            rclpy.init(args=arguments)
     except Exception as err:
         reason = str(err).splitlines()[0] if str(err) else type(err).__name__
         raise RigError(
             f"ROS refuses the arguments {' '.join(arguments[1:])}: {reason}; expected "
             "--ros-args [-p name:=value] [--params-file FILE] [-r from:=to]"
         ) from err
+    if surplus:
+        raise UsageError(
+            f"unknown arguments {' '.join(surplus)}: expected --ros-args [-p name:=value] [--params-file FILE] "
+            "[-r from:=to]"
+        )

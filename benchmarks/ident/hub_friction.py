@@ -25,7 +25,7 @@ class FrictionCase(AgainstBound):
     def __init__(self, viscous_friction: float = 0.4, chirp: LogChirp | None = None) -> None:
         self.hub = ForcedHub(viscous_friction=viscous_friction)
         mass = float(self.hub.model.matrices.M[0, 0])
-        self.forces = mass * (chirp or LogChirp(end_hz=45.0)).sample(PERIOD_S).accelerations
+        self.forces = mass * (chirp or LogChirp(end_frequency=45.0)).sample(PERIOD_S).accelerations
         _, self.stamps, self.clean = self.hub.film(self.forces)
         A, scale = self.hub.A, self.hub.scale
         poles = np.linalg.eigvals(A * scale[:, None] / scale)

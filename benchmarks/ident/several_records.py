@@ -124,7 +124,7 @@ class TwoFilms(AgainstBound):
     rate_sd = 50e-6  # what identify() takes the clocks' rate to be known to
 
     def __init__(self) -> None:
-        chirp = LogChirp(start_hz=1.0, end_hz=45.0, sweep_s=6.0, still_s=3.0).sample(1e-3)
+        chirp = LogChirp(start_frequency=1.0, end_frequency=45.0, duration=6.0, still=3.0).sample(1e-3)
         self.hub = chirp.input_signal("position", "hub")
         self.stamps = 0.01 * np.arange(1, 890)
         self.clean = self.model.simulate(self.hub, self.stamps, self.exposure_s)

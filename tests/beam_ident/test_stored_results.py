@@ -31,7 +31,7 @@ def stored() -> dict[str, Any]:
         "frequency_record": lines,
         "frequency record with gaps": dataclasses.replace(lines, response=gap, degrees_of_freedom=np.inf),
         "frequency record without variances": FrequencyRecord([1.0, 2.0], [1.0 + 2.0j, -0.0 - 1e-300j]),
-        "recipe": LogChirp(start_hz=0.1 + 0.2),
+        "recipe": LogChirp(start_frequency=0.1 + 0.2),
     }
 
 

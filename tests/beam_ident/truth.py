@@ -15,7 +15,7 @@ RESIDUES = np.array([[0.011, -0.055, 0.1], [1.1, 0.12, -0.35], [1.5, -0.75, 0.33
 RESIDUAL_TERMS = np.array([1e-7, -2e-7, 5e-7])
 EXPOSURE_S = 5e-3
 PERIOD_S = 1e-3
-SHORT_CHIRP = LogChirp(sweep_s=10.0, still_s=4.0)  # half the rig's own, to keep the tests quick
+SHORT_CHIRP = LogChirp(duration=10.0, still=4.0)  # half the rig's own, to keep the tests quick
 
 
 def _integrals(matrix: np.ndarray, accelerations: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 
+from beam_ros.cli.options import one_of
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import SERVICES, SET_BOOL
 
@@ -16,7 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     width = max(map(len, SERVICES))
     rows = (f"  {name:<{width}}  {row.meaning}" for name, row in SERVICES.items())
     parser.epilog = "services:\n" + "\n".join(rows)
-    parser.add_argument("service", metavar="SERVICE", choices=SERVICES, help="which service (listed below)")
+    parser.add_argument(
+        "service", metavar="SERVICE", type=one_of("service", SERVICES), help="which service (listed below)"
+    )
     parser.add_argument("value", nargs="?", choices=["true", "false"], help="for hub/enable")
     parser.add_argument("--namespace", default="", help="ROS namespace of the rig")
     parser.add_argument("--timeout", type=float, default=60.0, help="patience in seconds (default: 60)")

@@ -9,8 +9,8 @@ from typing import Any
 
 from beam_ident.design.prediction import half_power_bands, resolution_warning
 from beam_ident.design.summary import excitation_report
-from beam_ident.excitation import describe_recipe
 from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.excitation.recipes import KINDS, describe_excitation
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
@@ -18,6 +18,10 @@ from beam_ros.rig.rig import Rig
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     add_rig_file(parser)
+    width = max(map(len, KINDS))
+    parser.epilog = "kinds of excitation, and what each reads of excitation.*:\n" + "\n".join(
+        f"  {name:<{width}}  {' '.join(kind.reads)}" for name, kind in KINDS.items()
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -50,6 +54,7 @@ def describe_design(rig: Rig) -> dict[str, Any]:
     )
     peaks = sampled.peaks()
     return {
+        "excitation": describe_excitation(plan.info(rig)),
         "recipe": plan.recipe.to_dict(),
         "mode": plan.mode,
         "samples": len(plan.values),
@@ -92,7 +97,7 @@ def _text(design: dict[str, Any]) -> str:
     crests = ", ".join(f"{level['quantity']} {level['crest_factor']:.2f}" for level in design["levels"])
     low, high = design["band_hz"]
     lines = [
-        describe_recipe(design["recipe"]),
+        design["excitation"],
         f"{design['samples']} samples over {design['duration']:.3f} s, commanded in {design['mode']}, from {low:.3g} "
         f"to {high:.3g} Hz",
         f"crest factors: {crests}",

@@ -7,9 +7,9 @@ import math
 from datetime import datetime, timezone
 from pathlib import Path
 
-from beam_ident.excitation import describe_recipe
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import BagInfo, summarise
+from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.process.strict_json import strict_json
 
 
@@ -61,6 +61,5 @@ def _text(info: BagInfo) -> str:
             )
     lines += [f"  sequence {sequence}" for sequence in info.sequences]
     if info.excitation:
-        recipe = info.excitation.get("recipe", {})
-        lines.append(f"  excitation {describe_recipe(recipe)}")
+        lines.append(f"  excitation {describe_excitation(info.excitation)}")
     return "\n".join(lines)

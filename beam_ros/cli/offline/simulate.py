@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ros.excitation.recipes import recipe_of_rig
     from beam_ros.offline.simulation import simulate
 
-    length_s = recipe_of_rig(rig).duration_s
+    length_s = recipe_of_rig(rig).total_s
     with Progress("simulate", length_s, "s") as stage:
 
         def show(done_s: float, total_s: float) -> None:

@@ -44,7 +44,7 @@ def model(structure="base_motion", frequency=4.0, zeta=0.01, gain=1.0):
 
 @pytest.mark.parametrize("structure", ["base_motion", "velocity", "acceleration"])
 def test_a_resonant_sine_is_predicted_at_its_closed_form(structure):
-    sine = Sine(frequency_hz=4.0, acceleration=0.1, n_cycles=400.0, fade_cycles=10.0, still_s=1.0).sample()
+    sine = Sine(start_frequency=4.0, acceleration=0.1, duration=100.0, fade_cycles=10.0, still=1.0).sample()
     root, tip = predict_amplitudes(sine, model(structure))
     # Steady state at resonance: w = a / (2 zeta omega^2), a quarter of a period behind the hub's a / omega^2.
     still = 0.1 / (2 * np.pi * 4.0) ** 2
@@ -55,14 +55,14 @@ def test_a_resonant_sine_is_predicted_at_its_closed_form(structure):
 
 
 def test_a_force_is_predicted_on_a_receptance():
-    held = Sine(frequency_hz=4.0, acceleration=0.1, n_cycles=400.0, still_s=1.0).sample_input(scale=2.0)
+    held = Sine(start_frequency=4.0, acceleration=0.1, duration=100.0, still=1.0).sample_input(scale=2.0)
     assert np.max(np.abs(held.values)) == pytest.approx(0.2, rel=3e-3)  # the ramps overshoot a little
     tip = predict_amplitudes(held, model("receptance"))[1]
     assert tip.peak == pytest.approx(0.2 / (2 * 0.01 * (2 * np.pi * 4.0) ** 2), rel=2e-3)
 
 
 def test_limits_are_named_with_what_would_do():
-    chirp = LogChirp(start_hz=1.0, end_hz=10.0, sweep_s=5.0, still_s=1.0).sample()
+    chirp = LogChirp(start_frequency=1.0, end_frequency=10.0, duration=5.0, still=1.0).sample()
     peak = predict_amplitudes(chirp, model())[1].peak
     predict_amplitudes(chirp, model(), limits={"tip": peak * 1.001})
     with pytest.raises(ExcitationLimitError, match=r"tip is predicted to reach .* by a factor of 0\.500"):
@@ -76,7 +76,7 @@ def test_limits_are_named_with_what_would_do():
 
 
 def test_a_motion_is_no_force():
-    step = Step(hold_s=1.0, still_s=1.0)
+    step = Step(duration=1.4, still=1.0)
     with pytest.raises(ExcitationError, match=r"use recipe\.sample_input"):
         predict_amplitudes(step.sample(), model("receptance"))
     with pytest.raises(ExcitationError, match=r"use recipe\.sample\(period_s\)"):
@@ -84,7 +84,7 @@ def test_a_motion_is_no_force():
 
 
 def test_a_scaled_force_leaves_a_free_mass_at_rest_at_home():
-    held = LogChirp(sweep_s=5.0, still_s=1.0).sample_input(scale=0.8)
+    held = LogChirp(duration=5.0, still=1.0).sample_input(scale=0.8)
     impulse = np.cumsum(held.values) * held.period_s
     assert abs(impulse[-1]) < 1e-12
     assert abs(np.sum(impulse)) < 1e-9
@@ -99,12 +99,12 @@ def test_a_scaled_force_leaves_a_free_mass_at_rest_at_home():
 @pytest.mark.parametrize(
     ("recipe", "spacing"),
     [
-        (LogChirp(sweep_s=20.0, still_s=10.0), 1 / 30),
-        (LinearChirp(sweep_s=20.0, still_s=0.0), 1 / 20),
-        (Multisine(line_period_s=10.0, n_periods=8), 0.1),
-        (Multisine(line_period_s=10.0, odd_only=True), 0.2),
-        (Prbs(order=10, clock_s=0.01, n_periods=4), 1 / 10.23),
-        (SteppedSine(frequencies_hz=(3.8, 4.3, 3.9)), 0.4),
+        (LogChirp(duration=20.0, still=10.0), 1 / 30),
+        (LinearChirp(duration=20.0, still=0.0), 1 / 20),
+        (Multisine(line_period=10.0, n_periods=8), 0.1),
+        (Multisine(line_period=10.0, lines="odd"), 0.2),
+        (Prbs(order=10, clock_period=0.01, n_periods=4), 1 / 10.23),
+        (SteppedSine(frequencies=(3.8, 4.3, 3.9)), 0.4),
     ],
 )
 def test_lines_are_counted_in_the_half_power_band(recipe, spacing):
@@ -120,7 +120,7 @@ def test_lines_are_counted_in_the_half_power_band(recipe, spacing):
 
 
 def test_a_long_record_resolves_the_mode_and_nobody_is_warned():
-    band = half_power_bands(LogChirp(sweep_s=45.0), [2 * np.pi * 4.0], [0.01])[0]
+    band = half_power_bands(LogChirp(duration=45.0), [2 * np.pi * 4.0], [0.01])[0]
     assert band.is_resolved
     assert resolution_warning([band]) is None
     with pytest.raises(ExcitationError, match="modes: 1 natural frequencies and 2 damping ratios"):
@@ -131,13 +131,13 @@ def test_a_long_record_resolves_the_mode_and_nobody_is_warned():
 
 def test_several_modes_that_are_not_resolved_share_one_warning():
     bands = half_power_bands(
-        Multisine(line_period_s=10.0), 2 * np.pi * np.array([4.0, 25.0, 30.0, 90.0]), [0.01] * 4
+        Multisine(line_period=10.0), 2 * np.pi * np.array([4.0, 25.0, 30.0, 90.0]), [0.01] * 4
     )
     text = str(resolution_warning(bands))
     # Half-power bands of 0.08, 0.5, 0.6 and 1.8 Hz: only the first holds fewer than four lines 0.1 Hz apart.
     assert text.startswith("mode at 4 Hz: 0.8 lines in its half-power band of 0.08 Hz")
     tighter = half_power_bands(
-        Multisine(line_period_s=2.0), 2 * np.pi * np.array([4.0, 25.0, 30.0]), [0.01] * 3
+        Multisine(line_period=2.0), 2 * np.pi * np.array([4.0, 25.0, 30.0]), [0.01] * 3
     )
     text = str(resolution_warning(tighter))
     assert text.startswith(
@@ -147,7 +147,7 @@ def test_several_modes_that_are_not_resolved_share_one_warning():
 
 
 def test_the_report_has_the_energy_the_band_and_the_levels_of_the_signal():
-    excitation = LogChirp(start_hz=2.0, end_hz=50.0, sweep_s=10.0, still_s=3.0).sample()
+    excitation = LogChirp(start_frequency=2.0, end_frequency=50.0, duration=10.0, still=3.0).sample()
     report = excitation_report(excitation)
     energy = np.sum(excitation.accelerations**2) * 1e-3
     step = report.frequencies_hz[1]
@@ -165,7 +165,7 @@ def test_the_report_has_the_energy_the_band_and_the_levels_of_the_signal():
 
 
 def test_the_report_warns_of_modes_it_does_not_resolve_or_reach():
-    excitation = LogChirp(start_hz=2.0, end_hz=50.0, sweep_s=10.0, still_s=3.0).sample()
+    excitation = LogChirp(start_frequency=2.0, end_frequency=50.0, duration=10.0, still=3.0).sample()
     report = excitation_report(excitation, model(frequency=4.0, zeta=0.005))
     assert len(report.warnings) == 1
     assert "half-power band" in report.warnings[0]
@@ -175,7 +175,7 @@ def test_the_report_warns_of_modes_it_does_not_resolve_or_reach():
     assert "outside the excited band" in beyond.warnings[0]
     assert "warning: mode at 80 Hz" in str(beyond)
     held = excitation_report(
-        Prbs(drive="force", amplitude=1.0, still_s=0.0).sample_input(), model("receptance")
+        Prbs(drive="force", amplitude=1.0, still=0.0).sample_input(), model("receptance")
     )
     assert held.levels[0].crest_factor == pytest.approx(1.0)
     assert held.levels[0].unit == "N"

@@ -72,7 +72,7 @@ def test_a_measured_step_scores_every_model():
 
 
 def test_modal_models_answer_a_smooth_step_of_their_base():
-    step = Step(distance=0.01, rise_s=0.1, hold_s=5.0, still_s=2.0).sample(2e-3)
+    step = Step(step_size=0.01, rise_time=0.1, duration=5.2, still=2.0).sample(2e-3)
     models = {"a": modal_model(), "b": modal_model(frequency=4.1)}
     comparison = compare_step_responses(models, step.input_signal("position", "hub"), output_name="tip")
     assert comparison.responses.shape[0] == 2

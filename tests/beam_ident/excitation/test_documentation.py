@@ -42,5 +42,15 @@ def test_every_parameter_of_the_rig_stands_on_the_page() -> None:
     text = PAGE.read_text(encoding="utf-8")
     names = [name.split(".")[1] for name in table.RIG_PARAMETERS if name.startswith("excitation.")]
     assert [name for name in names if f"`{name}`" not in text and f".{name}" not in text] == ["start_delay"]
-    for kind in table.RIG_PARAMETERS["excitation.kind"].choices:
-        assert f"| `{kind}`" in text or f"`, `{kind}` |" in text
+
+
+def test_the_page_says_what_each_kind_reads() -> None:
+    kinds = pytest.importorskip("beam_ros.excitation.recipes").KINDS
+    assert set(kinds) == set(RECIPES)
+    table = PAGE.read_text(encoding="utf-8").partition("| kind | parameters")[2].partition("\n\n")[0]
+    found = {}
+    for row in table.splitlines()[2:]:
+        named, read = row.strip("|").split("|")
+        for kind in re.findall(r"`(\w+)`", named):
+            found[kind] = re.findall(r"`(\w+)`", read)
+    assert found == {name: [p for p in kind.reads if p != "still"] for name, kind in kinds.items()}

@@ -29,7 +29,7 @@ def test_long_sequences_are_of_maximal_length_too(order):
 
 
 def test_a_force_holds_the_levels_as_they_are():
-    recipe = Prbs(drive="force", amplitude=2.0, order=5, clock_s=0.007, n_periods=2, still_s=0.1)
+    recipe = Prbs(drive="force", amplitude=2.0, order=5, clock_period=0.007, n_periods=2, still=0.1)
     held = recipe.sample_input(1e-3, unit="N")
     assert held.unit == "N"
     expected = np.repeat(np.tile(2.0 * maximal_length_sequence(5), 2), 7)
@@ -40,7 +40,7 @@ def test_a_force_holds_the_levels_as_they_are():
 
 
 def test_inverse_repetition_excites_odd_lines_alone():
-    recipe = Prbs(drive="force", amplitude=1.0, order=6, clock_s=0.01, inverse_repeat=True, still_s=0.0)
+    recipe = Prbs(drive="force", amplitude=1.0, order=6, clock_period=0.01, inverse_repeat=True, still=0.0)
     values = recipe.sample_input(0.01).values[:126]
     spectrum = np.abs(np.fft.rfft(values))
     assert np.max(spectrum[0::2]) < 1e-9
@@ -48,10 +48,10 @@ def test_inverse_repetition_excites_odd_lines_alone():
 
 
 def test_an_acceleration_sequence_stays_binary_but_for_what_brings_it_home():
-    plain = Prbs(high_pass_hz=0.0).sample()
+    plain = Prbs(high_pass=0.0).sample()
     levels = np.abs(plain.accelerations[:10235])
     assert np.max(np.abs(levels - 0.3)) < 0.01
-    near = Prbs(high_pass_hz=1.0).sample()
+    near = Prbs(high_pass=1.0).sample()
     # The integral of a binary sequence wanders; without what is below 1 Hz it stays within millimetres.
     assert np.max(np.abs(near.positions)) < 0.003 < 0.02 < np.max(np.abs(plain.positions))
     change = np.abs(np.fft.rfft(near.accelerations - plain.accelerations))
@@ -60,7 +60,7 @@ def test_an_acceleration_sequence_stays_binary_but_for_what_brings_it_home():
 
 
 def test_a_position_sequence_takes_its_levels_over_smooth_edges():
-    recipe = Prbs(drive="position", amplitude=1e-4, order=5, clock_s=0.05, rise_s=0.02)
+    recipe = Prbs(drive="position", amplitude=1e-4, order=5, clock_period=0.05, edge_time=0.02)
     excitation = recipe.sample()
     after = excitation.positions[25 + 5 : 31 * 50 : 50]  # in the middle of every level, past its edge
     np.testing.assert_allclose(np.abs(after), 1e-4, rtol=1e-9)
@@ -71,16 +71,16 @@ def test_a_position_sequence_takes_its_levels_over_smooth_edges():
 
 
 def test_velocity_levels_are_speeds():
-    excitation = Prbs(drive="velocity", amplitude=0.01, order=8, clock_s=0.01, high_pass_hz=0.0).sample()
+    excitation = Prbs(drive="velocity", amplitude=0.01, order=8, clock_period=0.01, high_pass=0.0).sample()
     assert np.median(np.abs(excitation.velocities[5:2540])) == pytest.approx(0.01, rel=0.05)
 
 
 @pytest.mark.parametrize("rise", [0.0, 0.02])
 def test_trains_of_pulses_return_by_their_own_shape(rise):
     """The correction that brings the axis home has nothing to do: levels stand as they were given."""
-    velocity = Pulse(drive="velocity", amplitude=0.01, rise_s=rise, still_s=0.5).sample()
-    acceleration = Pulse(drive="acceleration", amplitude=0.3, rise_s=rise, still_s=0.5).sample()
-    doublet = Doublet(drive="acceleration", amplitude=0.3, rise_s=rise, still_s=0.5).sample()
+    velocity = Pulse(drive="velocity", amplitude=0.01, edge_time=rise, still=0.5).sample()
+    acceleration = Pulse(drive="acceleration", amplitude=0.3, edge_time=rise, still=0.5).sample()
+    doublet = Doublet(drive="acceleration", amplitude=0.3, edge_time=rise, still=0.5).sample()
     assert np.max(velocity.velocities) == pytest.approx(0.01, rel=1e-9)
     assert np.max(np.abs(velocity.velocities[220:300])) == pytest.approx(0.01, rel=1e-9)
     for excitation in (acceleration, doublet):
@@ -92,7 +92,7 @@ def test_trains_of_pulses_return_by_their_own_shape(rise):
 
 
 def test_a_position_pulse_goes_and_comes_back():
-    excitation = Pulse(amplitude=-0.001, width_s=0.2, rise_s=0.05).sample()
+    excitation = Pulse(amplitude=-0.001, width=0.2, edge_time=0.05).sample()
     assert np.min(excitation.positions) == pytest.approx(-0.001, rel=1e-9)
     assert np.max(excitation.positions) < 1e-12
     np.testing.assert_allclose(excitation.positions[60:190], -0.001, rtol=1e-9)
@@ -115,16 +115,16 @@ def test_only_positions_have_a_displacement_without_a_period():
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"width_s": 0.1, "rise_s": 0.2}, "at most width_s = 0.1"),
-        ({"width_s": 0.0}, "width_s"),
-        ({"gap_s": -0.1}, "gap_s"),
+        ({"width": 0.1, "edge_time": 0.2}, "at most width = 0.1"),
+        ({"width": 0.0}, "width"),
+        ({"gap": -0.1}, "gap"),
     ],
 )
 def test_pulses_of_both_kinds_are_no_shorter_than_their_edges(kind, fields, says):
     with pytest.raises(ExcitationError, match=says):
         kind(**fields)
-    assert kind(width_s=0.05, rise_s=0.05).width_s == 0.05
+    assert kind(width=0.05, edge_time=0.05).width == 0.05
 
 
 def test_the_pause_is_each_kinds_own():
-    assert (Pulse().gap_s, Doublet().gap_s) == (0.1, 1.0)
+    assert (Pulse().gap, Doublet().gap) == (0.1, 1.0)

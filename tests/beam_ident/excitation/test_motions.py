@@ -11,7 +11,9 @@ from beam_ident import AxisLimits, LinearChirp, LogChirp, PointToPoint, Sine, St
 @pytest.mark.parametrize("down", [False, True])
 def test_the_linear_chirp_passes_its_frequencies_in_equal_times(down):
     ends = (40.0, 4.0) if down else (4.0, 40.0)
-    recipe = LinearChirp(start_hz=ends[0], end_hz=ends[1], sweep_s=10.0, fade_in_s=0.5, fade_out_s=0.5)
+    recipe = LinearChirp(
+        start_frequency=ends[0], end_frequency=ends[1], duration=10.0, fade_in=0.5, fade_out=0.5
+    )
     a = recipe.sample().accelerations
     middle = a[4900:5100]  # 22 Hz, half-way
     spectrum = np.abs(np.fft.rfft(middle * np.hanning(200), 20000))
@@ -21,12 +23,12 @@ def test_the_linear_chirp_passes_its_frequencies_in_equal_times(down):
 
 def test_ceilings_hold_each_quantity_in_its_band():
     recipe = LogChirp(
-        start_hz=0.2,
-        end_hz=50.0,
-        sweep_s=60.0,
+        start_frequency=0.2,
+        end_frequency=50.0,
+        duration=60.0,
         acceleration=1.0,
-        velocity_ceiling=0.02,
-        displacement_ceiling=0.004,
+        max_velocity=0.02,
+        max_displacement=0.004,
     )
     excitation = recipe.sample(2e-3)
     assert np.max(np.abs(excitation.positions)) == pytest.approx(0.004, rel=0.05)
@@ -35,7 +37,7 @@ def test_ceilings_hold_each_quantity_in_its_band():
 
 
 def test_a_sine_is_a_sine_between_its_ramps():
-    recipe = Sine(frequency_hz=5.0, acceleration=0.4, n_cycles=20.0, fade_cycles=2.0)
+    recipe = Sine(start_frequency=5.0, acceleration=0.4, duration=4.0, fade_cycles=2.0)
     excitation = recipe.sample()
     t = np.arange(len(excitation.positions)) * 1e-3
     steady = slice(450, 3550)
@@ -46,11 +48,11 @@ def test_a_sine_is_a_sine_between_its_ramps():
 
 
 def test_a_stepped_sine_holds_each_frequency_where_it_is_to_be_measured():
-    recipe = SteppedSine(frequencies_hz=(3.0, 7.0, 5.0), acceleration=0.2, measure_cycles=8)
+    recipe = SteppedSine(frequencies=(3.0, 7.0, 5.0), acceleration=0.2, measure_cycles=8)
     excitation = recipe.sample()
     t = np.arange(len(excitation.positions)) * 1e-3 - 1e-3  # samples begin one tick before the recipe
     assert len(recipe.measure_windows_s) == 3
-    for (start, end), hz in zip(recipe.measure_windows_s, recipe.frequencies_hz, strict=True):
+    for (start, end), hz in zip(recipe.measure_windows_s, recipe.frequencies, strict=True):
         assert (end - start) * hz == pytest.approx(8.0, rel=1e-12)
         inside = (t >= start) & (t <= end)
         angle = 2 * np.pi * hz * t[inside]
@@ -70,7 +72,7 @@ def test_a_stepped_sine_holds_each_frequency_where_it_is_to_be_measured():
 )
 def test_moves_are_as_quick_as_the_limit_that_binds(profile, speed, acceleration, jerk, binding):
     recipe = PointToPoint(
-        waypoints=(0.01, 0.0), profile=profile, speed=speed, acceleration=acceleration, jerk=jerk, dwell_s=0.2
+        waypoints=(0.01, 0.0), profile=profile, speed=speed, acceleration=acceleration, jerk=jerk, dwell=0.2
     )
     excitation = recipe.sample()
     # The third difference averages the jerk over three ticks: within the limit, but for rounding.
@@ -90,7 +92,7 @@ def test_the_bounded_jerk_profile_is_the_quickest():
 
 
 def test_way_points_are_reached_and_rested_at():
-    recipe = PointToPoint(waypoints=(0.003, -0.002, 0.001, 0.0), dwell_s=0.5, still_s=1.0)
+    recipe = PointToPoint(waypoints=(0.003, -0.002, 0.001, 0.0), dwell=0.5, still=1.0)
     positions = recipe.sample().positions
     start = 0.0
     for point, length in zip(recipe.waypoints, recipe.move_times_s, strict=True):
@@ -105,6 +107,6 @@ def test_way_points_are_reached_and_rested_at():
     ids=lambda recipe: recipe.kind,
 )
 def test_nothing_moves_before_the_start_and_after_the_end(recipe):
-    end = recipe.duration_s - recipe.still_s
+    end = recipe.total_s - recipe.still
     outside = np.array([-1.3, -0.01, 0.0, end, end + 0.7])
     np.testing.assert_allclose(recipe.displacement(outside), 0.0, atol=1e-15)

@@ -14,7 +14,14 @@ def numbers(lines_hz: np.ndarray, period_s: float) -> set[int]:
 
 
 def test_a_random_odd_multisine_leaves_one_odd_line_out_of_each_group():
-    recipe = Multisine(low_hz=1.0, high_hz=20.0, line_period_s=10.0, odd_only=True, detection_group=4, seed=5)
+    recipe = Multisine(
+        start_frequency=1.0,
+        end_frequency=20.0,
+        line_period=10.0,
+        lines="random_odd",
+        detection_group=4,
+        seed=5,
+    )
     excited = numbers(recipe.lines_hz, 10.0)
     left_out = numbers(recipe.odd_detection_lines_hz, 10.0)
     odd = list(range(11, 200, 2))
@@ -31,14 +38,20 @@ def test_a_random_odd_multisine_leaves_one_odd_line_out_of_each_group():
 
 
 def test_a_full_multisine_has_no_detection_lines():
-    recipe = Multisine(high_hz=10.0)
+    recipe = Multisine(end_frequency=10.0)
     assert len(recipe.even_detection_lines_hz) == len(recipe.odd_detection_lines_hz) == 0
-    assert len(Multisine(high_hz=10.0, odd_only=True).odd_detection_lines_hz) == 0
+    assert len(Multisine(end_frequency=10.0, lines="odd").odd_detection_lines_hz) == 0
 
 
 def test_the_sampled_signal_has_power_on_its_lines_alone():
     recipe = Multisine(
-        low_hz=1.0, high_hz=20.0, line_period_s=5.0, n_periods=3, odd_only=True, detection_group=3, seed=2
+        start_frequency=1.0,
+        end_frequency=20.0,
+        line_period=5.0,
+        n_periods=3,
+        lines="random_odd",
+        detection_group=3,
+        seed=2,
     )
     steady = recipe.sample().accelerations[5000:10000]
     spectrum = np.abs(np.fft.rfft(steady)) / len(steady)
@@ -53,11 +66,10 @@ def test_the_sampled_signal_has_power_on_its_lines_alone():
 )
 def test_optimised_phases_beat_schroeders_which_beat_random_ones(band, odd, most):
     common = {
-        "low_hz": band[0],
-        "high_hz": band[1],
-        "displacement_ceiling": 1.0,
-        "odd_only": odd,
-        "detection_group": 4 if odd else 0,
+        "start_frequency": band[0],
+        "end_frequency": band[1],
+        "max_displacement": 1.0,
+        "lines": "random_odd" if odd else "full",
     }
     crest, schroeder, random = (
         Multisine(phases=kind, **common).crest_factor() for kind in ("crest", "schroeder", "random")
@@ -69,7 +81,7 @@ def test_optimised_phases_beat_schroeders_which_beat_random_ones(band, odd, most
 
 
 def test_the_reported_crest_factor_is_that_of_the_samples():
-    recipe = Multisine(high_hz=20.0, line_period_s=5.0, n_periods=3, phases="crest", displacement_ceiling=1.0)
+    recipe = Multisine(end_frequency=20.0, line_period=5.0, n_periods=3, phases="crest", max_displacement=1.0)
     steady = recipe.sample().accelerations[5000:10000]
     # The held differences take 0.1 % at 20 Hz.
     assert crest_factor(steady) == pytest.approx(recipe.crest_factor(), rel=5e-3)
@@ -84,13 +96,15 @@ def test_schroeders_phases_of_a_flat_spectrum_are_his():
 
 def test_one_line_alone_is_a_sine_whatever_its_phase():
     assert np.all(np.isfinite(optimised_phases(np.array([3]), np.array([2.0]))))
-    assert Multisine(low_hz=2.0, high_hz=2.05, phases="crest").crest_factor() == pytest.approx(
+    assert Multisine(start_frequency=2.0, end_frequency=2.05, phases="crest").crest_factor() == pytest.approx(
         np.sqrt(2.0), rel=1e-2
     )
 
 
 def test_the_noise_is_flat_in_its_band_and_gaussian():
-    recipe = BandLimitedNoise(low_hz=2.0, high_hz=50.0, length_s=30.0, displacement_ceiling=1.0, seed=11)
+    recipe = BandLimitedNoise(
+        start_frequency=2.0, end_frequency=50.0, duration=30.0, max_displacement=1.0, seed=11
+    )
     values = recipe.sample(2e-3).accelerations[500:14500]
     # 1440 lines with random powers: the level scatters by 1/sqrt(1440) = 3 %.
     assert np.std(values) == pytest.approx(0.3, rel=0.09)
@@ -104,7 +118,7 @@ def test_the_noise_is_flat_in_its_band_and_gaussian():
 
 
 def test_the_noises_displacement_ceiling_holds_low_frequencies_down():
-    free = BandLimitedNoise(low_hz=0.2, high_hz=20.0, displacement_ceiling=1.0).sample(2e-3)
-    held = BandLimitedNoise(low_hz=0.2, high_hz=20.0, displacement_ceiling=1e-4).sample(2e-3)
+    free = BandLimitedNoise(start_frequency=0.2, end_frequency=20.0, max_displacement=1.0).sample(2e-3)
+    held = BandLimitedNoise(start_frequency=0.2, end_frequency=20.0, max_displacement=1e-4).sample(2e-3)
     assert np.std(held.positions) < 3e-4  # four octaves of 1e-4 each at most, as a sum of squares 2e-4
     assert np.std(free.positions) > 10 * np.std(held.positions)

@@ -38,7 +38,7 @@ def test_every_way_gives_the_same_sum(times):
     )
 
 
-@pytest.mark.parametrize("recipe", [Multisine(high_hz=20.0), BandLimitedNoise(high_hz=20.0)])
+@pytest.mark.parametrize("recipe", [Multisine(end_frequency=20.0), BandLimitedNoise(end_frequency=20.0)])
 def test_samples_agree_with_the_displacement_between_the_ticks(recipe):
     ticks = np.arange(0, 3000) * 1e-2
     apart = np.append(ticks, 0.123456)  # no grid any more
@@ -47,7 +47,7 @@ def test_samples_agree_with_the_displacement_between_the_ticks(recipe):
 
 def test_an_hour_of_noise_is_made_at_once():
     """By the plain sum this takes 1e12 sines."""
-    hour = BandLimitedNoise(length_s=3600.0, still_s=0.0).sample(2e-3)
+    hour = BandLimitedNoise(duration=3600.0, still=0.0).sample(2e-3)
     assert abs(hour.positions[-1]) < 1e-9
     # The held differences over 2 ms take 5 % of the power at 50 Hz, and the ceiling a little more.
     assert np.std(hour.accelerations) == pytest.approx(0.29, rel=0.02)

@@ -79,7 +79,7 @@ def test_a_validation_shows_every_output_with_its_scores(modal):
 
 
 def test_an_excitation_is_drawn_with_its_band_and_the_modes_of_a_model(modal):
-    excitation = LogChirp(start_hz=1.0, end_hz=45.0, sweep_s=4.0, still_s=1.0).sample(1e-3)
+    excitation = LogChirp(start_frequency=1.0, end_frequency=45.0, duration=4.0, still=1.0).sample(1e-3)
     figure = figures.excitation_figure(excitation, modal[1].model)
     assert len(figure.axes) == 4
     marks = [line.get_xdata()[0] for line in figure.axes[3].lines[1:]]

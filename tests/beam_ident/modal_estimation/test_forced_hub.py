@@ -12,7 +12,7 @@ from benchmarks.ident.physical import PhysicalCase
 HUB, TIP, SPRING, DASHPOT = 0.8, 0.05, 40.0, 0.02  # [kg], [kg], [N/m], [N s/m]
 PERIOD_S, EXPOSURE_S = 0.01, 0.004
 
-SHORT = LogChirp(sweep_s=10.0, still_s=4.0)
+SHORT = LogChirp(duration=10.0, still=4.0)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from beam_ident import InputSignal, LogChirp, TimeRecord, identify
 from benchmarks.ident.forced_hub import FreeHubCase
 from benchmarks.ident.hub_friction import FrictionCase
 
-SHORT = LogChirp(end_hz=45.0, sweep_s=8.0, still_s=3.0)
+SHORT = LogChirp(end_frequency=45.0, duration=8.0, still=3.0)
 
 
 @pytest.fixture(scope="module")

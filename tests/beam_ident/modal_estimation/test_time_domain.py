@@ -143,7 +143,7 @@ def drifted(record: TimeRecord, offset: float, drift_per_s: float) -> TimeRecord
 
 
 def test_experiments_of_different_kinds_share_the_beam_and_keep_their_own_offset_drift_and_start():
-    multisine = Multisine(n_periods=1, line_period_s=8.0, still_s=4.0)
+    multisine = Multisine(n_periods=1, line_period=8.0, still=4.0)
     records = [
         drifted(beam_record(10).between(2.0, 12.0), 1e-3, 5e-5),
         drifted(beam_record(11, multisine).between(1.0, 10.0).select(["z225", "z285"]), -2e-3, -1e-4),
@@ -305,9 +305,7 @@ def test_intervals_cover_the_truth_over_many_records():
 
 
 def test_a_model_predicts_a_record_that_it_has_not_seen(result):
-    prediction = validate(
-        result.model, beam_record(20, Multisine(n_periods=1, line_period_s=8.0, still_s=4.0))
-    )
+    prediction = validate(result.model, beam_record(20, Multisine(n_periods=1, line_period=8.0, still=4.0)))
     for output in prediction.outputs:
         assert 0.9 < output.noise_ratio < 1.1
         assert output.input_correlation.is_independent

@@ -19,7 +19,7 @@ from beam_ident.data.frequency_record import beside
 from beam_ident.responses.steady_periods import drift_of_periods, input_changes
 from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, modal_plant, siso_record
 
-RECIPE = Multisine(low_hz=2.0, high_hz=20.0, line_period_s=5.0, n_periods=7)
+RECIPE = Multisine(start_frequency=2.0, end_frequency=20.0, line_period=5.0, n_periods=7)
 
 
 @functools.cache

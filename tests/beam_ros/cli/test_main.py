@@ -44,7 +44,7 @@ def _write(folder: Path, text: str) -> None:
     ("arguments", "words"),
     [
         (("frobnicate",), ("unknown verb 'frobnicate'", "beam --help")),
-        (("run", "frobnicator"), ("invalid choice", "simulator")),
+        (("run", "frobnicator"), ("unknown node 'frobnicator'", "simulator")),
         (("run",), ("NODE", "--help")),
         (("model", "--rig-file", "nowhere.yaml"), ("nowhere.yaml", "no such file")),
         (("model", "--rig-file", "rig.yaml"), ("rig.yaml", "beam.length is 300", "0.01 to 5 m")),
@@ -99,7 +99,7 @@ def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path)
     told = beam(tmp_path, "info", "first")
     assert told.returncode == 0
     assert "hub/measured" in told.stdout
-    assert "log_chirp" in told.stdout
+    assert "-p excitation.kind:=chirp -p excitation.acceleration:=0.7" in told.stdout
     counted = strictly(beam(tmp_path, "info", "first", "--json"))
     csv = beam(tmp_path, "export", "first", "--csv", "tables").stdout.split()
     measured = [path for path in csv if "measured" in path]

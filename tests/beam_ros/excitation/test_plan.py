@@ -30,7 +30,14 @@ def test_the_default_chirp_keeps_the_tip_within_linear_theory() -> None:
     ("change", "words"),
     [
         ({"excitation.acceleration": 2.0}, "hub.max_tip_deflection"),
-        ({"excitation.acceleration": 12.0, "excitation.start_frequency": 90.0}, "peak acceleration"),
+        (
+            {
+                "excitation.kind": "multisine",
+                "excitation.acceleration": 9.0,
+                "excitation.start_frequency": 40.0,
+            },
+            "peak acceleration",
+        ),
         ({"hub.travel": 0.005}, "peak travel"),
         ({"hub.max_speed": 0.01}, "peak speed"),
         ({"hub.max_effort": 0.1}, "hub.max_effort"),
@@ -85,30 +92,33 @@ def test_every_kind_of_the_schema_makes_a_plan_with_the_packaged_values(kind: st
     [
         (
             {"kind": "multisine", "lines": "random_odd", "detection_group": 5, "line_period": 4.0, "seed": 9},
-            {"odd_only": True, "detection_group": 5, "line_period_s": 4.0, "n_periods": 5, "seed": 9},
+            {"lines": "random_odd", "detection_group": 5, "line_period": 4.0, "n_periods": 5, "seed": 9},
         ),
         (
             {"kind": "multisine", "lines": "odd", "phases": "schroeder"},
-            {"odd_only": True, "detection_group": 0, "phases": "schroeder", "n_periods": 2},
+            {"lines": "odd", "phases": "schroeder", "n_periods": 2, "line_period": 10.0},
         ),
-        ({"kind": "linear_chirp", "max_velocity": 0.01}, {"velocity_ceiling": 0.01, "sweep_s": 20.0}),
-        ({"kind": "chirp"}, {"velocity_ceiling": None}),
+        ({"kind": "linear_chirp", "max_velocity": 0.01}, {"max_velocity": 0.01, "duration": 20.0}),
+        ({"kind": "chirp"}, {"max_velocity": 0.0}),
         (
             {"kind": "prbs", "drive": "velocity", "order": 9, "clock_period": 0.01, "edge_time": 0.01},
-            {"drive": "velocity", "amplitude": 0.05, "order": 9, "rise_s": 0.01, "n_periods": 4},
+            {"drive": "velocity", "amplitude": 0.05, "order": 9, "edge_time": 0.01, "n_periods": 4},
         ),
         (
             {"kind": "prbs", "inverse_repeat": True, "order": 10, "high_pass": 2.0},
-            {"inverse_repeat": True, "n_periods": 2, "high_pass_hz": 2.0, "amplitude": 0.7},
+            {"inverse_repeat": True, "n_periods": 2, "high_pass": 2.0, "amplitude": 0.7},
         ),
         (
             {"kind": "pulse", "drive": "position", "step_size": -1e-4, "width": 0.3},
-            {"amplitude": -1e-4, "width_s": 0.3},
+            {"amplitude": -1e-4, "width": 0.3},
         ),
-        ({"kind": "sine", "start_frequency": 3.0, "duration": 10.0}, {"frequency_hz": 3.0, "n_cycles": 30.0}),
+        (
+            {"kind": "sine", "start_frequency": 3.0, "duration": 10.0},
+            {"start_frequency": 3.0, "duration": 10.0},
+        ),
         (
             {"kind": "stepped_sine", "frequencies": [3.0, 5.0], "measure_cycles": 7},
-            {"frequencies_hz": (3.0, 5.0), "measure_cycles": 7},
+            {"frequencies": (3.0, 5.0), "measure_cycles": 7},
         ),
         (
             {"kind": "moves", "waypoints": [0.01, 0.0], "profile": "quintic", "jerk": 5.0},
@@ -128,7 +138,7 @@ def test_parameters_reach_their_recipe(values: dict[str, object], expected: dict
         ({"kind": "prbs", "clock_period": 0.0015}, "a whole number of periods of 0.001 s"),
         ({"kind": "moves", "waypoints": [0.001]}, "at least two displacements"),
         ({"kind": "noise", "end_frequency": 600.0}, "half the rate of hub.period"),
-        ({"kind": "pulse", "edge_time": 1.0}, "at most width_s"),
+        ({"kind": "pulse", "edge_time": 1.0}, "at most width"),
         ({"max_jerk": 100.0}, "peak jerk"),
     ],
 )
@@ -165,6 +175,6 @@ def test_a_design_is_printed_for_people(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_plan_describes_itself_completely() -> None:
     rig = Rig.from_file()
     info = plan_excitation(rig).info(rig)
-    assert info["recipe"]["kind"] == "log_chirp"
+    assert info["recipe"]["kind"] == "chirp"
     assert info["hold"] == "zoh"
     assert Rig.from_nested(info["rig"]) == rig

@@ -23,7 +23,7 @@ def test_a_stepped_sine_comes_from_parameters_alone(executables, graph) -> None:
     graph.wait(lambda: bool(infos), "the recipe", 20.0)
     recipe = infos[0]["recipe"]
     assert recipe["kind"] == "stepped_sine"
-    assert recipe["frequencies_hz"] == [3.0, 6.0]
+    assert recipe["frequencies"] == [3.0, 6.0]
     assert recipe["measure_cycles"] == 7
 
 

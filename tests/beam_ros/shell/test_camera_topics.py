@@ -58,7 +58,7 @@ def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(
     for image in images:
         pixels = np.asarray(image.data).reshape(image.height, image.width).astype(float)
         bright = np.where(pixels > camera.background + 40.0, pixels - camera.background, 0.0)
-        for height in rig.numbers("markers.heights"):
+        for height in rig.markers.heights:
             row = camera.origin_px[1] - camera.pixels_per_metre * height
             around = bright[round(row) - 8 : round(row) + 9]
             column = np.sum(around * np.arange(image.width)) / np.sum(around)
@@ -74,7 +74,7 @@ def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(
 def test_a_displacement_is_stamped_in_the_middle_of_its_exposure(readout) -> None:
     rig, came = published(False, **{"camera.readout": readout})
     found = [read_displacement(message) for message in came["beam/displacement"]]
-    assert len(found) == 5 * (1 if readout == 0.0 else len(rig.marker_names))
+    assert len(found) == 5 * (1 if readout == 0.0 else len(rig.markers.names))
     for one in found:
         np.testing.assert_allclose(one.positions, SPEED * (one.stamp_ns - START) * 1e-9, atol=1e-9)
     assert found[-1].stamp_ns - START == pytest.approx(40e6 + (1e6 if readout == 0.0 else 7e6), abs=1.2e6)
