@@ -21,7 +21,7 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
     from beam_ros.hub.parameters import HubParameters
-    from beam_ros.vision.camera.capture import DeviceSettings
+    from beam_ros.vision.camera.device import DeviceSettings
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -244,7 +244,7 @@ class Rig(RigParameters):
         ParameterFileError
             The pixel format is none.
         """
-        from beam_ros.vision.camera.capture import DeviceSettings
+        from beam_ros.vision.camera.device import DeviceSettings
 
         pixel_format = self.tracker.device_format
         if pixel_format and not (pixel_format.isascii() and len(pixel_format) == 4):

@@ -14,15 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision.camera.capture import (
-    CapturedFrame,
-    CaptureLoop,
-    DeviceCamera,
-    DeviceSettings,
-    FileCamera,
-    driver_stamp,
-)
-from beam_ros.vision.errors import CaptureError
+from beam_ros.vision.camera.capture import CaptureLoop
+from beam_ros.vision.camera.device import DeviceCamera, DeviceSettings, driver_stamp
+from beam_ros.vision.camera.playback import VideoPlayback
+from beam_ros.vision.camera.source import CameraSource, CapturedFrame
+from beam_ros.vision.errors import CaptureError, VideoError
 
 SECOND = 1_000_000_000
 N_FRAMES = 12
@@ -60,13 +56,13 @@ class _Run:
 
 
 def _device(path: Path) -> DeviceCamera:
-    return DeviceCamera(DeviceSettings(str(path), 64, 48, 50.0))
+    return DeviceCamera(DeviceSettings(str(path), 64, 48, 50.0, "", None))
 
 
 def test_a_drivers_stamp_is_taken_from_whichever_clock_it_is_of() -> None:
     monotonic, real = 5000 * SECOND, 1_700_000_000 * SECOND
-    assert driver_stamp((5000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, "driver")
-    assert driver_stamp((1_700_000_000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, "driver")
+    assert driver_stamp((5000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, None)
+    assert driver_stamp((1_700_000_000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, None)
     for nothing in (0.0, -1.0, float("nan"), 40.0, 5001e3):
         assert driver_stamp(nothing, monotonic, real) == (real, "arrival")
 
@@ -91,7 +87,7 @@ def test_a_device_that_vanishes_is_reported_and_found_again(video: Path) -> None
     run.until(lambda: len(run.frames) > count)
     run.loop.close()
     assert run.frames[0].image.shape == (48, 64)
-    assert run.frames[0].clock == "arrival"
+    assert run.frames[0].stamp_means == "arrival"
     stamps = [frame.stamp_ns for frame in run.frames]
     assert stamps == sorted(stamps)
 
@@ -106,30 +102,28 @@ def test_a_device_that_stops_giving_frames_says_so(video: Path) -> None:
     camera.close()
 
 
-class _Flickering:
+class _Flickering(CameraSource):
     """A camera that fails, in its own way, at every third frame."""
 
     name = "flickering"
-    is_paced = False
 
     def __init__(self, fault: Exception) -> None:
         self._fault = fault
         self._count = 0
 
-    def open(self) -> tuple[str, ...]:
-        return ()
+    def open(self) -> None: ...
 
     def read(self) -> CapturedFrame:
         self._count += 1
         if self._count % 3 == 0:
             raise self._fault
-        return CapturedFrame(self._count * SECOND, "driver", np.zeros((4, 4), np.uint8))
+        return CapturedFrame(self._count * SECOND, np.zeros((4, 4), np.uint8))
 
     def close(self) -> None: ...
 
 
 @pytest.mark.parametrize("fault", [cv2.error("(-215:Assertion failed) !ssize.empty()"), ValueError("odd")])
-def test_a_failure_that_nobody_thought_of_is_told_and_the_thread_goes_on(fault: Exception) -> None:
+def test_a_failure_that_nobody_thought_of_is_reported_and_the_thread_goes_on(fault: Exception) -> None:
     run = _Run(_Flickering(fault), retry_s=0.05)
     run.until(lambda: len(run.frames) >= 8)
     run.loop.close()
@@ -165,7 +159,7 @@ def test_what_is_no_camera_is_refused_with_a_remedy(tmp_path: Path) -> None:
 
 def test_a_file_is_played_at_its_rate_to_its_end(video: Path) -> None:
     begun = time.time_ns()
-    run = _Run(FileCamera(video, None))
+    run = _Run(VideoPlayback(video, None))
     run.until(lambda: run.loop.state.phase == "ended")
     run.frames.extend(run.loop.take())
     assert f"has ended after {N_FRAMES} frames" in run.loop.state.sentence
@@ -178,12 +172,20 @@ def test_a_file_is_played_at_its_rate_to_its_end(video: Path) -> None:
 
 
 def test_a_file_waits_for_whoever_takes_its_frames(video: Path) -> None:
-    run = _Run(FileCamera(video, 5000.0))
+    run = _Run(VideoPlayback(video, 5000.0))
     time.sleep(0.1)
     run.until(lambda: run.loop.state.phase == "ended" and len(run.frames) == N_FRAMES)
     assert run.loop.overruns == 0
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(VideoError, match="no such video file"):
+        VideoPlayback(tmp_path / "nowhere.avi", None)
+
+
+def test_a_file_that_has_gone_is_named(video: Path) -> None:
+    camera = VideoPlayback(video, None)
+    video.unlink()
+    camera.open()
     with pytest.raises(CaptureError, match=r"no such video file.*tracker\.video"):
-        FileCamera(tmp_path / "nowhere.avi", None).open()
+        camera.read()
