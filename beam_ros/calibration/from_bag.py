@@ -122,7 +122,7 @@ def calibrate_from_bags(
     rig: Rig | None = None,
     reference: str = HUB_ENCODER,
     reference_sd_m: float | None = None,
-    frames: int = 100,
+    frames: int | None = None,
     date: str = "",
 ) -> tuple[CalibrationFit, Rig]:
     """Fit a calibration to what bags hold.
@@ -134,7 +134,7 @@ def calibrate_from_bags(
     reference : str -- "hub/measured", or TOPIC or TOPIC:NAME of a JointState
     reference_sd_m : float, optional -- standard deviation of the reference [m]; None: the encoder's resolution over
         sqrt(12), and to be given for any other reference
-    frames : int -- frames averaged at the end of each rest
+    frames : int, optional -- frames averaged at the end of each rest; None: ``tracker.averaged_frames`` of the rig
     date : str -- for the provenance
 
     Returns
@@ -175,7 +175,8 @@ def calibrate_from_bags(
             )
         tolerance = max(_STILL_M, _STILL_RESOLUTIONS * sensor.sd_m)
         rests = find_rests(sensor.stamps_ns, sensor.positions, tolerance)
-        count, swings = _capture(procedure, rests, seen, sensor, lens, frames)
+        averaged = frames or rig.tracker.averaged_frames
+        count, swings = _capture(procedure, rests, seen, sensor, lens, averaged)
         if swings:
             warnings.append(
                 f"{path}: {len(swings)} of {len(swings) + count} positions are left out, for the beam still swung "

@@ -216,6 +216,7 @@ class Rig(RigParameters):
             marker_diameter_m=self.markers.diameter,
             contrast=sign * self.camera.contrast,
             background=self.camera.background,
+            strip_width_m=self.beam.thickness,
             blur_px=self.camera.blur,
             noise_grey=self.camera.noise,
             stamp=self.camera.stamp,
@@ -224,15 +225,13 @@ class Rig(RigParameters):
 
     def tracker_parameters(self) -> TrackerParameters:
         """What the tracker expects to see."""
-        from beam_ros.vision.parameters import TrackerParameters
+        from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, TrackerParameters
 
-        camera = self.camera_parameters()
-        return TrackerParameters(
-            marker_diameter_px=camera.marker_diameter_px,
-            polarity=self.tracker.polarity,
-            expected_rows_px=tuple(float(row) for row in camera.rows(self.markers.heights)),
+        return TrackerParameters.for_camera(
+            self.camera_parameters(),
+            self.markers.heights,
             refinement=self.tracker.refinement,
-            sigma_floor_px=max(self.tracker.sigma_floor, TrackerParameters.sigma_floor_px),
+            sigma_floor_px=max(self.tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
             min_contrast_grey=self.tracker.min_contrast,
         )
 

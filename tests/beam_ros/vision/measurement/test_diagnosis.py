@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.calibration.linear import LinearCalibration
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 pytest.importorskip("cv2")
 from beam_ros.vision.measurement.diagnosis import Complaint, Diagnosis
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
-CAMERA = CameraParameters()
+CAMERA = packaged_camera()
 HEIGHTS = (0.010, 0.225, 0.285)
 NAMES = ("low", "middle", "top")
 PERIOD_NS = 10_000_000
@@ -27,7 +27,7 @@ class _Day:
 
     def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
-        tracker = TrackerParameters.for_camera(CAMERA, HEIGHTS)
+        tracker = packaged_tracker(CAMERA, HEIGHTS)
         self.chain = MeasuringChain(CAMERA, tracker, HEIGHTS, given, focus=focus)
         self.diagnosis = Diagnosis(NAMES, self.chain)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))

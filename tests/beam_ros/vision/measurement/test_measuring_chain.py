@@ -10,14 +10,14 @@ import pytest
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.errors import ImageFormatError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 pytest.importorskip("cv2")
 from beam_ros.vision.calibration.lens import lens_to_dict
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
-CAMERA = CameraParameters()
+CAMERA = packaged_camera()
 HEIGHTS = (0.010, 0.225, 0.285)
 PERIOD_NS = 10_000_000
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01))
@@ -25,7 +25,7 @@ LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01)
 
 def _chain(calibration: LinearCalibration | None = None, camera_name: str = "") -> MeasuringChain:
     given = calibration or LinearCalibration.from_camera(CAMERA, 3)
-    return MeasuringChain(CAMERA, TrackerParameters.for_camera(CAMERA, HEIGHTS), HEIGHTS, given, camera_name)
+    return MeasuringChain(CAMERA, packaged_tracker(CAMERA, HEIGHTS), HEIGHTS, given, camera_name)
 
 
 def _frame(x: float, lens: Lens | None = None):
