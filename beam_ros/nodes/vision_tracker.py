@@ -13,9 +13,8 @@ import numpy as np
 
 from beam_ros import messages
 from beam_ros.arrays import ImageArray
-from beam_ros.measurements.beam_line import BeamLineFitter, line_marker
-from beam_ros.measurements.frames import displacement_messages, markers_message
 from beam_ros.messages import MessageContentError
+from beam_ros.rig.beam_line import BeamLineFitter
 from beam_ros.shell.frame_averaging import FrameAveraging
 from beam_ros.shell.frame_sources import frame_source
 from beam_ros.shell.large_messages import keep_freed_memory, widen_shared_memory
@@ -128,11 +127,11 @@ class VisionTracker(RigNode):
 
     def _publish(self, measurement: Measurement) -> None:
         found, stamps = measurement.displacement, measurement.stamps_ns
-        for _, message in displacement_messages(self.types, self._names, stamps, found.x_m):
+        for _, message in messages.displacement_messages(self.types, self._names, stamps, found.x_m):
             self._displacement.publish(message)
         self._diagnosis.frame_measured(measurement, self.now_ns() - measurement.stamp_ns)
         self._markers.publish(
-            markers_message(
+            messages.marker_cloud_from_columns(
                 self.types,
                 measurement.stamp_ns,
                 self._heights,
@@ -150,8 +149,12 @@ class VisionTracker(RigNode):
             return
         self._drawn = now
         if self._shape.get_subscription_count():
-            line = self._line.fit(measurement.displacement)
-            self._shape.publish(line_marker(self.types, measurement.stamp_ns, line))
+            line = self._line.fit(measurement.displacement.x_m, measurement.displacement.sigma_m)
+            self._shape.publish(
+                messages.beam_shape(
+                    self.types, measurement.stamp_ns, line.heights_m, line.x_m, is_complete=line.is_complete
+                )
+            )
         if self._debug_image.get_subscription_count() and measurement.frame is not None:
             drawing = draw_overlay(
                 image,

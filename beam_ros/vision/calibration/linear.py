@@ -30,7 +30,7 @@ _NAMED_BY = {"camera": "camera.name", "focus": "camera.focus"}
 
 
 @dataclass(frozen=True)
-class Displacement:
+class MarkerDisplacements:
     """Displacements of the markers in one frame.
 
     Attributes
@@ -147,7 +147,7 @@ class LinearCalibration:
         """Sign of du/dx."""
         return -1 if self.flip else 1
 
-    def displacement(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> Displacement:
+    def displacement(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> MarkerDisplacements:
         """Displacements of all markers.
 
         Parameters
@@ -157,7 +157,7 @@ class LinearCalibration:
 
         Returns
         -------
-        Displacement -- NaN stays NaN
+        MarkerDisplacements -- NaN stays NaN
 
         Notes
         -----
@@ -173,7 +173,7 @@ class LinearCalibration:
         scale, zero, scale_variance, twice_covariance, zero_variance = self._arrays
         x = self.direction * (u - zero) / scale
         variance = sigma**2 + x**2 * scale_variance + x * twice_covariance + zero_variance
-        return Displacement(x, np.sqrt(np.maximum(variance, 0.0)) / scale)
+        return MarkerDisplacements(x, np.sqrt(np.maximum(variance, 0.0)) / scale)
 
     @cached_property
     def _arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

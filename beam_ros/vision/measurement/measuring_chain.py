@@ -15,7 +15,7 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray, ImageArray
 from beam_ros.vision.calibration.lens import Lens
-from beam_ros.vision.calibration.linear import Displacement, LinearCalibration
+from beam_ros.vision.calibration.linear import LinearCalibration, MarkerDisplacements
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.continuity import FrameContinuity
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
@@ -41,7 +41,7 @@ class Measurement:
     u_px, v_px : ndarray, shape (n_markers,) -- where the markers are in the image; NaN where not seen [px]
     corrected_px, sigma_px : ndarray, shape (n_markers,) -- column without the lens's distortion and its standard
         deviation, which is what calibrations are made from [px]
-    displacement : Displacement -- in metres; NaN where not seen, and where there is no valid calibration
+    displacement : MarkerDisplacements -- in metres; NaN where not seen, and where there is no valid calibration
     reasons : tuple of str -- "ok", or why a marker is not valid
     frame : FrameResult or None -- the tracker's own result; None for a frame that could not be read
     """
@@ -52,7 +52,7 @@ class Measurement:
     v_px: FloatArray
     corrected_px: FloatArray
     sigma_px: FloatArray
-    displacement: Displacement
+    displacement: MarkerDisplacements
     reasons: tuple[str, ...]
     frame: FrameResult | None
 
@@ -252,6 +252,6 @@ class MeasuringChain:
             None,
         )
 
-    def _nowhere(self) -> Displacement:
+    def _nowhere(self) -> MarkerDisplacements:
         nothing = np.full(self.tracker.n_markers, np.nan)
-        return Displacement(nothing, nothing)
+        return MarkerDisplacements(nothing, nothing)
