@@ -161,13 +161,7 @@ def calibrate_from_bags(
             seen = _marker_frames(bag, len(rig.markers.names))
             found_lens = _lens(bag, rig)
         if procedure is None:
-            camera = rig.camera_parameters()
-            procedure = CalibrationProcedure(
-                len(rig.markers.names),
-                (camera.width, camera.height),
-                rig.camera.name,
-                rig.camera.focus,
-            )
+            procedure = CalibrationProcedure(len(rig.markers.names), rig.camera_parameters())
             lens = found_lens
         elif lens_to_dict(found_lens) != lens_to_dict(lens):
             raise CalibrationError(

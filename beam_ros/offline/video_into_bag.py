@@ -115,9 +115,8 @@ def track_video(
                 f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
             ) from err
     names, heights = rig.markers.names, rig.markers.heights
-    name, focus = rig.camera.name, rig.camera.focus
-    chosen = calibration or LinearCalibration.from_camera(camera, len(names), camera_name=name, focus=focus)
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, name, focus)
+    chosen = calibration or LinearCalibration.from_camera(camera, len(names))
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen)
     if "lens" in chosen.provenance:
         chain.lens = Lens.from_dict(chosen.provenance["lens"])
     if chain.calibration_fault:

@@ -17,13 +17,20 @@ GROUP = "beam_ros.camera_sources"
 CameraKind = Callable[[Rig], CameraSource] | None
 
 
+def _device(rig: Rig) -> DeviceCamera:
+    wanted = rig.tracker
+    return DeviceCamera(
+        wanted.device, rig.camera_parameters(), wanted.device_format, sets_exposure=wanted.sets_exposure
+    )
+
+
 def _video(rig: Rig) -> VideoPlayback:
     return VideoPlayback(Path(rig.tracker.video), rig.tracker.video_rate or None)
 
 
 CAMERA_SOURCES: Mapping[str, CameraKind] = {
     "topic": None,  # the frames come from another process, on camera/image_raw
-    "device": lambda rig: DeviceCamera(rig.device_settings()),
+    "device": _device,
     "file": _video,
 }
 

@@ -21,7 +21,6 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
     from beam_ros.hub.parameters import HubParameters
-    from beam_ros.vision.camera.device import DeviceSettings
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -221,6 +220,8 @@ class Rig(RigParameters):
             noise_grey=self.camera.noise,
             stamp=self.camera.stamp,
             latency_s=self.camera.latency,
+            name=self.camera.name,
+            focus=self.camera.focus,
         )
 
     def tracker_parameters(self) -> TrackerParameters:
@@ -233,29 +234,4 @@ class Rig(RigParameters):
             refinement=self.tracker.refinement,
             sigma_floor_px=max(self.tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
             min_contrast_grey=self.tracker.min_contrast,
-        )
-
-    def device_settings(self) -> DeviceSettings:
-        """What is asked of the camera that the tracker reads itself.
-
-        Raises
-        ------
-        ParameterFileError
-            The pixel format is none.
-        """
-        from beam_ros.vision.camera.device import DeviceSettings
-
-        pixel_format = self.tracker.device_format
-        if pixel_format and not (pixel_format.isascii() and len(pixel_format) == 4):
-            raise ParameterFileError(
-                f"tracker.device_format is {pixel_format!r}: expected four characters such as GREY or MJPG, or "
-                "nothing; `v4l2-ctl --list-formats` shows what the camera gives"
-            )
-        return DeviceSettings(
-            self.tracker.device,
-            self.camera.width,
-            self.camera.height,
-            self.camera.rate,
-            pixel_format,
-            self.camera.exposure if self.tracker.sets_exposure else None,
         )

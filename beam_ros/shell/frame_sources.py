@@ -40,7 +40,7 @@ class FrameSink(Protocol):
         """Return whether somebody listens to what becomes of the frames."""
 
 
-class FrameSource(Protocol):
+class FrameSource:
     """Gives frames to a sink, on the node's executor."""
 
     silence: str
@@ -48,15 +48,16 @@ class FrameSource(Protocol):
 
     def complaints(self) -> list[Complaint]:
         """Return what is wrong with the source."""
+        raise NotImplementedError
 
     def reset(self) -> None:
         """Read again what is read only once."""
 
     def close(self) -> None:
-        """End."""
+        """End what the node itself does not."""
 
 
-class CameraTopics:
+class CameraTopics(FrameSource):
     """Frames from ``camera/image_raw``, read as bytes, and the lens from ``camera/camera_info``.
 
     The lens of a camera does not change from frame to frame: its topic is listened to until it has spoken, and
@@ -133,11 +134,8 @@ class CameraTopics:
         self._infos.close()
         self._is_lens_known = False
 
-    def close(self) -> None:
-        """Nothing to do: the node ends the subscriptions."""
 
-
-class CameraReader:
+class CameraReader(FrameSource):
     """Frames from a camera that this process reads in a thread.
 
     Parameters
@@ -208,9 +206,6 @@ class CameraReader:
                 Complaint("WARN", f"{overruns} frames were not taken in time: give the computer less to do")
             )
         return found
-
-    def reset(self) -> None:
-        """Nothing is read only once."""
 
     def close(self) -> None:
         """Stop the thread and release the camera."""

@@ -80,6 +80,7 @@ class CameraParameters:
     stamp : "start", "mid", "end", "arrival" -- which instant of the exposure the image's stamp means; see
         ``vision.timing``
     latency_s : float -- how much later the stamp is than that instant [s]
+    name, focus : str -- camera and setting of its lens, which calibrations hold for; "" where it is not said
     strip_contrast : float -- strip above background [grey levels of 255]; its sign follows the contrast
     """
 
@@ -99,6 +100,8 @@ class CameraParameters:
     noise_grey: float
     stamp: StampMeaning
     latency_s: float
+    name: str
+    focus: str
     strip_contrast: float = 12.0
 
     def __post_init__(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,32 +11,11 @@ import numpy as np
 
 from beam_ros.vision.camera.images import grey_frame
 from beam_ros.vision.camera.source import CameraSource, CapturedFrame
-from beam_ros.vision.errors import CaptureError, ImageFormatError
-from beam_ros.vision.parameters import StampMeaning
+from beam_ros.vision.errors import CaptureError, ImageFormatError, VisionParameterError
+from beam_ros.vision.parameters import CameraParameters, StampMeaning
 
 _OLDEST_FRAME_NS = 2_000_000_000
 _RATE_TOLERANCE = 0.02
-
-
-@dataclass(frozen=True)
-class DeviceSettings:
-    """What is asked of a camera.
-
-    Attributes
-    ----------
-    device : str -- "/dev/video0", the number of a camera, or any address that OpenCV opens
-    width, height : int -- [px]
-    rate_hz : float -- frames a second
-    pixel_format : str -- four characters such as GREY, YUYV or MJPG; "" leaves it to the driver
-    exposure_s : float or None -- manual exposure [s]; None leaves it to the driver
-    """
-
-    device: str
-    width: int
-    height: int
-    rate_hz: float
-    pixel_format: str
-    exposure_s: float | None
 
 
 def driver_stamp(position_ms: float, monotonic_ns: int, realtime_ns: int) -> tuple[int, StampMeaning | None]:
@@ -69,12 +47,29 @@ class DeviceCamera(CameraSource):
 
     Parameters
     ----------
-    settings : DeviceSettings
+    device : str -- "/dev/video0", the number of a camera, or any address that OpenCV opens
+    camera : CameraParameters -- the size and rate that are asked of it
+    pixel_format : str -- four characters such as GREY, YUYV or MJPG; "" leaves it to the driver
+    sets_exposure : bool -- the camera's exposure is asked of it too; else it is left to the driver
+
+    Raises
+    ------
+    VisionParameterError
+        The pixel format is not four characters.
     """
 
-    def __init__(self, settings: DeviceSettings) -> None:
-        self.name = settings.device
-        self._settings = settings
+    def __init__(
+        self, device: str, camera: CameraParameters, pixel_format: str, *, sets_exposure: bool
+    ) -> None:
+        if pixel_format and not (pixel_format.isascii() and len(pixel_format) == 4):
+            raise VisionParameterError(
+                f"tracker.device_format is {pixel_format!r}: expected four characters such as GREY or MJPG, or "
+                "nothing; `v4l2-ctl --list-formats` shows what the camera gives"
+            )
+        self.name = device
+        self._camera = camera
+        self._pixel_format = pixel_format
+        self._sets_exposure = sets_exposure
         self._capture: Any = None
 
     def open(self) -> None:
@@ -85,7 +80,7 @@ class DeviceCamera(CameraSource):
         CaptureError
             There is no such device, or it does not give frames, or another program has it.
         """
-        device = self._settings.device
+        device = self.name
         is_file_like = device.startswith("/")
         if is_file_like and not Path(device).exists():
             present = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none"
@@ -109,24 +104,24 @@ class DeviceCamera(CameraSource):
         )
 
     def _ask(self) -> tuple[str, ...]:
-        settings, capture = self._settings, self._capture
-        if settings.pixel_format:
-            capture.set(cv2.CAP_PROP_FOURCC, _fourcc(settings.pixel_format))
+        camera, capture = self._camera, self._capture
+        if self._pixel_format:
+            capture.set(cv2.CAP_PROP_FOURCC, _fourcc(self._pixel_format))
             # Grey levels come as they are; everything else is decoded.
-            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if settings.pixel_format in ("GREY", "Y16 ") else 1)
+            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if self._pixel_format in ("GREY", "Y16 ") else 1)
         wanted: list[tuple[str, int, float]] = [
-            ("columns", cv2.CAP_PROP_FRAME_WIDTH, settings.width),
-            ("rows", cv2.CAP_PROP_FRAME_HEIGHT, settings.height),
-            ("frames a second", cv2.CAP_PROP_FPS, settings.rate_hz),
+            ("columns", cv2.CAP_PROP_FRAME_WIDTH, camera.width),
+            ("rows", cv2.CAP_PROP_FRAME_HEIGHT, camera.height),
+            ("frames a second", cv2.CAP_PROP_FPS, camera.rate_hz),
         ]
         for _, number, value in wanted:
             capture.set(number, value)
         # Old frames that wait in the driver would only be late.
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 4)
-        if settings.exposure_s is not None:
+        if self._sets_exposure:
             capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # V4L2_EXPOSURE_MANUAL
-            wanted.append(("units of 0.1 ms exposure", cv2.CAP_PROP_EXPOSURE, settings.exposure_s * 1e4))
-            capture.set(cv2.CAP_PROP_EXPOSURE, settings.exposure_s * 1e4)
+            wanted.append(("units of 0.1 ms exposure", cv2.CAP_PROP_EXPOSURE, camera.exposure_s * 1e4))
+            capture.set(cv2.CAP_PROP_EXPOSURE, camera.exposure_s * 1e4)
         remarks = []
         for what, number, value in wanted:
             given = float(capture.get(number))
@@ -152,7 +147,7 @@ class DeviceCamera(CameraSource):
             ) from err
         if not is_read or frame is None:
             raise CaptureError(
-                f"camera {self.name} gives no more frames: expected {self._settings.rate_hz:g} a second; check its "
+                f"camera {self.name} gives no more frames: expected {self._camera.rate_hz:g} a second; check its "
                 "cable"
             )
         stamp_ns, stamp_means = driver_stamp(position_ms, monotonic_ns, realtime_ns)

@@ -62,11 +62,10 @@ class MeasuringChain:
 
     Parameters
     ----------
-    camera : CameraParameters -- size, rate and the meaning of the stamps
+    camera : CameraParameters -- size, rate, the meaning of the stamps, names
     tracker : TrackerParameters
     marker_heights : sequence of float -- heights above the clamp, rising [m]
     calibration : LinearCalibration
-    camera_name, focus : str -- camera and setting of its lens in use; "" when nobody says
 
     Attributes
     ----------
@@ -81,8 +80,6 @@ class MeasuringChain:
         tracker: TrackerParameters,
         marker_heights: Sequence[float],
         calibration: LinearCalibration,
-        camera_name: str = "",
-        focus: str = "",
     ) -> None:
         timing = FrameTiming(camera)
         self.tracker = MarkerTracker(tracker, len(marker_heights), timing)
@@ -91,8 +88,6 @@ class MeasuringChain:
         self._past_frames = 0
         self._grey_type: np.dtype[Any] | None = None
         self._camera = camera
-        self._camera_name = camera_name
-        self._focus = focus
         self._timing = timing
         self._rows = camera.rows(marker_heights)
         self._lens: Lens | None = None
@@ -128,7 +123,7 @@ class MeasuringChain:
     @property
     def calibration_doubt(self) -> str:
         """What cannot be told of whether the calibration is this camera's, or ""."""
-        return self._calibration.doubt(self._camera_name, self._focus)
+        return self._calibration.doubt(self._camera)
 
     @property
     def lens_fault(self) -> str:
@@ -138,9 +133,7 @@ class MeasuringChain:
     def _examine_calibration(self) -> None:
         self._calibration_fault = self._lens_fault = ""
         try:
-            self._calibration.require_camera(
-                self._camera.width, self._camera.height, self._camera_name, self._focus
-            )
+            self._calibration.require_camera(self._camera)
             if self._calibration.n_markers != self.tracker.n_markers:
                 raise CalibrationError(
                     f"calibration holds for {self._calibration.n_markers} markers; expected "

@@ -250,7 +250,9 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     (tmp_path / "wrong.yaml").write_text("a: 1\n", encoding="utf-8")
     other = LinearCalibration.from_camera(Rig.from_file().camera_parameters(), 3)
     save_calibration(other, tmp_path / "other.yaml")
-    focused = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3, focus="f8")
+    focused = LinearCalibration.from_camera(
+        Rig.from_file(RIG_FILE).with_values({"camera.focus": "f8"}).camera_parameters(), 3
+    )
     save_calibration(focused, tmp_path / "focused.yaml")
     two = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 2)
     save_calibration(two, tmp_path / "two.yaml")

@@ -28,7 +28,7 @@ class _Day:
     def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
         tracker = packaged_tracker(CAMERA, HEIGHTS)
-        self.chain = MeasuringChain(CAMERA, tracker, HEIGHTS, given, focus=focus)
+        self.chain = MeasuringChain(replace(CAMERA, focus=focus), tracker, HEIGHTS, given)
         self.diagnosis = Diagnosis(NAMES, self.chain)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
 
@@ -123,7 +123,7 @@ def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_na
     report = day.diagnosis.report(0.1)
     assert report.level == "WARN"
     assert "does not say for which camera and focus" in report.sentence
-    day = _Day(LinearCalibration.from_camera(CAMERA, 3, focus="f8"))
+    day = _Day(LinearCalibration.from_camera(replace(CAMERA, focus="f8"), 3))
     day.film(range(1, 10))
     report = day.diagnosis.report(0.1)
     assert report.level == "ERROR"
