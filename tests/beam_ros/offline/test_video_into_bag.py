@@ -206,7 +206,7 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     calibration = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3)
     path = bag.parent / "calibration.yaml"
     document = calibration.to_dict()
-    document["pixels_per_metre"] = [700.0] * 3
+    document.update(pixels_per_metre=[700.0] * 3, camera_name="", focus="")
     save_calibration(LinearCalibration.from_dict(document), path)
     command = ["track", str(VIDEO), "--into", str(bag), *wrong, *rows, "-p", "camera.origin_u:=47.3"]
     assert main([*command, "--calibration", str(path), "-p", "camera.focus:=f8"]) == 0
