@@ -101,7 +101,7 @@ def find_rests(stamps_ns: StampArray, positions: FloatArray, tolerance_m: float)
     moving = np.zeros(len(stamps_ns), dtype=bool)
     for first, last in zip(start[moves], later[inside][moves], strict=True):
         moving[first : last + 1] = True
-    # A gap is no rest: nobody saw what happened in it.
+    # A gap is not a rest: what happened in it is unknown.
     steps = np.diff(stamps_ns)
     gaps = steps > max(_STEP_S * 1e9, 3.0 * float(np.median(steps)))
     borders = np.flatnonzero(np.diff(moving.astype(np.int8)) != 0) + 1

@@ -1,4 +1,4 @@
-"""The deflected beam as a line for people to look at: from the markers' displacements, as far as these tell.
+"""The deflected beam as a line for people to look at: from the markers' displacements, as far as these determine it.
 
     u(z) = alpha + sum_i phi_i(z) q_i
 
@@ -118,7 +118,7 @@ class BeamLine:
 
     Attributes
     ----------
-    heights_m : ndarray, shape (n_points,) -- above the clamp [m]; empty where the markers tell nothing
+    heights_m : ndarray, shape (n_points,) -- above the clamp [m]; empty where the markers do not determine it
     x_m, sigma_m : ndarray, shape (n_points,) -- absolute displacement and its standard deviation [m]
     is_complete : bool -- every marker was seen
     """

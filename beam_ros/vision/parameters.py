@@ -218,7 +218,7 @@ class TrackerParameters:
         centre of the gradients, or a fitted disc (at the noise limit, for some 0.2 ms a marker); for clean
         and round markers only
     expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
-        first [px]; lets the tracker tell markers from other spots. None: exactly as many spots as markers
+        first [px]; lets the tracker distinguish markers from other spots. None: exactly as many spots as markers
         must be in view when they are acquired
     expected_row_tolerance_px : float -- tolerance of these rows, and how far a jump may take the markers across
         the rows [px]

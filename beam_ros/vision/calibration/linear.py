@@ -221,7 +221,7 @@ class LinearCalibration:
         Raises
         ------
         CalibrationError -- the size, the camera or the focus differ from the calibrated ones, or the calibration
-            was made for a camera or focus and nobody says that it is this one
+            was made for a camera or focus and the rig does not name its own
         """
         width, height = self.image_size
         if (camera.width, camera.height) != (width, height):
@@ -242,7 +242,7 @@ class LinearCalibration:
                 )
 
     def doubt(self, camera: CameraParameters) -> str:
-        """Say what the calibration leaves open of what is in use: it cannot be told whether that differs.
+        """Say what the calibration leaves open of what is in use, which may then differ.
 
         Returns
         -------

@@ -122,7 +122,7 @@ class MeasuringChain:
 
     @property
     def calibration_doubt(self) -> str:
-        """What cannot be told of whether the calibration is this camera's, or ""."""
+        """What the calibration does not say about the camera in use, or ""."""
         return self._calibration.doubt(self._camera)
 
     @property
