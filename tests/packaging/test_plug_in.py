@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,9 @@ pytestmark = pytest.mark.ros
 PLUG_IN = Path(__file__).parent / "plug_in"
 TOY_PERIOD_NS = 20_000_000
 
+Laboratory = Callable[[str], list[str]]
+"""From an executable to the command that starts it where the package is installed."""
+
 
 def _link_or_copy(source: str, target: str) -> None:
     try:
@@ -33,8 +36,8 @@ def _link_or_copy(source: str, target: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
-    """The tracker in a copy of this environment, into which pip has installed the package; nothing is downloaded."""
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Laboratory]:
+    """Executables of a copy of this environment, into which pip has installed the package; nothing is downloaded."""
     if sys.prefix == sys.base_prefix:
         pytest.skip("this Python is not in a virtual environment that can be copied")
     folder = tmp_path_factory.mktemp("laboratory")
@@ -49,19 +52,21 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
         check=True,
         timeout=120,
     )
-    yield [python, *command("vision_tracker")[1:]]
+    yield lambda executable: [python, *command(executable)[1:]]
     shutil.rmtree(folder)
 
 
 def test_the_tracker_measures_the_frames_of_a_camera_that_a_package_adds(
-    laboratory: list[str], executables: Executables
+    laboratory: Laboratory, executables: Executables
 ) -> None:
     seen: list[Displacement] = []
     health: list[Health] = []
     with Graph() as graph:
         graph.listen("beam/displacement", lambda m: seen.append(messages.read_displacement(m)))
         graph.listen("/diagnostics", lambda m: health.extend(messages.read_diagnostics(m)))
-        executables.start("vision_tracker", "--ros-args", "-p", "tracker.source:=toy", program=laboratory)
+        executables.start(
+            "vision_tracker", "--ros-args", "-p", "tracker.source:=toy", program=laboratory("vision_tracker")
+        )
         graph.wait(lambda: len(seen) > 50 and bool(health), "frames and diagnostics", 40.0)
     # camera.stamp is mid: what is measured at the middle of the exposure has the frame's own stamp.
     stamps = np.array([displacement.stamp_ns for displacement in seen])
@@ -74,10 +79,10 @@ def test_the_tracker_measures_the_frames_of_a_camera_that_a_package_adds(
 
 
 def test_a_kind_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
-    laboratory: list[str], executables: Executables
+    laboratory: Laboratory, executables: Executables
 ) -> None:
     running = executables.start(
-        "vision_tracker", "--ros-args", "-p", "tracker.source:=tooy", python=laboratory
+        "vision_tracker", "--ros-args", "-p", "tracker.source:=tooy", program=laboratory("vision_tracker")
     )
     assert running.wait(40.0) == 2
     assert running.output().count("\n") == 1
