@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,6 @@ StampMeaning = Literal["start", "mid", "end", "arrival"]
 Polarity = Literal["bright", "dark"]
 Refinement = Literal["none", "radial_symmetry", "disc_model"]
 
-STAMP_MEANINGS: tuple[StampMeaning, ...] = ("start", "mid", "end", "arrival")
-POLARITIES: tuple[Polarity, ...] = ("bright", "dark")
-REFINEMENTS: tuple[Refinement, ...] = ("none", "radial_symmetry", "disc_model")
 PERFECT_DISC_SIGMA_PX = 0.0003
 """What sampling leaves of a perfect disc's position [px]: no standard deviation is smaller."""
 
@@ -55,6 +52,11 @@ def _require_number(
         number = float(value)
         inside = (number > minimum if open_below else number >= minimum) and number <= maximum
     _require(inside, f"{type(owner).__name__}.{name}", value, f"a number {bound}")
+
+
+def _require_word(owner: object, name: str, words: object) -> None:
+    value, known = getattr(owner, name), get_args(words)
+    _require(value in known, f"{type(owner).__name__}.{name}", value, f"one of {', '.join(known)}")
 
 
 @dataclass(frozen=True)
@@ -147,12 +149,7 @@ class CameraParameters:
             self.background + self.contrast,
             "a grey level from 0 to 255",
         )
-        _require(
-            self.stamp in STAMP_MEANINGS,
-            "CameraParameters.stamp",
-            self.stamp,
-            f"one of {', '.join(STAMP_MEANINGS)}",
-        )
+        _require_word(self, "stamp", StampMeaning)
         _require(
             self.marker_diameter_px >= 2.0,
             "CameraParameters.marker_diameter_m",
@@ -280,18 +277,8 @@ class TrackerParameters:
         _require_number(self, "expected_row_tolerance_px", 0.0, open_below=True)
         if self.noise_grey is not None:
             _require_number(self, "noise_grey", 0.0)
-        _require(
-            self.polarity in POLARITIES,
-            "TrackerParameters.polarity",
-            self.polarity,
-            f"one of {', '.join(POLARITIES)}",
-        )
-        _require(
-            self.refinement in REFINEMENTS,
-            "TrackerParameters.refinement",
-            self.refinement,
-            f"one of {', '.join(REFINEMENTS)}",
-        )
+        _require_word(self, "polarity", Polarity)
+        _require_word(self, "refinement", Refinement)
         _require(
             self.max_gate_px >= self.max_jump_px,
             "TrackerParameters.max_gate_px",
