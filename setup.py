@@ -18,7 +18,8 @@ ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
 DASK = ["distributed>=2024.1"]
 
-# setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls.
+# setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls; from 70.1 on it makes
+# wheels by itself, so that a package can be installed offline.
 TEST = [
     "pytest>=8",
     "pytest-xdist>=3.4",
@@ -27,7 +28,7 @@ TEST = [
     "scikit-fem>=10",
     "colcon-common-extensions",
     "colcon-ros",
-    "setuptools<80",
+    "setuptools>=70.1,<80",
     *DASK,
 ]
 

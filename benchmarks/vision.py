@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +35,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.camera.images import grey_image
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.tracker import MarkerTracker
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
 WARM_UP = 20
+RIG = Rig.from_file()
+CAMERA = replace(RIG.camera_parameters(), background=30.0)
+"""The packaged camera, over the ground on which the page's figures were measured."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,20 @@ class AbsentError(Exception):
     """A method's package is not installed."""
 
 
+def expectations(camera: CameraParameters, refinement: str) -> TrackerParameters:
+    """Return what the tracker expects of four perfect discs."""
+    return TrackerParameters.for_camera(
+        camera,
+        HEIGHTS,
+        refinement=refinement,
+        sigma_floor_px=PERFECT_DISC_SIGMA_PX,
+        min_contrast_grey=RIG.tracker.min_contrast,
+    )
+
+
 def make_scene(name: str, diameter_px: float, noise: float, smear_px: float, n_frames: int) -> Scene:
     """Render the frames of one scene."""
-    camera = CameraParameters(marker_diameter_m=diameter_px / 1500, noise_grey=noise)
+    camera = replace(CAMERA, marker_diameter_m=diameter_px / 1500, noise_grey=noise)
     renderer = SceneRenderer(camera, HEIGHTS)
     rng = np.random.default_rng(1)
     k = np.arange(n_frames)[:, None]
@@ -91,7 +106,7 @@ def tracked(refinement: str) -> Callable[[Scene], np.ndarray]:
     """Return the suite's tracker with one of its refinements."""
 
     def run(scene: Scene) -> np.ndarray:
-        parameters = TrackerParameters.for_camera(scene.camera, HEIGHTS, refinement=refinement)
+        parameters = expectations(scene.camera, refinement)
         tracker = MarkerTracker(parameters, len(HEIGHTS))
         return np.array(
             [[m.u_px for m in tracker.process(frame, k).markers] for k, frame in enumerate(scene.frames)]
@@ -265,14 +280,14 @@ def speed() -> list[dict[str, Any]]:
         print(f"  {what:44s} {size:10s} {milliseconds:8.3f} ms")
 
     for width, height, origin in ((640, 480, (320.0, 465.0)), (1920, 1080, (960.0, 1000.0))):
-        camera = CameraParameters(width=width, height=height, origin_px=origin)
+        camera = replace(CAMERA, width=width, height=height, origin_px=origin)
         size = f"{width}x{height}"
         strip = np.linspace(0.0, 0.3, 25)
         renderer = SceneRenderer(camera, HEIGHTS, strip_heights=strip)
         rng = np.random.default_rng(1)
         frames = [renderer.render(rng.random(4) / 1500, rng, strip=0 * strip) for _ in range(8)]
         for refinement in ("none", "radial_symmetry", "disc_model"):
-            tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS, refinement=refinement), 4)
+            tracker = MarkerTracker(expectations(camera, refinement), 4)
             for frame in frames * 2:
                 tracker.process(frame, 0)
 
@@ -309,7 +324,7 @@ def speed() -> list[dict[str, Any]]:
 
 def file_speed() -> list[dict[str, Any]]:
     """Measure reading and tracking of files at 640x480, decoding included, and of frames that are there already."""
-    camera = CameraParameters()
+    camera = CAMERA
     rng = np.random.default_rng(1)
     renderer = SceneRenderer(camera, HEIGHTS)
     x = 0.01 * np.sin(0.2 * np.arange(100)[:, None] + np.arange(4.0))
@@ -323,7 +338,7 @@ def file_speed() -> list[dict[str, Any]]:
     def track(source: Callable[[], Any]) -> float:
         chain = MeasuringChain(
             camera,
-            TrackerParameters.for_camera(camera, HEIGHTS),
+            expectations(camera, "none"),
             HEIGHTS,
             LinearCalibration.from_camera(camera, len(HEIGHTS)),
         )

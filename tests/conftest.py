@@ -26,6 +26,7 @@ IN_REAL_TIME = (
     *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes", "shell")),
     "tests/packaging/test_colcon.py",
     "tests/packaging/test_environment.py",
+    "tests/packaging/test_plug_in.py",
 )
 
 

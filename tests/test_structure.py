@@ -73,10 +73,9 @@ TESTED_IN = (
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
     ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),
     ("beam_ros/launching", "client processes", "launching/test_demo"),
-    ("beam_ros/measurements", "frames", "offline/test_simulation"),
     (
         "beam_ros/messages",
-        "batches camera clocks commands health joint_states marker_clouds message_types stamps texts trajectories",
+        "batches camera clocks commands health joint_states markers message_types stamps texts trajectories",
         "messages/test_messages",
     ),
     ("beam_ros/nodes", "bag_player", "bags/test_bag_player"),
@@ -89,6 +88,7 @@ TESTED_IN = (
     ("beam_ros/shell", "hub_topics", "nodes/test_contract"),
     ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
     ("beam_ros/shell", "node", "nodes/test_parameters"),
+    ("beam_ros/vision/camera", "source", "vision/camera/test_capture"),
     ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),
     (

@@ -101,7 +101,7 @@ def find_rests(stamps_ns: StampArray, positions: FloatArray, tolerance_m: float)
     moving = np.zeros(len(stamps_ns), dtype=bool)
     for first, last in zip(start[moves], later[inside][moves], strict=True):
         moving[first : last + 1] = True
-    # A gap is no rest: nobody saw what happened in it.
+    # A gap is not a rest: what happened in it is unknown.
     steps = np.diff(stamps_ns)
     gaps = steps > max(_STEP_S * 1e9, 3.0 * float(np.median(steps)))
     borders = np.flatnonzero(np.diff(moving.astype(np.int8)) != 0) + 1
@@ -122,7 +122,7 @@ def calibrate_from_bags(
     rig: Rig | None = None,
     reference: str = HUB_ENCODER,
     reference_sd_m: float | None = None,
-    frames: int = 100,
+    frames: int | None = None,
     date: str = "",
 ) -> tuple[CalibrationFit, Rig]:
     """Fit a calibration to what bags hold.
@@ -134,7 +134,7 @@ def calibrate_from_bags(
     reference : str -- "hub/measured", or TOPIC or TOPIC:NAME of a JointState
     reference_sd_m : float, optional -- standard deviation of the reference [m]; None: the encoder's resolution over
         sqrt(12), and to be given for any other reference
-    frames : int -- frames averaged at the end of each rest
+    frames : int, optional -- frames averaged at the end of each rest; None: ``tracker.averaged_frames`` of the rig
     date : str -- for the provenance
 
     Returns
@@ -161,13 +161,7 @@ def calibrate_from_bags(
             seen = _marker_frames(bag, len(rig.markers.names))
             found_lens = _lens(bag, rig)
         if procedure is None:
-            camera = rig.camera_parameters()
-            procedure = CalibrationProcedure(
-                len(rig.markers.names),
-                (camera.width, camera.height),
-                rig.camera.name,
-                rig.camera.focus,
-            )
+            procedure = CalibrationProcedure(len(rig.markers.names), rig.camera_parameters())
             lens = found_lens
         elif lens_to_dict(found_lens) != lens_to_dict(lens):
             raise CalibrationError(
@@ -175,7 +169,8 @@ def calibrate_from_bags(
             )
         tolerance = max(_STILL_M, _STILL_RESOLUTIONS * sensor.sd_m)
         rests = find_rests(sensor.stamps_ns, sensor.positions, tolerance)
-        count, swings = _capture(procedure, rests, seen, sensor, lens, frames)
+        averaged = frames or rig.tracker.averaged_frames
+        count, swings = _capture(procedure, rests, seen, sensor, lens, averaged)
         if swings:
             warnings.append(
                 f"{path}: {len(swings)} of {len(swings) + count} positions are left out, for the beam still swung "

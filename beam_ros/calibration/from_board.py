@@ -117,8 +117,8 @@ def calibrate_from_board(
         flip=camera.flip,
         covariance=(covariance,) * n_markers,
         image_size=(camera.width, camera.height),
-        camera_name=rig.camera.name,
-        focus=rig.camera.focus,
+        camera_name=camera.name,
+        focus=camera.focus,
         provenance={
             "method": "checkerboard in the beam's plane",
             "date": date,

@@ -267,7 +267,7 @@ _GUARD = ("hub.max_tip_deflection", "beam.max_root_strain")
 
 _FILM = (
     *("markers.names", "markers.diameter", "tracker.polarity"),
-    *_group("camera", "name", "focus"),
+    *_group("camera"),
     *("simulation.realistic", "simulation.displacement_noise", "simulation.seed"),
 )
 """What a simulated camera shows of the beam."""

@@ -119,8 +119,8 @@ class TrackerSettings:
     """Where frames come from, and how markers are found in them."""
 
     polarity: Literal["bright", "dark"] = setting("markers against ground")
-    source: str = setting("where frames come from", choices=("topic", "device", "file"))
-    device: str = setting("path, number or address of the camera, for source device")
+    source: str = setting("where frames come from: topic, device, file, or a kind that a package adds")
+    device: str = setting("path, number or address of the camera, where the tracker reads it")
     device_format: str = setting("four characters such as GREY, YUYV, MJPG; empty: the driver's choice")
     sets_exposure: bool = setting("set the device to camera.exposure")
     retry_period: float = setting("until a device that failed is opened again", "s", 0.05, 60.0)

@@ -37,11 +37,19 @@ from beam_ros.messages.joint_states import (
     Displacement,
     HubSample,
     displacement,
+    displacement_messages,
     hub_state,
     read_displacement,
     read_hub_state,
 )
-from beam_ros.messages.marker_clouds import MARKER_DTYPE, MarkerCloud, marker_cloud, read_marker_cloud
+from beam_ros.messages.markers import (
+    MARKER_DTYPE,
+    MarkerCloud,
+    beam_shape,
+    marker_cloud,
+    marker_cloud_from_columns,
+    read_marker_cloud,
+)
 from beam_ros.messages.message_types import BagTypes, MessageTypes, RosTypes
 from beam_ros.messages.stamps import SECOND_NS, header, stamp_ns, time_ns
 from beam_ros.messages.texts import json_text, read_json, sequence_state
@@ -63,18 +71,21 @@ __all__ = [
     "RosTypes",
     "Setpoint",
     "batch_from_columns",
+    "beam_shape",
     "camera_info",
     "chunk_frame",
     "chunk_from_columns",
     "clock_sync",
     "diagnostics",
     "displacement",
+    "displacement_messages",
     "format_batch_frame",
     "header",
     "hub_state",
     "image",
     "json_text",
     "marker_cloud",
+    "marker_cloud_from_columns",
     "parse_batch_frame",
     "read_clock_sync",
     "read_diagnostics",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,28 @@ def displacement(types: MessageTypes, stamp_ns: int, names: Sequence[str], posit
             f"displacement of shape {values.shape} for {len(names)} markers: expected one number for each"
         )
     return _joint_state(types, stamp_ns, names, values, (), ())
+
+
+def displacement_messages(
+    types: MessageTypes, names: Sequence[str], stamps_ns: Sequence[int], x_m: FloatArray
+) -> Iterator[tuple[int, Any]]:
+    """Yield a message of ``beam/displacement`` for every instant at which markers were exposed.
+
+    Parameters
+    ----------
+    types : MessageTypes
+    names : sequence of str, length m
+    stamps_ns : sequence of int, length m -- middle of the exposure of each marker's row [ns, UNIX]
+    x_m : ndarray, shape (m,) -- u of each marker [m]; NaN where it was not seen
+
+    Yields
+    ------
+    stamp_ns : int -- [ns, UNIX], rising
+    message : JointState
+    """
+    for stamp in sorted(set(stamps_ns)):
+        chosen = [k for k, at_ns in enumerate(stamps_ns) if at_ns == stamp]
+        yield stamp, displacement(types, stamp, [names[k] for k in chosen], x_m[chosen])
 
 
 def read_displacement(message: Any) -> Displacement:

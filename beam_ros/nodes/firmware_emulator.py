@@ -11,9 +11,9 @@ from pathlib import Path
 from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.emulated.emulator import EmulatedController
 from beam_ros.hub.simulated.plant import beam_on_axis
-from beam_ros.shell.camera_topics import CameraOutput
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
+from beam_ros.shell.simulated_camera import SimulatedCamera
 
 _FILM_S = 0.005
 
@@ -31,7 +31,7 @@ class FirmwareEmulator(RigNode):
         self._controller = EmulatedController(
             parameters, beam_on_axis(model, parameters, self.rig.nonlinear_terms())
         )
-        self._camera = CameraOutput(
+        self._camera = SimulatedCamera(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )
         self._link_port()

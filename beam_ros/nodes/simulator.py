@@ -14,17 +14,17 @@ from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 from beam_ros.rig.rig import Rig
-from beam_ros.shell.camera_topics import CameraOutput
 from beam_ros.shell.hub_topics import HubNode
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import run_node
+from beam_ros.shell.simulated_camera import SimulatedCamera
 
 
 class Simulator(HubNode):
     """The simulated rig: hub, beam and camera."""
 
     def __init__(self) -> None:
-        self._camera: CameraOutput | None = None
+        self._camera: SimulatedCamera | None = None
         super().__init__("simulator", self._build)
         factor = self.rig.simulation.real_time_factor
         self._simulated_time = self.offer("/clock") if factor != 1.0 else None
@@ -45,7 +45,7 @@ class Simulator(HubNode):
         reached_ns = self._simulated.reached_ns
         if self._camera is None:
             with_images = self.rig.simulation.images
-            self._camera = CameraOutput(
+            self._camera = SimulatedCamera(
                 self, self._model, self._simulated.snapshots, reached_ns, with_images=with_images
             )
         self._camera.publish_until(reached_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Awaitable, Callable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,8 @@ import numpy as np
 
 from beam_ros import messages
 from beam_ros.arrays import ImageArray
-from beam_ros.measurements.beam_line import BeamLineFitter, line_marker
-from beam_ros.measurements.frames import displacement_messages, markers_message
 from beam_ros.messages import MessageContentError
+from beam_ros.rig.beam_line import BeamLineFitter
 from beam_ros.shell.frame_averaging import FrameAveraging
 from beam_ros.shell.frame_sources import frame_source
 from beam_ros.shell.large_messages import keep_freed_memory, widen_shared_memory
@@ -40,15 +40,17 @@ class VisionTracker(RigNode):
         super().__init__("vision_tracker")
         rig, camera = self.rig, self.rig.camera_parameters()
         self._names = rig.markers.names
+        self._encoder_sd_m = rig.hub.encoder_resolution / math.sqrt(12.0)
         self._heights = np.asarray(rig.markers.heights)
         self._rows = camera.rows(self._heights)
-        name, focus = rig.camera.name, rig.camera.focus
-        self._chain = MeasuringChain(
-            camera, rig.tracker_parameters(), self._heights.tolist(), self._first_calibration(), name, focus
+        path = rig.tracker.calibration
+        first = (
+            load_calibration(Path(path)) if path else LinearCalibration.from_camera(camera, len(self._names))
         )
+        self._chain = MeasuringChain(camera, rig.tracker_parameters(), self._heights.tolist(), first)
         if self._chain.calibration_fault:
             self.get_logger().error(self._chain.calibration_fault)
-        self._procedure = CalibrationProcedure(len(self._names), (camera.width, camera.height), name, focus)
+        self._procedure = CalibrationProcedure(len(self._names), camera)
         self._diagnosis = Diagnosis(self._names, self._chain)
         self._reported = time.monotonic()
         self._drawn = -math.inf
@@ -60,23 +62,13 @@ class VisionTracker(RigNode):
         self._debug_image = self.offer("tracker/debug_image")
         self.listen("hub/state", self._on_hub_state)
         self._averaging = FrameAveraging(self)
-        self.serve("tracker/reset", self._on_reset)
-        self.serve("tracker/tare", self._on_tare, callback_group=self._averaging.group)
-        self.serve("tracker/capture_point", self._on_capture_point, callback_group=self._averaging.group)
-        self.serve("tracker/fit_calibration", self._on_fit_calibration)
-        self._source = frame_source(self, self)
-
-    def _first_calibration(self) -> LinearCalibration:
-        path = self.rig.tracker.calibration
-        if path:
-            return load_calibration(Path(path))
-        rig = self.rig
-        return LinearCalibration.from_camera(
-            rig.camera_parameters(),
-            len(self._names),
-            camera_name=rig.camera.name,
-            focus=rig.camera.focus,
+        self.serve("tracker/reset", _answering(self._reset))
+        self.serve("tracker/tare", _answering(self._tare), callback_group=self._averaging.group)
+        self.serve(
+            "tracker/capture_point", _answering(self._capture_point), callback_group=self._averaging.group
         )
+        self.serve("tracker/fit_calibration", _answering(self._fit_calibration))
+        self._source = frame_source(self, self)
 
     def _on_hub_state(self, message: Any) -> None:
         try:
@@ -128,11 +120,11 @@ class VisionTracker(RigNode):
 
     def _publish(self, measurement: Measurement) -> None:
         found, stamps = measurement.displacement, measurement.stamps_ns
-        for _, message in displacement_messages(self.types, self._names, stamps, found.x_m):
+        for _, message in messages.displacement_messages(self.types, self._names, stamps, found.x_m):
             self._displacement.publish(message)
         self._diagnosis.frame_measured(measurement, self.now_ns() - measurement.stamp_ns)
         self._markers.publish(
-            markers_message(
+            messages.marker_cloud_from_columns(
                 self.types,
                 measurement.stamp_ns,
                 self._heights,
@@ -150,8 +142,12 @@ class VisionTracker(RigNode):
             return
         self._drawn = now
         if self._shape.get_subscription_count():
-            line = self._line.fit(measurement.displacement)
-            self._shape.publish(line_marker(self.types, measurement.stamp_ns, line))
+            line = self._line.fit(measurement.displacement.x_m, measurement.displacement.sigma_m)
+            self._shape.publish(
+                messages.beam_shape(
+                    self.types, measurement.stamp_ns, line.heights_m, line.x_m, is_complete=line.is_complete
+                )
+            )
         if self._debug_image.get_subscription_count() and measurement.frame is not None:
             drawing = draw_overlay(
                 image,
@@ -164,43 +160,31 @@ class VisionTracker(RigNode):
 
     # -- services ------------------------------------------------------------------------------------------
 
-    def _on_reset(self, _request: Any, response: Any) -> Any:
+    async def _reset(self) -> str:
         self._chain.reset()
         self._source.reset()
         points = len(self._procedure.points)
         self._procedure.clear()
         forgotten = f"; {points} calibration points are forgotten" if points else ""
-        response.success, response.message = True, f"markers are acquired anew{forgotten}"
-        return response
+        return f"markers are acquired anew{forgotten}"
 
-    async def _on_tare(self, _request: Any, response: Any) -> Any:
-        try:
-            if self._chain.calibration_fault:
-                raise CalibrationError(self._chain.calibration_fault)
-            frames = await self._averaging.next_frames()
-            # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
-            away_m = self._hub_position_now()
-            calibration = self._chain.calibration
-            scales = np.asarray(calibration.pixels_per_metre) * calibration.direction
-            columns = np.asarray(frames.columns) - scales * away_m
-            self._chain.calibration = calibration.tare(columns, frames.sigmas)
-            response.success = True
-            response.message = f"zero from {len(frames.columns)} frames, the hub at {away_m * 1e3:+.3f} mm"
-        except CalibrationError as err:
-            response.success, response.message = False, str(err)
-        return response
+    async def _tare(self) -> str:
+        if self._chain.calibration_fault:
+            raise CalibrationError(self._chain.calibration_fault)
+        frames = await self._averaging.next_frames()
+        # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
+        away_m = self._hub_position_now()
+        calibration = self._chain.calibration
+        scales = np.asarray(calibration.pixels_per_metre) * calibration.direction
+        columns = np.asarray(frames.columns) - scales * away_m
+        self._chain.calibration = calibration.tare(columns, frames.sigmas)
+        return f"zero from {len(frames.columns)} frames, the hub at {away_m * 1e3:+.3f} mm"
 
-    async def _on_capture_point(self, _request: Any, response: Any) -> Any:
-        encoder_sd = self.rig.hub.encoder_resolution / math.sqrt(12.0)
-        try:
-            frames = await self._averaging.next_frames()
-            position_m = self._hub_position_now()
-            self._procedure.capture_point(frames.columns, frames.sigmas, position_m, encoder_sd)
-            response.success = True
-            response.message = f"point {len(self._procedure.points)} at {position_m:.6f} m"
-        except CalibrationError as err:
-            response.success, response.message = False, str(err)
-        return response
+    async def _capture_point(self) -> str:
+        frames = await self._averaging.next_frames()
+        position_m = self._hub_position_now()
+        self._procedure.capture_point(frames.columns, frames.sigmas, position_m, self._encoder_sd_m)
+        return f"point {len(self._procedure.points)} at {position_m:.6f} m"
 
     def _hub_position_now(self) -> float:
         """Return the hub's position, which calibrations refer to [m].
@@ -224,33 +208,28 @@ class VisionTracker(RigNode):
             )
         return self._hub_position
 
-    def _on_fit_calibration(self, _request: Any, response: Any) -> Any:
+    async def _fit_calibration(self) -> str:
         provenance = {
             "date": datetime.fromtimestamp(self.now_ns() * 1e-9, timezone.utc).isoformat(timespec="seconds"),
             "reference": "hub/state",
-            "reference_sd_m": self.rig.hub.encoder_resolution / math.sqrt(12.0),
+            "reference_sd_m": self._encoder_sd_m,
             "markers": list(self._names),
             "heights_m": self._heights.tolist(),
             "lens": lens_to_dict(self._chain.lens),
         }
-        try:
-            fit = self._procedure.fit(provenance)
-            path = self.rig.tracker.save_calibration
-            if path:
-                save_calibration(fit.calibration, Path(path))
-        except CalibrationError as err:
-            response.success, response.message = False, str(err)
-            return response
+        fit = self._procedure.fit(provenance)
+        path = self.rig.tracker.save_calibration
+        if path:
+            save_calibration(fit.calibration, Path(path))
         self._chain.calibration = fit.calibration
-        deviations = [math.sqrt(covariance[0][0]) for covariance in fit.calibration.covariance]
-        scales = ", ".join(
-            f"{scale:.2f} +- {sd:.2g}"
-            for scale, sd in zip(fit.calibration.pixels_per_metre, deviations, strict=True)
-        )
-        response.success = True
-        response.message = "; ".join([f"{scales} px/m", *fit.warnings])
         self._procedure.clear()
-        return response
+        scales = ", ".join(
+            f"{scale:.2f} +- {math.sqrt(covariance[0][0]):.2g}"
+            for scale, covariance in zip(
+                fit.calibration.pixels_per_metre, fit.calibration.covariance, strict=True
+            )
+        )
+        return "; ".join([f"{scales} px/m", *fit.warnings])
 
     # -- health --------------------------------------------------------------------------------------------
 
@@ -264,6 +243,19 @@ class VisionTracker(RigNode):
     def close(self) -> None:
         """End the source."""
         self._source.close()
+
+
+def _answering(work: Callable[[], Awaitable[str]]) -> Callable[[Any, Any], Awaitable[Any]]:
+    """Make the callback of a Trigger from work that returns its message, or raises CalibrationError with it."""
+
+    async def answer(_request: Any, response: Any) -> Any:
+        try:
+            response.message, response.success = await work(), True
+        except CalibrationError as err:
+            response.message, response.success = str(err), False
+        return response
+
+    return answer
 
 
 def main(argv: list[str] | None = None) -> int:

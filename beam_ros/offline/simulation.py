@@ -22,7 +22,6 @@ from beam_ros.hub.contract import HostTime, HubReport, RequestKind
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
-from beam_ros.measurements.frames import displacement_messages, markers_message
 from beam_ros.messages import BagTypes
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.rig.rig import Rig
@@ -171,7 +170,7 @@ def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         u = film.mean_displacement(exposure)
         u = u + noise * rng.standard_normal(len(u))
-        for _, message in displacement_messages(types, names, film.marker_stamps(exposure), u):
+        for _, message in messages.displacement_messages(types, names, film.marker_stamps(exposure), u):
             yield "beam/displacement", message
 
     return measure
@@ -198,11 +197,13 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         seen = chain.measure(exposure.stamp_ns, render(exposure))
         found = seen.displacement
-        for _, message in displacement_messages(types, names, seen.stamps_ns, found.x_m):
+        for _, message in messages.displacement_messages(types, names, seen.stamps_ns, found.x_m):
             yield "beam/displacement", message
         yield (
             "beam/markers",
-            markers_message(types, seen.stamp_ns, heights, found.x_m, found.sigma_m, seen.u_px, seen.v_px),
+            messages.marker_cloud_from_columns(
+                types, seen.stamp_ns, heights, found.x_m, found.sigma_m, seen.u_px, seen.v_px
+            ),
         )
 
     return measure

@@ -26,7 +26,6 @@ from beam_ros.bags.reading import Bag, HubSamples
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.interfaces import graph
-from beam_ros.measurements.frames import displacement_messages, markers_message
 from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import VIDEO_TOPIC, described_rig
 from beam_ros.rig.rig import Rig
@@ -116,9 +115,8 @@ def track_video(
                 f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
             ) from err
     names, heights = rig.markers.names, rig.markers.heights
-    name, focus = rig.camera.name, rig.camera.focus
-    chosen = calibration or LinearCalibration.from_camera(camera, len(names), camera_name=name, focus=focus)
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, name, focus)
+    chosen = calibration or LinearCalibration.from_camera(camera, len(names))
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen)
     if "lens" in chosen.provenance:
         chain.lens = Lens.from_dict(chosen.provenance["lens"])
     if chain.calibration_fault:
@@ -422,9 +420,9 @@ def _video_messages(types: BagTypes, tracked: TrackedVideo) -> Iterator[tuple[st
     for k, (frame_ns, stamps) in enumerate(
         zip(tracked.frame_times_ns.tolist(), tracked.times_ns.tolist(), strict=True)
     ):
-        for stamp_ns, message in displacement_messages(types, tracked.names, stamps, tracked.x_m[k]):
+        for stamp_ns, message in messages.displacement_messages(types, tracked.names, stamps, tracked.x_m[k]):
             yield "beam/displacement", stamp_ns, message
-        message = markers_message(
+        message = messages.marker_cloud_from_columns(
             types,
             frame_ns,
             tracked.heights,

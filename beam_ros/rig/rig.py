@@ -21,7 +21,6 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
     from beam_ros.hub.parameters import HubParameters
-    from beam_ros.vision.camera.capture import DeviceSettings
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -214,47 +213,23 @@ class Rig(RigParameters):
             marker_diameter_m=self.markers.diameter,
             contrast=sign * self.camera.contrast,
             background=self.camera.background,
+            strip_width_m=self.beam.thickness,
             blur_px=self.camera.blur,
             noise_grey=self.camera.noise,
             stamp=self.camera.stamp,
             latency_s=self.camera.latency,
+            name=self.camera.name,
+            focus=self.camera.focus,
         )
 
     def tracker_parameters(self) -> TrackerParameters:
         """What the tracker expects to see."""
-        from beam_ros.vision.parameters import TrackerParameters
+        from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, TrackerParameters
 
-        camera = self.camera_parameters()
-        return TrackerParameters(
-            marker_diameter_px=camera.marker_diameter_px,
-            polarity=self.tracker.polarity,
-            expected_rows_px=tuple(float(row) for row in camera.rows(self.markers.heights)),
+        return TrackerParameters.for_camera(
+            self.camera_parameters(),
+            self.markers.heights,
             refinement=self.tracker.refinement,
-            sigma_floor_px=max(self.tracker.sigma_floor, TrackerParameters.sigma_floor_px),
+            sigma_floor_px=max(self.tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
             min_contrast_grey=self.tracker.min_contrast,
-        )
-
-    def device_settings(self) -> DeviceSettings:
-        """What is asked of the camera that the tracker reads itself.
-
-        Raises
-        ------
-        ParameterFileError
-            The pixel format is none.
-        """
-        from beam_ros.vision.camera.capture import DeviceSettings
-
-        pixel_format = self.tracker.device_format
-        if pixel_format and not (pixel_format.isascii() and len(pixel_format) == 4):
-            raise ParameterFileError(
-                f"tracker.device_format is {pixel_format!r}: expected four characters such as GREY or MJPG, or "
-                "nothing; `v4l2-ctl --list-formats` shows what the camera gives"
-            )
-        return DeviceSettings(
-            self.tracker.device,
-            self.camera.width,
-            self.camera.height,
-            self.camera.rate,
-            pixel_format,
-            self.camera.exposure if self.tracker.sets_exposure else None,
         )

@@ -1,18 +1,18 @@
-"""Where the tracker's frames come from: the camera's topics, or a camera or video that its process reads itself."""
+"""Where the tracker's frames come from: the camera's topics, or a camera that its process reads itself."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Protocol
 
 from beam_ros.arrays import ImageArray
 from beam_ros.interfaces import graph
+from beam_ros.rig.camera_sources import camera_kind
 from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import RigNode
 from beam_ros.vision.calibration.lens import Lens
-from beam_ros.vision.camera.capture import CaptureLoop, DeviceCamera, FileCamera
+from beam_ros.vision.camera.capture import CaptureLoop
 from beam_ros.vision.camera.image_messages import read_image
-from beam_ros.vision.camera.video import VideoFile
+from beam_ros.vision.camera.source import CameraSource
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.diagnosis import Complaint
 
@@ -40,7 +40,7 @@ class FrameSink(Protocol):
         """Return whether somebody listens to what becomes of the frames."""
 
 
-class FrameSource(Protocol):
+class FrameSource:
     """Gives frames to a sink, on the node's executor."""
 
     silence: str
@@ -48,15 +48,16 @@ class FrameSource(Protocol):
 
     def complaints(self) -> list[Complaint]:
         """Return what is wrong with the source."""
+        raise NotImplementedError
 
     def reset(self) -> None:
         """Read again what is read only once."""
 
     def close(self) -> None:
-        """End."""
+        """End what the node itself does not."""
 
 
-class CameraTopics:
+class CameraTopics(FrameSource):
     """Frames from ``camera/image_raw``, read as bytes, and the lens from ``camera/camera_info``.
 
     The lens of a camera does not change from frame to frame: its topic is listened to until it has spoken, and
@@ -133,44 +134,34 @@ class CameraTopics:
         self._infos.close()
         self._is_lens_known = False
 
-    def close(self) -> None:
-        """Nothing to do: the node ends the subscriptions."""
 
-
-class Capture:
-    """Frames from a camera or video that this process reads in a thread.
+class CameraReader(FrameSource):
+    """Frames from a camera that this process reads in a thread.
 
     Parameters
     ----------
     node : RigNode
     sink : FrameSink
+    camera : CameraSource
     """
 
-    def __init__(self, node: RigNode, sink: FrameSink) -> None:
-        rig = node.rig
+    def __init__(self, node: RigNode, sink: FrameSink, camera: CameraSource) -> None:
         self._log = node.get_logger()
         self._sink = sink
-        self._stamp = rig.camera.stamp
+        self._camera = camera
+        self._stamp = node.rig.camera.stamp
         self._said = ""
         self._before = 0
-        camera: DeviceCamera | FileCamera
-        if rig.tracker.source == "file":
-            path, rate_hz = Path(rig.tracker.video), rig.tracker.video_rate or None
-            VideoFile(path, rate_hz=rate_hz)  # what is no video is refused now, not when somebody listens
-            camera = FileCamera(path, rate_hz)
-        else:
-            camera = DeviceCamera(rig.device_settings())
         self.silence = f"no frames from {camera.name}"
         wake = node.create_guard_condition(self._on_wake)
-        self._loop = CaptureLoop(camera, rig.tracker.retry_period, wake.trigger)
+        self._loop = CaptureLoop(camera, node.rig.tracker.retry_period, wake.trigger)
         self._is_started = False
-        # A video would be over before anybody has found this node.
-        self._waits_for_listener = isinstance(camera, FileCamera)
         self._start_timer = node.create_timer(_LOOK_ROUND_S, self._start)
         self._start()
 
     def _start(self) -> None:
-        if not self._waits_for_listener or self._sink.is_heard():
+        # A recording would be over before anybody has found this node.
+        if not self._camera.is_paced or self._sink.is_heard():
             self._start_timer.cancel()
             self._is_started = True
             self._loop.start()
@@ -179,17 +170,13 @@ class Capture:
         state = self._loop.state
         if state.sentence != self._said:
             self._said = state.sentence
-            self._tell(state.phase, state.sentence)
             if state.phase == "failed":
+                self._log.error(state.sentence)
                 self._sink.begin_anew()
+            else:
+                self._log.info(state.sentence or "the camera gives frames")
         for frame in self._loop.take():
             self._sink.take_frame(frame.stamp_ns, frame.image)
-
-    def _tell(self, phase: str, sentence: str) -> None:
-        if phase == "failed":
-            self._log.error(sentence)
-        else:
-            self._log.info(sentence or "the camera gives frames")
 
     def complaints(self) -> list[Complaint]:
         """Return how the capture is doing."""
@@ -197,18 +184,20 @@ class Capture:
             return [
                 Complaint("OK", "the video waits until somebody listens to beam/displacement or beam/markers")
             ]
-        state = self._loop.state
-        found = [Complaint("WARN", remark) for remark in state.remarks]
+        state, means = self._loop.state, self._loop.stamp_means
+        found = []
         if state.phase == "failed":
             found.append(Complaint("ERROR", state.sentence))
         elif state.phase == "ended":
             found.append(Complaint("OK", state.sentence))
-        if self._loop.clock == "arrival" and self._stamp != "arrival":
+        else:
+            found.extend(Complaint("WARN", remark) for remark in self._camera.remarks)
+        if means not in (None, self._stamp):
             found.append(
                 Complaint(
                     "WARN",
-                    f"the driver gives no time stamps: frames carry the time of their arrival, and camera.stamp is "
-                    f"{self._stamp}: set it to arrival",
+                    f"the stamps of {self._camera.name} mean {means}, and camera.stamp is {self._stamp}: set it to "
+                    f"{means}",
                 )
             )
         overruns, self._before = self._loop.overruns - self._before, self._loop.overruns
@@ -218,17 +207,21 @@ class Capture:
             )
         return found
 
-    def reset(self) -> None:
-        """Nothing is read only once."""
-
     def close(self) -> None:
         """Stop the thread and release the camera."""
         self._loop.close()
 
 
 def frame_source(node: RigNode, sink: FrameSink) -> FrameSource:
-    """Begin the source that ``tracker.source`` names."""
-    if node.rig.tracker.source == "topic":
+    """Begin the source that ``tracker.source`` names.
+
+    Raises
+    ------
+    ParameterFileError
+        There is no such kind of source.
+    """
+    make_camera = camera_kind(node.rig.tracker.source)
+    if make_camera is None:
         camera = node.rig.camera_parameters()
         return CameraTopics(node, sink, (camera.width, camera.height))
-    return Capture(node, sink)
+    return CameraReader(node, sink, make_camera(node.rig))

@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,8 @@ StampMeaning = Literal["start", "mid", "end", "arrival"]
 Polarity = Literal["bright", "dark"]
 Refinement = Literal["none", "radial_symmetry", "disc_model"]
 
-STAMP_MEANINGS: tuple[StampMeaning, ...] = ("start", "mid", "end", "arrival")
-POLARITIES: tuple[Polarity, ...] = ("bright", "dark")
-REFINEMENTS: tuple[Refinement, ...] = ("none", "radial_symmetry", "disc_model")
+PERFECT_DISC_SIGMA_PX = 0.0003
+"""What sampling leaves of a perfect disc's position [px]: no standard deviation is smaller."""
 
 
 def _require(condition: bool, name: str, value: object, expected: str) -> None:
@@ -55,6 +54,11 @@ def _require_number(
     _require(inside, f"{type(owner).__name__}.{name}", value, f"a number {bound}")
 
 
+def _require_word(owner: object, name: str, words: object) -> None:
+    value, known = getattr(owner, name), get_args(words)
+    _require(value in known, f"{type(owner).__name__}.{name}", value, f"one of {', '.join(known)}")
+
+
 @dataclass(frozen=True)
 class CameraParameters:
     """The camera, as the renderer imitates it and the tracker's time stamps need it.
@@ -72,32 +76,35 @@ class CameraParameters:
     marker_diameter_m : float -- diameter of the round markers [m]
     contrast : float -- marker above background [grey levels of 255]; negative is dark on bright
     background : float -- background [grey levels of 255]
-    strip_contrast : float -- strip above background [grey levels of 255]; its sign follows the contrast
     strip_width_m : float -- apparent width of the strip seen edge-on [m]
     blur_px : float -- standard deviation of the lens's Gaussian blur [px]
     noise_grey : float -- standard deviation of the white noise of a pixel [grey levels of 255]
     stamp : "start", "mid", "end", "arrival" -- which instant of the exposure the image's stamp means; see
         ``vision.timing``
     latency_s : float -- how much later the stamp is than that instant [s]
+    name, focus : str -- camera and setting of its lens, which calibrations hold for; "" where it is not said
+    strip_contrast : float -- strip above background [grey levels of 255]; its sign follows the contrast
     """
 
-    width: int = 640
-    height: int = 480
-    rate_hz: float = 100.0
-    exposure_s: float = 0.005
-    readout_s: float = 0.0
-    pixels_per_metre: float = 1500.0
-    origin_px: tuple[float, float] = (320.0, 465.0)
-    flip: bool = False
-    marker_diameter_m: float = 0.008
-    contrast: float = 180.0
-    background: float = 30.0
+    width: int
+    height: int
+    rate_hz: float
+    exposure_s: float
+    readout_s: float
+    pixels_per_metre: float
+    origin_px: tuple[float, float]
+    flip: bool
+    marker_diameter_m: float
+    contrast: float
+    background: float
+    strip_width_m: float
+    blur_px: float
+    noise_grey: float
+    stamp: StampMeaning
+    latency_s: float
+    name: str
+    focus: str
     strip_contrast: float = 12.0
-    strip_width_m: float = 0.0005
-    blur_px: float = 0.8
-    noise_grey: float = 2.0
-    stamp: StampMeaning = "mid"
-    latency_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -142,12 +149,7 @@ class CameraParameters:
             self.background + self.contrast,
             "a grey level from 0 to 255",
         )
-        _require(
-            self.stamp in STAMP_MEANINGS,
-            "CameraParameters.stamp",
-            self.stamp,
-            f"one of {', '.join(STAMP_MEANINGS)}",
-        )
+        _require_word(self, "stamp", StampMeaning)
         _require(
             self.marker_diameter_px >= 2.0,
             "CameraParameters.marker_diameter_m",
@@ -207,6 +209,16 @@ class TrackerParameters:
     marker_diameter_px : float -- expected diameter of the markers [px]
     polarity : "bright" or "dark" -- markers bright on dark, or dark on bright
     min_contrast_grey : float -- contrast below which nothing is a marker [grey levels of the image]
+    sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: at least
+        ``PERFECT_DISC_SIGMA_PX``; print, lighting and pixel response leave some 0.02 on real dots
+    refinement : "none", "radial_symmetry", "disc_model" -- what is made of the centre of gravity: nothing, the
+        centre of the gradients, or a fitted disc (at the noise limit, for some 0.2 ms a marker); for clean
+        and round markers only
+    expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
+        first [px]; lets the tracker distinguish markers from other spots. None: exactly as many spots as markers
+        must be in view when they are acquired
+    expected_row_tolerance_px : float -- tolerance of these rows, and how far a jump may take the markers across
+        the rows [px]
     level_fraction : float -- what is subtracted from the region before its centroid is taken, as a fraction
         of the marker's contrast above the background
     max_jump_px : float -- largest distance between prediction and measurement of a seen marker [px]
@@ -224,21 +236,15 @@ class TrackerParameters:
         over the cube of the radius of gyration) against the marker's own, beside five standard deviations
     brightness_tolerance : float -- relative tolerance of the brightness against its slow average
     noise_grey : float or None -- noise of a pixel [grey levels of the image]; None measures it
-    sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: what sampling
-        leaves on perfect discs; print, lighting and pixel response leave some 0.02 on real dots
-    expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
-        first [px]; lets the tracker tell markers from other spots. None: exactly as many spots as markers
-        must be in view when they are acquired
-    expected_row_tolerance_px : float -- tolerance of these rows, and how far a jump may take the markers across
-        the rows [px]
-    refinement : "none", "radial_symmetry", "disc_model" -- what is made of the centre of gravity: nothing, the
-        centre of the gradients, or a fitted disc (at the noise limit, for some 0.2 ms a marker); for clean
-        and round markers only
     """
 
-    marker_diameter_px: float = 12.0
-    polarity: Polarity = "bright"
-    min_contrast_grey: float = 25.0
+    marker_diameter_px: float
+    polarity: Polarity
+    min_contrast_grey: float
+    sigma_floor_px: float
+    refinement: Refinement
+    expected_rows_px: tuple[float, ...] | None = None
+    expected_row_tolerance_px: float = 15.0
     level_fraction: float = 0.05
     max_jump_px: float = 24.0
     gate_growth_px: float = 6.0
@@ -250,10 +256,6 @@ class TrackerParameters:
     shape_tolerance: float = 0.03
     brightness_tolerance: float = 0.30
     noise_grey: float | None = None
-    sigma_floor_px: float = 0.0003
-    expected_rows_px: tuple[float, ...] | None = None
-    expected_row_tolerance_px: float = 15.0
-    refinement: Refinement = "none"
 
     def __post_init__(self) -> None:
         _require_number(self, "marker_diameter_px", 3.0, 500.0)
@@ -275,18 +277,8 @@ class TrackerParameters:
         _require_number(self, "expected_row_tolerance_px", 0.0, open_below=True)
         if self.noise_grey is not None:
             _require_number(self, "noise_grey", 0.0)
-        _require(
-            self.polarity in POLARITIES,
-            "TrackerParameters.polarity",
-            self.polarity,
-            f"one of {', '.join(POLARITIES)}",
-        )
-        _require(
-            self.refinement in REFINEMENTS,
-            "TrackerParameters.refinement",
-            self.refinement,
-            f"one of {', '.join(REFINEMENTS)}",
-        )
+        _require_word(self, "polarity", Polarity)
+        _require_word(self, "refinement", Refinement)
         _require(
             self.max_gate_px >= self.max_jump_px,
             "TrackerParameters.max_gate_px",
@@ -308,7 +300,7 @@ class TrackerParameters:
 
     @classmethod
     def for_camera(
-        cls, camera: CameraParameters, marker_heights: npt.ArrayLike, **changes: object
+        cls, camera: CameraParameters, marker_heights: npt.ArrayLike, **others: object
     ) -> TrackerParameters:
         """Parameters that follow from the camera and the marker heights.
 
@@ -316,7 +308,7 @@ class TrackerParameters:
         ----------
         camera : CameraParameters -- gives diameter, polarity and rows
         marker_heights : array_like, shape (n_markers,) -- heights above the clamp, rising [m]
-        **changes -- fields to set otherwise
+        **others -- the other fields
 
         Returns
         -------
@@ -327,4 +319,4 @@ class TrackerParameters:
             "polarity": "bright" if camera.contrast > 0 else "dark",
             "expected_rows_px": tuple(float(row) for row in camera.rows(marker_heights)),
         }
-        return cls(**{**derived, **changes})  # type: ignore[arg-type]
+        return cls(**{**derived, **others})  # type: ignore[arg-type]

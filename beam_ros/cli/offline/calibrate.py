@@ -44,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="its standard deviation in m (default: hub.encoder_resolution over sqrt(12))",
     )
     parser.add_argument(
-        "--frames", type=int, default=100, help="frames averaged at the end of each rest (default: 100)"
+        "--frames",
+        type=int,
+        help="frames averaged at the end of each rest (default: tracker.averaged_frames)",
     )
     parser.add_argument("--board", metavar="COLUMNSxROWS", help="inner corners of a checkerboard, as 8x6")
     parser.add_argument("--square", type=float, metavar="M", help="edge of its squares in m")
@@ -82,7 +84,7 @@ def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
 
     if arguments.square is not None:
         raise UsageError("--square goes with --board COLUMNSxROWS")
-    if arguments.frames < 10:
+    if arguments.frames is not None and arguments.frames < 10:
         raise UsageError(f"--frames is {arguments.frames}: expected at least 10 for each rest")
     rig = None
     if arguments.rig_file is not None:

@@ -30,7 +30,7 @@ _NAMED_BY = {"camera": "camera.name", "focus": "camera.focus"}
 
 
 @dataclass(frozen=True)
-class Displacement:
+class MarkerDisplacements:
     """Displacements of the markers in one frame.
 
     Attributes
@@ -64,8 +64,8 @@ class LinearCalibration:
     flip: bool
     covariance: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
     image_size: tuple[int, int]
-    camera_name: str = ""
-    focus: str = ""
+    camera_name: str
+    focus: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -108,18 +108,15 @@ class LinearCalibration:
         *,
         relative_scale_sd: float = 0.0,
         zero_sd_px: float = 0.0,
-        camera_name: str = "",
-        focus: str = "",
     ) -> LinearCalibration:
         """Calibration from the rig file's nominal scale and origin.
 
         Parameters
         ----------
-        camera : CameraParameters -- pixels_per_metre, origin_px, flip and image size
+        camera : CameraParameters -- scale, origin, direction, image size, names
         n_markers : int -- number of markers
         relative_scale_sd : float -- relative standard deviation of the scale
         zero_sd_px : float -- standard deviation of the zeros [px]
-        camera_name, focus : str -- camera and setting of its lens that it holds for
 
         Returns
         -------
@@ -132,8 +129,8 @@ class LinearCalibration:
             flip=camera.flip,
             covariance=(((variance[0], 0.0), (0.0, variance[1])),) * n_markers,
             image_size=(camera.width, camera.height),
-            camera_name=camera_name,
-            focus=focus,
+            camera_name=camera.name,
+            focus=camera.focus,
             provenance={"method": "nominal scale of the rig file"},
         )
 
@@ -147,7 +144,7 @@ class LinearCalibration:
         """Sign of du/dx."""
         return -1 if self.flip else 1
 
-    def displacement(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> Displacement:
+    def displacement(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> MarkerDisplacements:
         """Displacements of all markers.
 
         Parameters
@@ -157,7 +154,7 @@ class LinearCalibration:
 
         Returns
         -------
-        Displacement -- NaN stays NaN
+        MarkerDisplacements -- NaN stays NaN
 
         Notes
         -----
@@ -173,7 +170,7 @@ class LinearCalibration:
         scale, zero, scale_variance, twice_covariance, zero_variance = self._arrays
         x = self.direction * (u - zero) / scale
         variance = sigma**2 + x**2 * scale_variance + x * twice_covariance + zero_variance
-        return Displacement(x, np.sqrt(np.maximum(variance, 0.0)) / scale)
+        return MarkerDisplacements(x, np.sqrt(np.maximum(variance, 0.0)) / scale)
 
     @cached_property
     def _arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -214,28 +211,25 @@ class LinearCalibration:
         provenance = {**self.provenance, "tare_frames": int(positions.shape[0])}
         return replace(self, zero_px=tuple(zeros), covariance=tuple(covariances), provenance=provenance)
 
-    def require_camera(self, width: int, height: int, camera_name: str = "", focus: str = "") -> None:
-        """Refuse images of another camera.
+    def _names(self, camera: CameraParameters) -> tuple[tuple[str, str, str], ...]:
+        """What is named, its name in use and that of the calibration."""
+        return ("camera", camera.name, self.camera_name), ("focus", camera.focus, self.focus)
 
-        Parameters
-        ----------
-        width, height : int -- image size [px]
-        camera_name, focus : str -- camera and setting of its lens; "" when unknown
+    def require_camera(self, camera: CameraParameters) -> None:
+        """Refuse images of another camera.
 
         Raises
         ------
         CalibrationError -- the size, the camera or the focus differ from the calibrated ones, or the calibration
-            was made for a camera or focus and nobody says that it is this one
+            was made for a camera or focus and the rig does not name its own
         """
-        if (width, height) != tuple(self.image_size):
+        width, height = self.image_size
+        if (camera.width, camera.height) != (width, height):
             raise CalibrationError(
-                f"images are {width} x {height}; expected {self.image_size[0]} x {self.image_size[1]}, for which "
+                f"images are {camera.width} x {camera.height}; expected {width} x {height}, for which "
                 "this calibration was made: calibrate this image size"
             )
-        for what, used, calibrated in (
-            ("camera", camera_name, self.camera_name),
-            ("focus", focus, self.focus),
-        ):
+        for what, used, calibrated in self._names(camera):
             if calibrated and not used:
                 raise CalibrationError(
                     f"the rig names no {what}; expected {calibrated!r}, for which this calibration was made: set "
@@ -247,19 +241,16 @@ class LinearCalibration:
                     "this camera and focus"
                 )
 
-    def doubt(self, camera_name: str = "", focus: str = "") -> str:
-        """Say what the calibration leaves open of what is in use: it cannot be told whether that differs.
-
-        Parameters
-        ----------
-        camera_name, focus : str -- camera and setting of its lens; "" when unknown
+    def doubt(self, camera: CameraParameters) -> str:
+        """Say what the calibration leaves open of what is in use, which may then differ.
 
         Returns
         -------
         str -- a sentence, or ""
         """
-        named = (("camera", camera_name, self.camera_name), ("focus", focus, self.focus))
-        unknown = [f"{what} ({used!r})" for what, used, calibrated in named if used and not calibrated]
+        unknown = [
+            f"{what} ({used!r})" for what, used, calibrated in self._names(camera) if used and not calibrated
+        ]
         if not unknown:
             return ""
         return (

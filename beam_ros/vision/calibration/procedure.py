@@ -18,6 +18,7 @@ import numpy.typing as npt
 from beam_ros.arrays import FloatArray
 from beam_ros.vision.calibration.linear import LinearCalibration, matrix_of_two, mean_position
 from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.parameters import CameraParameters
 
 MIN_POINTS = 3
 RECOMMENDED_POINTS = 20
@@ -231,19 +232,14 @@ class CalibrationProcedure:
     Parameters
     ----------
     n_markers : int -- number of markers
-    image_size : (int, int) -- width and height [px]
-    camera_name, focus : str -- camera and setting of its lens
+    camera : CameraParameters -- the camera that the calibration is to hold for
     """
 
-    def __init__(
-        self, n_markers: int, image_size: tuple[int, int], camera_name: str = "", focus: str = ""
-    ) -> None:
+    def __init__(self, n_markers: int, camera: CameraParameters) -> None:
         if n_markers < 1:
             raise CalibrationError(f"n_markers is {n_markers}; expected at least one marker")
         self.n_markers = n_markers
-        self.image_size = image_size
-        self.camera_name = camera_name
-        self.focus = focus
+        self._camera = camera
         self._points: list[tuple[CalibrationPoint, ...]] = []
 
     @property
@@ -342,9 +338,9 @@ class CalibrationProcedure:
             zero_px=tuple(line.intercept for line in lines),
             flip=flip,
             covariance=tuple(matrix_of_two((turn @ line.covariance @ turn).tolist()) for line in lines),
-            image_size=self.image_size,
-            camera_name=self.camera_name,
-            focus=self.focus,
+            image_size=(self._camera.width, self._camera.height),
+            camera_name=self._camera.name,
+            focus=self._camera.focus,
             provenance={
                 **(provenance or {}),
                 "method": "weighted line through captured points",

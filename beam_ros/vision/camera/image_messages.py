@@ -125,5 +125,5 @@ def _text(octets: memoryview, at: int, order: str) -> tuple[str, int]:
     end = at + 4 + length
     if end > len(octets):
         raise IndexError(end)
-    # What is no text is shown as such: the encoding is then unknown, and said to be.
+    # Octets that are not text stay visible in the message that refuses the encoding.
     return bytes(octets[at + 4 : end]).rstrip(b"\0").decode("utf-8", "backslashreplace"), end

@@ -16,8 +16,6 @@ import numpy as np
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.errors import ImageFormatError
 
-"""Two-dimensional uint8 or uint16."""
-
 
 @dataclass(frozen=True)
 class _Encoding:

@@ -15,7 +15,7 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray, ImageArray
 from beam_ros.vision.calibration.lens import Lens
-from beam_ros.vision.calibration.linear import Displacement, LinearCalibration
+from beam_ros.vision.calibration.linear import LinearCalibration, MarkerDisplacements
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.continuity import FrameContinuity
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
@@ -41,7 +41,7 @@ class Measurement:
     u_px, v_px : ndarray, shape (n_markers,) -- where the markers are in the image; NaN where not seen [px]
     corrected_px, sigma_px : ndarray, shape (n_markers,) -- column without the lens's distortion and its standard
         deviation, which is what calibrations are made from [px]
-    displacement : Displacement -- in metres; NaN where not seen, and where there is no valid calibration
+    displacement : MarkerDisplacements -- in metres; NaN where not seen, and where there is no valid calibration
     reasons : tuple of str -- "ok", or why a marker is not valid
     frame : FrameResult or None -- the tracker's own result; None for a frame that could not be read
     """
@@ -52,7 +52,7 @@ class Measurement:
     v_px: FloatArray
     corrected_px: FloatArray
     sigma_px: FloatArray
-    displacement: Displacement
+    displacement: MarkerDisplacements
     reasons: tuple[str, ...]
     frame: FrameResult | None
 
@@ -62,11 +62,10 @@ class MeasuringChain:
 
     Parameters
     ----------
-    camera : CameraParameters -- size, rate and the meaning of the stamps
+    camera : CameraParameters -- size, rate, the meaning of the stamps, names
     tracker : TrackerParameters
     marker_heights : sequence of float -- heights above the clamp, rising [m]
     calibration : LinearCalibration
-    camera_name, focus : str -- camera and setting of its lens in use; "" when nobody says
 
     Attributes
     ----------
@@ -81,8 +80,6 @@ class MeasuringChain:
         tracker: TrackerParameters,
         marker_heights: Sequence[float],
         calibration: LinearCalibration,
-        camera_name: str = "",
-        focus: str = "",
     ) -> None:
         timing = FrameTiming(camera)
         self.tracker = MarkerTracker(tracker, len(marker_heights), timing)
@@ -91,8 +88,6 @@ class MeasuringChain:
         self._past_frames = 0
         self._grey_type: np.dtype[Any] | None = None
         self._camera = camera
-        self._camera_name = camera_name
-        self._focus = focus
         self._timing = timing
         self._rows = camera.rows(marker_heights)
         self._lens: Lens | None = None
@@ -127,8 +122,8 @@ class MeasuringChain:
 
     @property
     def calibration_doubt(self) -> str:
-        """What cannot be told of whether the calibration is this camera's, or ""."""
-        return self._calibration.doubt(self._camera_name, self._focus)
+        """What the calibration does not say about the camera in use, or ""."""
+        return self._calibration.doubt(self._camera)
 
     @property
     def lens_fault(self) -> str:
@@ -138,9 +133,7 @@ class MeasuringChain:
     def _examine_calibration(self) -> None:
         self._calibration_fault = self._lens_fault = ""
         try:
-            self._calibration.require_camera(
-                self._camera.width, self._camera.height, self._camera_name, self._focus
-            )
+            self._calibration.require_camera(self._camera)
             if self._calibration.n_markers != self.tracker.n_markers:
                 raise CalibrationError(
                     f"calibration holds for {self._calibration.n_markers} markers; expected "
@@ -252,6 +245,6 @@ class MeasuringChain:
             None,
         )
 
-    def _nowhere(self) -> Displacement:
+    def _nowhere(self) -> MarkerDisplacements:
         nothing = np.full(self.tracker.n_markers, np.nan)
-        return Displacement(nothing, nothing)
+        return MarkerDisplacements(nothing, nothing)

@@ -78,7 +78,7 @@ class Light:
 
     def absorb(self, plateau: float, left: float, right: float, variance: float) -> None:
         """Carry a valid spot's plateau, and the means and the variance at either side of it, into the averages."""
-        # An object beside the marker is no background: the side that changed less counts.
+        # An object beside the marker is not background: the side that changed less counts.
         at_left, at_right = abs(left - self.background), abs(right - self.background)
         side = left if at_left < at_right else right
         if abs(at_left - at_right) < self.noise:

@@ -40,7 +40,7 @@ Reason = Literal[
 """Why a measurement is not valid; "ok" where it is.
 
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
-spot where the marker should be; ambiguous: it cannot be told from another spot; area, shape, asymmetry,
+spot where the marker should be; ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry,
 brightness: the spot differs from the marker as acquired (covered, merged with another spot, glare, out of
 focus); jump: too far from the prediction or from the marker's row; border: cut by the edge of the image.
 """

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from beam_ros import messages
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.process.environment import child_environment
 
 pytest.importorskip("rclpy")
@@ -255,7 +256,7 @@ def test_the_lens_of_camera_info_is_undone(scene) -> None:
     info.k = np.array([900.0, 0, 322.0, 0, 905.0, 238.0, 0, 0, 1])
     info.d = graph.types.floats(LENS.distortion)
     # As calibrated cameras often do: said once, before anybody listens.
-    latched = graph.QualityOfService(1, is_latched=True)
+    latched = QualityOfService(1, is_latched=True)
     publisher = graph.publisher("camera/camera_info", latched, "/changing")
     publisher.publish(info)
     graph.wait(lambda: publisher.get_subscription_count() > 0, "camera_info's listener")

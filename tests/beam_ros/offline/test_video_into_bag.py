@@ -206,7 +206,7 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     calibration = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3)
     path = bag.parent / "calibration.yaml"
     document = calibration.to_dict()
-    document["pixels_per_metre"] = [700.0] * 3
+    document.update(pixels_per_metre=[700.0] * 3, camera_name="", focus="")
     save_calibration(LinearCalibration.from_dict(document), path)
     command = ["track", str(VIDEO), "--into", str(bag), *wrong, *rows, "-p", "camera.origin_u:=47.3"]
     assert main([*command, "--calibration", str(path), "-p", "camera.focus:=f8"]) == 0
@@ -250,7 +250,9 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     (tmp_path / "wrong.yaml").write_text("a: 1\n", encoding="utf-8")
     other = LinearCalibration.from_camera(Rig.from_file().camera_parameters(), 3)
     save_calibration(other, tmp_path / "other.yaml")
-    focused = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 3, focus="f8")
+    focused = LinearCalibration.from_camera(
+        Rig.from_file(RIG_FILE).with_values({"camera.focus": "f8"}).camera_parameters(), 3
+    )
     save_calibration(focused, tmp_path / "focused.yaml")
     two = LinearCalibration.from_camera(Rig.from_file(RIG_FILE).camera_parameters(), 2)
     save_calibration(two, tmp_path / "two.yaml")

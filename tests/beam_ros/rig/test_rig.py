@@ -65,3 +65,14 @@ def test_every_room_takes_the_default_parameters() -> None:
     assert rig.hub_parameters(clock_drift_ppm=35.0).period_ns == 1_000_000
     assert rig.camera_parameters().marker_diameter_px == pytest.approx(12.0)
     assert len(rig.tracker_parameters().expected_rows_px or ()) == 3
+
+
+def test_the_strip_is_as_wide_in_the_image_as_it_is_thick():
+    rig = Rig.from_file().with_values({"beam.thickness": 0.0008})
+    assert rig.camera_parameters().strip_width_m == 0.0008
+
+
+@pytest.mark.parametrize(("stated_px", "used_px"), [(0.0, 0.0003), (0.02, 0.02)])
+def test_no_position_is_stated_better_than_sampling_leaves_it(stated_px: float, used_px: float):
+    rig = Rig.from_file().with_values({"tracker.sigma_floor": stated_px})
+    assert rig.tracker_parameters().sigma_floor_px == used_px

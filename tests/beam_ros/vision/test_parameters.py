@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.errors import VisionParameterError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 
 def test_image_axes_follow_the_written_convention():
-    camera = CameraParameters(pixels_per_metre=1000.0, origin_px=(320.0, 465.0))
+    camera = packaged_camera(pixels_per_metre=1000.0, origin_px=(320.0, 465.0))
     assert camera.columns(0.01) == pytest.approx(330.0)
     assert camera.rows([0.0, 0.1]) == pytest.approx([465.0, 365.0])
 
 
 def test_a_flipped_camera_mirrors_columns_only():
-    camera = CameraParameters(pixels_per_metre=1000.0, flip=True)
+    camera = packaged_camera(pixels_per_metre=1000.0, flip=True)
     assert camera.columns(0.01) == pytest.approx(310.0)
     assert camera.rows(0.1) == pytest.approx(365.0)
 
@@ -41,11 +41,11 @@ def test_a_flipped_camera_mirrors_columns_only():
 )
 def test_a_camera_that_cannot_be_is_refused_with_value_and_remedy(change):
     with pytest.raises(VisionParameterError, match=r"is .*; expected .*: correct it"):
-        CameraParameters(**change)
+        packaged_camera(**change)
 
 
 def test_whole_numbers_are_accepted_for_real_ones():
-    assert CameraParameters(rate_hz=100, contrast=180, origin_px=(320, 465)).period_s == 0.01
+    assert packaged_camera(rate_hz=100, contrast=180, origin_px=(320, 465)).period_s == 0.01
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,12 @@ def test_whole_numbers_are_accepted_for_real_ones():
 )
 def test_tracker_parameters_that_contradict_are_refused(change):
     with pytest.raises(VisionParameterError, match="expected"):
-        TrackerParameters(**change)
+        packaged_tracker(**change)
 
 
 def test_tracker_parameters_follow_from_the_camera():
-    camera = CameraParameters(contrast=-150.0, background=200.0)
-    parameters = TrackerParameters.for_camera(camera, [0.01, 0.285], area_tolerance=0.2)
+    camera = packaged_camera(contrast=-150.0, background=200.0)
+    parameters = packaged_tracker(camera, [0.01, 0.285], area_tolerance=0.2)
     assert parameters.polarity == "dark"
     assert parameters.marker_diameter_px == pytest.approx(12.0)
     assert np.allclose(parameters.expected_rows_px, [450.0, 37.5])

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.timing import FrameTiming, exposure_weights
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
 START = 1_700_000_000_000_000_000
 
@@ -14,7 +14,7 @@ START = 1_700_000_000_000_000_000
     [("start", 0), ("mid", 4_500_000), ("end", 9_000_000), ("arrival", 9_000_000)],
 )
 def test_every_meaning_of_the_stamp_leads_back_to_the_same_exposure(meaning, after_start_ns):
-    camera = CameraParameters(exposure_s=0.005, readout_s=0.004, stamp=meaning, latency_s=0.001)
+    camera = packaged_camera(exposure_s=0.005, readout_s=0.004, stamp=meaning, latency_s=0.001)
     timing = FrameTiming(camera)
     stamp = timing.stamp(START)
     assert stamp == START + after_start_ns + 1_000_000
@@ -23,7 +23,7 @@ def test_every_meaning_of_the_stamp_leads_back_to_the_same_exposure(meaning, aft
 
 
 def test_rows_are_read_one_after_the_other():
-    camera = CameraParameters(height=481, exposure_s=0.002, readout_s=0.008, stamp="start")
+    camera = packaged_camera(height=481, exposure_s=0.002, readout_s=0.008, stamp="start")
     timing = FrameTiming(camera)
     assert timing.row_middle(START, 0.0) == START + 1_000_000
     assert timing.row_middle(START, 480.0) == START + 9_000_000
@@ -31,14 +31,14 @@ def test_rows_are_read_one_after_the_other():
 
 
 def test_the_middle_stamp_is_the_middle_of_a_global_exposure():
-    timing = FrameTiming(CameraParameters(exposure_s=0.005, stamp="mid"))
+    timing = FrameTiming(packaged_camera(exposure_s=0.005, stamp="mid"))
     assert timing.row_middle(START, 17.0) == START
 
 
 @pytest.mark.parametrize("frequency_hz", [4.5, 28.0, 80.0])
 def test_the_instants_average_exactly_over_the_exposure(frequency_hz):
     exposure = 0.010
-    timing = FrameTiming(CameraParameters(exposure_s=exposure, stamp="mid", rate_hz=100))
+    timing = FrameTiming(packaged_camera(exposure_s=exposure, stamp="mid", rate_hz=100))
     instants = timing.exposure_instants(START, [0.225])[:, 0]
     t = (instants - START) / 1e9
     mean = exposure_weights() @ np.cos(2 * np.pi * frequency_hz * t + 0.3)
@@ -48,7 +48,7 @@ def test_the_instants_average_exactly_over_the_exposure(frequency_hz):
 
 
 def test_markers_at_different_rows_are_exposed_at_different_times():
-    camera = CameraParameters(readout_s=0.008, exposure_s=0.002)
+    camera = packaged_camera(readout_s=0.008, exposure_s=0.002)
     instants = FrameTiming(camera).exposure_instants(START, [0.010, 0.285])
     rows = camera.rows([0.010, 0.285])
     expected = 0.008 * (rows[0] - rows[1]) / 479 * 1e9

@@ -8,9 +8,9 @@ import pytest
 
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.errors import CalibrationError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01))
 
@@ -83,10 +83,10 @@ def test_a_camera_info_without_a_size_is_that_of_a_camera_that_is_not_calibrated
 
 
 def test_markers_seen_through_a_lens_are_where_they_were_once_undistorted():
-    camera = CameraParameters()
+    camera = packaged_camera()
     heights = (0.010, 0.225, 0.285)
     renderer = SceneRenderer(camera, heights, lens=LENS)
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3)
+    tracker = MarkerTracker(packaged_tracker(camera, heights), 3)
     rng = np.random.default_rng(1)
     errors = []
     for x in np.linspace(-0.1, 0.1, 41):

@@ -8,16 +8,16 @@ import pytest
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.calibration.procedure import CalibrationPoint, CalibrationProcedure, fit_line
 from beam_ros.vision.errors import CalibrationError
-from beam_ros.vision.parameters import CameraParameters
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
 
 def nominal(**changes) -> LinearCalibration:
-    return LinearCalibration.from_camera(CameraParameters(**changes), 3)
+    return LinearCalibration.from_camera(packaged_camera(**changes), 3)
 
 
 def test_displacement_inverts_the_camera():
     for flip in (False, True):
-        camera = CameraParameters(flip=flip)
+        camera = packaged_camera(flip=flip)
         x = np.array([-0.01, 0.002, 0.03])
         found = LinearCalibration.from_camera(camera, 3).displacement(camera.columns(x), np.full(3, 0.0075))
         assert found.x_m == pytest.approx(x, abs=1e-15)
@@ -35,7 +35,7 @@ def test_uncertainty_of_scale_and_zero_travels_into_every_displacement():
     matrix = np.array([[4.0, 0.006], [0.006, 1e-4]])
     for flip in (False, True):
         calibration = LinearCalibration(
-            (1500.0,), (320.0,), flip, ((tuple(matrix[0]), tuple(matrix[1])),), (640, 480)
+            (1500.0,), (320.0,), flip, ((tuple(matrix[0]), tuple(matrix[1])),), (640, 480), "", ""
         )
         u = 320.0 + (-1 if flip else 1) * 1500.0 * 0.02
         stated = calibration.displacement([u], [0.01]).sigma_m[0]
@@ -102,8 +102,8 @@ def test_curvature_and_hysteresis_are_found_and_not_invented():
 
 def test_the_procedure_recovers_scale_zero_and_direction():
     rng = np.random.default_rng(6)
-    camera = CameraParameters(flip=True, pixels_per_metre=1480.0)
-    procedure = CalibrationProcedure(2, (640, 480), "cam")
+    camera = packaged_camera(flip=True, pixels_per_metre=1480.0, name="cam")
+    procedure = CalibrationProcedure(2, camera)
     for x in np.concatenate([np.linspace(-0.04, 0.04, 10), np.linspace(0.036, -0.036, 10)]):
         u = camera.columns([x, x])[None, :] + 0.02 * rng.standard_normal((50, 2))
         procedure.capture_point(u, np.full_like(u, 0.02), x + 2e-6 * rng.standard_normal(), 2e-6)
@@ -143,35 +143,37 @@ def test_a_spoiled_dictionary_is_refused(change, message):
 
 
 def test_another_camera_is_refused():
-    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left", focus="f8")
-    calibration.require_camera(640, 480, "left", "f8")
+    calibration = nominal(name="left", focus="f8")
+    calibration.require_camera(packaged_camera(name="left", focus="f8"))
     with pytest.raises(CalibrationError, match="images are 1920 x 1080; expected 640 x 480"):
-        calibration.require_camera(1920, 1080)
+        calibration.require_camera(packaged_camera(width=1920, height=1080))
     with pytest.raises(CalibrationError, match="camera is 'right'; expected 'left'"):
-        calibration.require_camera(640, 480, "right")
+        calibration.require_camera(packaged_camera(name="right"))
     with pytest.raises(CalibrationError, match="focus is 'f4'; expected 'f8'"):
-        calibration.require_camera(640, 480, "left", "f4")
+        calibration.require_camera(packaged_camera(name="left", focus="f4"))
 
 
 def test_a_calibration_for_a_camera_and_focus_is_refused_where_nobody_says_what_is_in_use():
-    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left", focus="f8")
+    calibration = nominal(name="left", focus="f8")
     with pytest.raises(CalibrationError, match=r"names no camera; expected 'left'.*set camera\.name"):
-        calibration.require_camera(640, 480, "", "f8")
+        calibration.require_camera(packaged_camera(focus="f8"))
     with pytest.raises(CalibrationError, match=r"names no focus; expected 'f8'.*set camera\.focus"):
-        calibration.require_camera(640, 480, "left", "")
+        calibration.require_camera(packaged_camera(name="left"))
 
 
 def test_a_calibration_that_leaves_camera_and_focus_open_is_doubtful_where_they_are_named():
-    calibration = LinearCalibration.from_camera(CameraParameters(), 3, camera_name="left")
-    calibration.require_camera(640, 480, "left", "f8")
-    assert "focus ('f8')" in calibration.doubt("left", "f8")
-    assert "camera" not in calibration.doubt("left", "f8").partition("expected")[2]
-    assert calibration.doubt("left") == ""
-    assert nominal().doubt() == ""
+    calibration = nominal(name="left")
+    calibration.require_camera(packaged_camera(name="left", focus="f8"))
+    assert "focus ('f8')" in calibration.doubt(packaged_camera(name="left", focus="f8"))
+    assert (
+        "camera" not in calibration.doubt(packaged_camera(name="left", focus="f8")).partition("expected")[2]
+    )
+    assert calibration.doubt(packaged_camera(name="left")) == ""
+    assert nominal().doubt(packaged_camera()) == ""
 
 
 def test_bad_captures_and_too_few_points_are_refused():
-    procedure = CalibrationProcedure(1, (640, 480))
+    procedure = CalibrationProcedure(1, packaged_camera())
     with pytest.raises(CalibrationError, match="not seen"):
         procedure.capture_point([[np.nan]], [[np.nan]], 0.0, 1e-6)
     with pytest.raises(CalibrationError, match="at rest"):

@@ -9,9 +9,9 @@ import pytest
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.calibration.storage import load_calibration, save_calibration
 from beam_ros.vision.errors import CalibrationError
-from beam_ros.vision.parameters import CameraParameters
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
-CALIBRATION = LinearCalibration.from_camera(CameraParameters(), 2, relative_scale_sd=1e-4, zero_sd_px=0.1)
+CALIBRATION = LinearCalibration.from_camera(packaged_camera(), 2, relative_scale_sd=1e-4, zero_sd_px=0.1)
 
 
 def test_what_is_saved_is_read_back_exactly(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 
 from beam_ros.vision.camera.images import SUPPORTED_ENCODINGS, grey_frame, grey_image, image_view
 from beam_ros.vision.errors import ImageFormatError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 RNG = np.random.default_rng(5)
 GREY = RNG.integers(0, 256, (6, 8), dtype=np.uint8)
@@ -47,12 +47,12 @@ def test_mono16_is_read_in_both_byte_orders_and_odd_steps(is_bigendian, padding)
     ("encoding", "padding"), [("mono8", 0), ("mono8", 7), ("mono16", 0), ("mono16", 1), ("mono16", 6)]
 )
 def test_the_tracker_works_on_the_bytes_of_a_message(encoding, padding):
-    camera, heights = CameraParameters(), (0.010, 0.225, 0.285)
+    camera, heights = packaged_camera(), (0.010, 0.225, 0.285)
     frame = SceneRenderer(camera, heights).render([0.0, 0.0, 0.0], np.random.default_rng(0))
     pixels = frame if encoding == "mono8" else frame.astype("<u2") * 100
     step = 640 * pixels.itemsize + padding
     image = grey_image(encoding, 480, 640, step, padded(pixels, padding))
-    result = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3).process(image, 0)
+    result = MarkerTracker(packaged_tracker(camera, heights), 3).process(image, 0)
     assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * 3, abs=0.03)
 
 
@@ -74,7 +74,7 @@ def test_bayer_patterns_are_named_by_the_first_row(pattern):
 
 
 def test_a_bayer_image_of_a_white_marker_keeps_its_position():
-    camera = CameraParameters(noise_grey=0.0)
+    camera = packaged_camera(noise_grey=0.0)
     frame = SceneRenderer(camera, [0.1]).render([0.0123], np.random.default_rng(0))
     grey = grey_image("bayer_rggb8", 480, 640, 640, frame).astype(float)
     # Older OpenCV truncates 30 to 29 in places.

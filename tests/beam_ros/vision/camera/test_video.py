@@ -8,11 +8,11 @@ from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import VideoError
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 HEIGHTS = (0.010, 0.225, 0.285)
-CAMERA = CameraParameters()
+CAMERA = packaged_camera()
 
 
 def write_video(path, n_frames=40, codec="FFV1", rate=100.0):
@@ -38,7 +38,7 @@ def test_a_video_is_tracked_to_its_truth(tmp_path):
     assert (video.width, video.height, video.rate_hz, video.n_frames) == (640, 480, 100.0, 40)
     chain = MeasuringChain(
         CAMERA,
-        TrackerParameters.for_camera(CAMERA, HEIGHTS),
+        packaged_tracker(CAMERA, HEIGHTS),
         HEIGHTS,
         LinearCalibration.from_camera(CAMERA, 3),
     )

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.calibration.linear import LinearCalibration
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 pytest.importorskip("cv2")
 from beam_ros.vision.measurement.diagnosis import Complaint, Diagnosis
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
-CAMERA = CameraParameters()
+CAMERA = packaged_camera()
 HEIGHTS = (0.010, 0.225, 0.285)
 NAMES = ("low", "middle", "top")
 PERIOD_NS = 10_000_000
@@ -27,8 +27,8 @@ class _Day:
 
     def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
-        tracker = TrackerParameters.for_camera(CAMERA, HEIGHTS)
-        self.chain = MeasuringChain(CAMERA, tracker, HEIGHTS, given, focus=focus)
+        tracker = packaged_tracker(CAMERA, HEIGHTS)
+        self.chain = MeasuringChain(replace(CAMERA, focus=focus), tracker, HEIGHTS, given)
         self.diagnosis = Diagnosis(NAMES, self.chain)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
 
@@ -123,7 +123,7 @@ def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_na
     report = day.diagnosis.report(0.1)
     assert report.level == "WARN"
     assert "does not say for which camera and focus" in report.sentence
-    day = _Day(LinearCalibration.from_camera(CAMERA, 3, focus="f8"))
+    day = _Day(LinearCalibration.from_camera(replace(CAMERA, focus="f8"), 3))
     day.film(range(1, 10))
     report = day.diagnosis.report(0.1)
     assert report.level == "ERROR"

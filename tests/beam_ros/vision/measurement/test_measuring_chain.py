@@ -10,22 +10,23 @@ import pytest
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.errors import ImageFormatError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 pytest.importorskip("cv2")
 from beam_ros.vision.calibration.lens import lens_to_dict
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
-CAMERA = CameraParameters()
+CAMERA = packaged_camera()
 HEIGHTS = (0.010, 0.225, 0.285)
 PERIOD_NS = 10_000_000
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0007, -0.0004, 0.01))
 
 
-def _chain(calibration: LinearCalibration | None = None, camera_name: str = "") -> MeasuringChain:
+def _chain(calibration: LinearCalibration | None = None, camera: CameraParameters = CAMERA) -> MeasuringChain:
     given = calibration or LinearCalibration.from_camera(CAMERA, 3)
-    return MeasuringChain(CAMERA, TrackerParameters.for_camera(CAMERA, HEIGHTS), HEIGHTS, given, camera_name)
+    return MeasuringChain(camera, packaged_tracker(CAMERA, HEIGHTS), HEIGHTS, given)
 
 
 def _frame(x: float, lens: Lens | None = None):
@@ -74,8 +75,8 @@ def test_repeated_and_past_frames_are_left_out_until_the_clock_was_plainly_set_b
     ],
 )
 def test_a_calibration_of_another_camera_leaves_pixels_and_takes_the_metres(change, words) -> None:
-    calibration = replace(LinearCalibration.from_camera(CAMERA, 3, camera_name="lab, f = 25 mm"), **change)
-    chain = _chain(calibration, "lab, f = 25 mm")
+    camera = replace(CAMERA, name="lab, f = 25 mm")
+    chain = _chain(replace(LinearCalibration.from_camera(camera, 3), **change), camera)
     assert words in chain.calibration_fault
     measured = chain.measure(PERIOD_NS, _frame(0.0))
     assert np.all(np.isfinite(measured.u_px))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.measurement.overlay import draw_overlay
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 HEIGHTS = (0.010, 0.225, 0.285)
 NAMES = ("z010", "z225", "z285")
@@ -14,10 +14,10 @@ NAMES = ("z010", "z225", "z285")
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_seen_markers_are_ringed_in_green_and_lost_ones_named_in_red(dtype):
-    camera = CameraParameters()
+    camera = packaged_camera()
     frame = SceneRenderer(camera, HEIGHTS).render([0.0, np.nan, 0.01], np.random.default_rng(0)).astype(dtype)
     before = frame.copy()
-    result = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 3).process(frame, 0)
+    result = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3).process(frame, 0)
     picture = draw_overlay(frame, result, NAMES, marker_diameter_px=12.0, rows_px=camera.rows(HEIGHTS))
     assert picture.shape == (480, 640, 3)
     assert picture.dtype == np.uint8

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.errors import VisionParameterError
-from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
-QUIET = CameraParameters(noise_grey=0.0, strip_contrast=0.0)
+QUIET = packaged_camera(noise_grey=0.0, strip_contrast=0.0)
 
 
 def centre_of_gravity(frame: np.ndarray, background: float) -> tuple[float, float, float]:
@@ -40,7 +40,7 @@ def test_a_marker_holds_the_light_of_its_disc():
 
 
 def test_dark_markers_on_a_bright_background():
-    camera = CameraParameters(noise_grey=0.0, strip_contrast=0.0, background=220.0, contrast=-180.0)
+    camera = packaged_camera(noise_grey=0.0, strip_contrast=0.0, background=220.0, contrast=-180.0)
     frame = SceneRenderer(camera, [0.1]).render([0.0123], np.random.default_rng(0))
     u, v, _ = centre_of_gravity(frame, camera.background)
     assert frame.min() == 40
@@ -48,7 +48,7 @@ def test_dark_markers_on_a_bright_background():
 
 
 def test_noise_is_white_of_the_stated_size_at_the_marker_and_elsewhere():
-    camera = CameraParameters(noise_grey=4.0)
+    camera = packaged_camera(noise_grey=4.0)
     renderer = SceneRenderer(camera, [0.1])
     rng = np.random.default_rng(7)
     frames = np.stack([renderer.render([0.0], rng) for _ in range(300)]).astype(float)
@@ -67,7 +67,7 @@ def test_noise_is_white_of_the_stated_size_at_the_marker_and_elsewhere():
 
 
 def test_the_same_seed_gives_the_same_frame():
-    camera = CameraParameters()
+    camera = packaged_camera()
     first = SceneRenderer(camera, [0.1], seed=4).render([0.01], np.random.default_rng(9))
     second = SceneRenderer(camera, [0.1], seed=4).render([0.01], np.random.default_rng(9))
     assert np.array_equal(first, second)
@@ -75,7 +75,7 @@ def test_the_same_seed_gives_the_same_frame():
 
 def test_nothing_of_a_frame_is_left_in_the_next():
     heights = np.linspace(0.0, 0.3, 31)
-    camera = CameraParameters(noise_grey=0.0)
+    camera = packaged_camera(noise_grey=0.0)
     renderer = SceneRenderer(camera, [0.1, 0.2], strip_heights=heights)
     rng = np.random.default_rng(0)
     renderer.render([0.01, 0.02], rng, strip=heights * 0.1)
@@ -88,9 +88,10 @@ def test_nothing_of_a_frame_is_left_in_the_next():
 
 def test_the_strip_is_thin_dim_and_where_the_beam_is():
     heights = np.linspace(0.0, 0.3, 31)
-    camera = CameraParameters(noise_grey=0.0)
+    camera = packaged_camera(noise_grey=0.0)
     renderer = SceneRenderer(camera, [0.285], strip_heights=heights)
-    frame = renderer.render([0.02], np.random.default_rng(0), strip=0.1 * heights).astype(float) - 30.0
+    frame = renderer.render([0.02], np.random.default_rng(0), strip=0.1 * heights).astype(float)
+    frame -= camera.background
     row = round(float(camera.rows(0.15)))
     line = frame[row]
     # 0.75 px of strip at 12 grey levels, rounded to whole levels over some six pixels.
@@ -102,12 +103,12 @@ def test_the_strip_is_thin_dim_and_where_the_beam_is():
 
 
 def test_a_marker_at_the_edge_is_cut_and_one_outside_or_unknown_left_out():
-    camera = CameraParameters(noise_grey=0.0)
+    camera = packaged_camera(noise_grey=0.0)
     renderer = SceneRenderer(camera, [0.1, 0.2])
     rng = np.random.default_rng(0)
     edge = -320.0 / 1500
     assert renderer.render([edge, 0.0], rng)[315, 0] > 150
-    assert renderer.render([1.0, np.nan], rng).max() == 30
+    assert renderer.render([1.0, np.nan], rng).max() == camera.background
 
 
 def test_wrong_shapes_are_refused():

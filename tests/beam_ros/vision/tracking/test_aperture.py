@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder
 from beam_ros.vision.rendering.frames import SceneRenderer, _DiscTable
 from beam_ros.vision.timing import exposure_weights
 from beam_ros.vision.tracking.aperture import aperture_at, disc_steps
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 DISC = _DiscTable(12.0, 0.8)
 # Lens and pixel: hypot(0.8, sqrt(1 / 12)).
@@ -75,10 +75,10 @@ def test_the_stated_noise_is_that_of_the_centre():
 
 
 def test_motion_below_a_pixel_about_a_pixel_centre_keeps_its_amplitude():
-    camera = CameraParameters(noise_grey=0.5)
+    camera = packaged_camera(noise_grey=0.5)
     heights = (0.010, 0.225, 0.285)
     renderer = SceneRenderer(camera, heights)
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights), 3)
+    tracker = MarkerTracker(packaged_tracker(camera, heights), 3)
     rng = np.random.default_rng(6)
     for amplitude_px in (0.1, 0.3):
         moved, seen = [], []
@@ -94,9 +94,9 @@ def test_motion_below_a_pixel_about_a_pixel_centre_keeps_its_amplitude():
 
 
 def test_a_dark_object_beside_a_bright_marker_does_not_pull():
-    camera = CameraParameters(noise_grey=1.0, background=60.0)
+    camera = packaged_camera(noise_grey=1.0, background=60.0)
     renderer = SceneRenderer(camera, (0.1,))
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, (0.1,)), 1)
+    tracker = MarkerTracker(packaged_tracker(camera, (0.1,)), 1)
     rng = np.random.default_rng(7)
     u, v = float(camera.columns(0.0)), float(camera.rows(0.1))
     columns = {False: [], True: []}

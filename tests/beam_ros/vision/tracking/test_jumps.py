@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.jumps import NEVER, Move, moved_together
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 HEIGHTS = (0.010, 0.1, 0.225, 0.285)
 STEADY = 35
@@ -15,8 +15,8 @@ PIXEL = 1.0 / 1500.0
 
 
 def make(heights=HEIGHTS, **changes):
-    camera = CameraParameters()
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights, **changes), len(heights))
+    camera = packaged_camera()
+    tracker = MarkerTracker(packaged_tracker(camera, heights, **changes), len(heights))
     return camera, SceneRenderer(camera, heights), tracker
 
 
@@ -79,7 +79,7 @@ def test_a_camera_kicked_across_the_rows_is_followed_within_the_rows_tolerance(
 ):
     camera, renderer, tracker = make()
     if not expects_rows:
-        tracker = MarkerTracker(TrackerParameters(), len(HEIGHTS))
+        tracker = MarkerTracker(packaged_tracker(), len(HEIGHTS))
     rng = np.random.default_rng(73)
     settle(renderer, tracker, rng)
     z = np.array(HEIGHTS) - rows_px * PIXEL

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.refinement import fit_disc, radial_symmetry_centre
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
-CAMERA = CameraParameters(noise_grey=2.0)
+CAMERA = packaged_camera(noise_grey=2.0)
 RENDERER = SceneRenderer(CAMERA, [0.1])
 
 

@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
-from beam_ros.vision.parameters import CameraParameters, TrackerParameters
+from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Glare, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 HEIGHTS = (0.010, 0.225, 0.285)
 
 
 def make(camera: CameraParameters, heights=HEIGHTS, **changes):
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, heights, **changes), len(heights))
+    tracker = MarkerTracker(packaged_tracker(camera, heights, **changes), len(heights))
     return SceneRenderer(camera, heights), tracker
 
 
@@ -23,9 +24,9 @@ def columns(result) -> np.ndarray:
 
 
 def test_markers_are_named_from_the_lowest_without_any_expectation():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer = SceneRenderer(camera, HEIGHTS)
-    tracker = MarkerTracker(TrackerParameters(), 3)
+    tracker = MarkerTracker(packaged_tracker(), 3)
     result = tracker.process(renderer.render([0.001, 0.002, 0.003], np.random.default_rng(0)), 77)
     assert result.stamp_ns == 77
     assert result.is_complete
@@ -37,7 +38,7 @@ def test_markers_are_named_from_the_lowest_without_any_expectation():
 @pytest.mark.parametrize(("contrast", "background"), [(180.0, 30.0), (-180.0, 220.0)])
 @pytest.mark.parametrize(("noise", "limit"), [(2.0, 0.0060), (5.0, 0.016), (10.0, 0.031)])
 def test_error_and_stated_standard_deviation(contrast, background, noise, limit):
-    camera = CameraParameters(contrast=contrast, background=background, noise_grey=noise)
+    camera = packaged_camera(contrast=contrast, background=background, noise_grey=noise)
     renderer, tracker = make(camera)
     rng = np.random.default_rng(11)
     errors, stated = [], []
@@ -55,7 +56,7 @@ def test_error_and_stated_standard_deviation(contrast, background, noise, limit)
 
 
 def test_the_mean_position_of_a_smeared_marker_is_unbiased():
-    camera = CameraParameters(noise_grey=2.0)
+    camera = packaged_camera(noise_grey=2.0)
     renderer, tracker = make(camera)
     rng = np.random.default_rng(12)
     errors = []
@@ -79,7 +80,7 @@ def test_the_mean_position_of_a_smeared_marker_is_unbiased():
     [("disc_model", 2.0, 0.0050), ("disc_model", 10.0, 0.0235), ("radial_symmetry", 2.0, 0.0053)],
 )
 def test_refinements_come_closer_to_the_noise_limit(refinement, noise, limit, contrast):
-    camera = CameraParameters(noise_grey=noise, contrast=contrast, background=30.0 if contrast > 0 else 220.0)
+    camera = packaged_camera(noise_grey=noise, contrast=contrast, background=30.0 if contrast > 0 else 220.0)
     renderer, tracker = make(camera, refinement=refinement)
     rng = np.random.default_rng(22)
     errors, stated = [], []
@@ -98,7 +99,7 @@ def test_refinements_come_closer_to_the_noise_limit(refinement, noise, limit, co
 
 def phase_bias(noise: float, n_per_phase: int) -> tuple[np.ndarray, float]:
     """Mean error at twenty sub-pixel phases of u, and the standard deviation of each mean."""
-    camera = CameraParameters(noise_grey=noise)
+    camera = packaged_camera(noise_grey=noise)
     heights = (0.01, 0.1, 0.2, 0.285)
     renderer, tracker = make(camera, heights)
     rng = np.random.default_rng(21)
@@ -126,7 +127,7 @@ def test_the_error_does_not_follow_the_sub_pixel_phase_at_full_length():
 
 
 def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_visible_one():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(13)
     for k in range(80):
@@ -148,7 +149,7 @@ def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_vis
 @pytest.mark.parametrize("side", ["left", "right", "above", "below"])
 @pytest.mark.parametrize("grey", [0.0, 30.0, 110.0])
 def test_a_marker_covered_by_thirty_percent_is_flagged_at_once(side, grey):
-    camera = CameraParameters(noise_grey=5.0)
+    camera = packaged_camera(noise_grey=5.0)
     renderer, tracker = make(camera)
     rng = np.random.default_rng(31)
     for k in range(40):
@@ -171,7 +172,7 @@ def test_a_marker_covered_by_thirty_percent_is_flagged_at_once(side, grey):
 @pytest.mark.parametrize("speed_px", [0.1, 0.7, 3.3])
 @pytest.mark.parametrize("grey", [0.0, 100.0, 210.0])
 def test_no_creeping_cover_makes_a_valid_measurement_wrong(speed_px, grey):
-    camera = CameraParameters(noise_grey=2.0)
+    camera = packaged_camera(background=30.0)  # so far above the darkest cover
     renderer, tracker = make(camera)
     rng = np.random.default_rng(32)
     n_flagged = 0
@@ -190,7 +191,7 @@ def test_no_creeping_cover_makes_a_valid_measurement_wrong(speed_px, grey):
 
 
 def test_glare_on_a_marker_is_flagged_or_harmless():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(33)
     v = float(camera.rows(0.225))
@@ -216,7 +217,7 @@ def cross_with_a_twin(
 
     Returns the numbers of valid and of wrong measurements, and the largest error of the valid ones [px].
     """
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(34)
     row = float(camera.rows(0.225)) + row_offset_px
@@ -263,7 +264,7 @@ def test_ten_thousand_frames_with_a_crossing_twin(speed_px, row_offset_px, swing
 
 
 def test_a_twin_beside_a_moving_marker_takes_nothing_over_even_while_the_marker_is_hidden():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(35)
     row = float(camera.rows(0.225))
@@ -287,7 +288,7 @@ def test_a_twin_beside_a_moving_marker_takes_nothing_over_even_while_the_marker_
 
 
 def test_markers_that_leave_the_image_are_lost_and_found_again():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(37)
     seen = []
@@ -309,7 +310,7 @@ def test_no_image_breaks_the_tracker_and_invalid_means_nothing_is_told():
     rng = np.random.default_rng(38)
     for n_markers, polarity in ((1, "bright"), (3, "dark"), (3, "bright")):
         for _ in range(12):
-            tracker = MarkerTracker(TrackerParameters(polarity=polarity), n_markers)
+            tracker = MarkerTracker(packaged_tracker(polarity=polarity), n_markers)
             shape = (int(rng.integers(1, 200)), int(rng.integers(1, 300)))
             for image in (
                 rng.integers(0, 256, shape),
@@ -326,8 +327,8 @@ def test_no_image_breaks_the_tracker_and_invalid_means_nothing_is_told():
 
 
 def test_a_change_of_light_costs_frames_but_no_truth():
-    camera = CameraParameters()
-    brighter = CameraParameters(background=60.0)
+    camera = packaged_camera()
+    brighter = packaged_camera(background=60.0)
     renderer, tracker = make(camera)
     second = SceneRenderer(brighter, HEIGHTS)
     rng = np.random.default_rng(36)
@@ -340,10 +341,10 @@ def test_a_change_of_light_costs_frames_but_no_truth():
 
 
 def test_times_are_those_of_the_marker_rows():
-    camera = CameraParameters(readout_s=0.004, exposure_s=0.002, stamp="start")
+    camera = packaged_camera(readout_s=0.004, exposure_s=0.002, stamp="start")
     timing = FrameTiming(camera)
     renderer = SceneRenderer(camera, HEIGHTS)
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 3, timing)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3, timing)
     result = tracker.process(renderer.render([0.0, 0.0, 0.0], np.random.default_rng(0)), 10**18)
     for marker, row in zip(result.markers, camera.rows(HEIGHTS), strict=True):
         # 0.04 px of row at 8.3 us a row
@@ -351,7 +352,7 @@ def test_times_are_those_of_the_marker_rows():
 
 
 def test_sixteen_bit_images_are_tracked_as_eight_bit_ones():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(14)
     frame = renderer.render([0.001, 0.002, 0.003], rng).astype(np.uint16) * 16
@@ -362,7 +363,7 @@ def test_sixteen_bit_images_are_tracked_as_eight_bit_ones():
 
 @pytest.mark.parametrize("grey", [0, 30, 255])
 def test_a_uniform_image_shows_nothing_and_breaks_nothing(grey):
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     blank = np.full((480, 640), grey, np.uint8)
     for k in range(3):
@@ -375,24 +376,24 @@ def test_a_uniform_image_shows_nothing_and_breaks_nothing(grey):
 
 
 def test_too_many_spots_without_expected_rows_are_ambiguous():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer = SceneRenderer(camera, (0.010, 0.1, 0.225, 0.285))
-    tracker = MarkerTracker(TrackerParameters(), 3)
+    tracker = MarkerTracker(packaged_tracker(), 3)
     frame = renderer.render(np.zeros(4), np.random.default_rng(0))
     assert [marker.reason for marker in tracker.process(frame, 0).markers] == ["ambiguous"] * 3
 
 
 def test_expected_rows_pick_the_markers_among_other_spots():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer = SceneRenderer(camera, (0.010, 0.1, 0.225, 0.285))
-    tracker = MarkerTracker(TrackerParameters.for_camera(camera, HEIGHTS), 3)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3)
     result = tracker.process(renderer.render([0.0, 0.01, 0.0, 0.0], np.random.default_rng(0)), 0)
     assert result.is_complete
     assert columns(result) == pytest.approx([320.0] * 3, abs=0.04)
 
 
 def test_reset_forgets_and_another_image_size_starts_anew():
-    camera = CameraParameters()
+    camera = packaged_camera()
     renderer, tracker = make(camera)
     rng = np.random.default_rng(15)
     tracker.process(renderer.render([0.0, 0.0, 0.0], rng), 0)
@@ -407,14 +408,14 @@ def test_reset_forgets_and_another_image_size_starts_anew():
 @pytest.mark.parametrize("image", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4)), np.zeros(16, np.uint8)])
 def test_what_is_no_grey_image_is_refused(image):
     with pytest.raises(ImageFormatError, match=r"expected .height, width. of uint8 or uint16"):
-        MarkerTracker(TrackerParameters(), 1).process(image, 0)
+        MarkerTracker(packaged_tracker(), 1).process(image, 0)
 
 
 def test_a_tiny_image_is_no_reason_to_fail():
-    result = MarkerTracker(TrackerParameters(), 1).process(np.arange(64, dtype=np.uint8).reshape(8, 8), 0)
+    result = MarkerTracker(packaged_tracker(), 1).process(np.arange(64, dtype=np.uint8).reshape(8, 8), 0)
     assert not result.is_complete
 
 
 def test_rows_and_markers_must_agree_in_number():
     with pytest.raises(VisionParameterError, match="2 rows; expected 3"):
-        MarkerTracker(TrackerParameters(expected_rows_px=(300.0, 100.0)), 3)
+        MarkerTracker(packaged_tracker(expected_rows_px=(300.0, 100.0)), 3)

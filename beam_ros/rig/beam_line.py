@@ -1,10 +1,11 @@
-"""The deflected shape between the markers: mode shapes fitted to what the camera sees.
+"""The deflected beam as a line for people to look at: from the markers' displacements, as far as these determine it.
 
     u(z) = alpha + sum_i phi_i(z) q_i
 
-A few markers cannot determine many modes. Each modal coordinate therefore has a prior of zero with a stated
-standard deviation, how far that mode may plausibly deflect the beam, and the hub's position has one too where
-it is known. The fit is then linear, always solvable, and its covariance says where it knows nothing.
+with the mode shapes of the rig's model. A few markers cannot determine many modes. Every coordinate q_i therefore has
+a prior of zero: the first mode may deflect the tip as far as the rig allows, the others as far as the same energy
+takes them, which falls with their frequency. The hub's position is what the markers say. The fit is then linear,
+always solvable, and its covariance says where it knows nothing: the line ends there.
 """
 
 from __future__ import annotations
@@ -15,10 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from beam_ros.arrays import FloatArray
+from beam_ros.rig.rig import Rig
 from beam_ros.vision.errors import VisionParameterError
 
+_POINTS = 41
+_KNOWN_SHARE = 0.1
+"""The line is drawn where its standard deviation is below this share of the largest tip deflection."""
 _UNKNOWN_HUB_SD_M = 1.0
-"""Prior standard deviation of a hub position that nobody states [m]: farther than any rig travels."""
+"""Prior standard deviation of the hub's position [m]: farther than any rig travels."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +80,13 @@ class BeamShapeFitter:
             )
         self._coordinate_sd = prior
 
-    def fit(
-        self,
-        x_m: npt.ArrayLike,
-        sigma_m: npt.ArrayLike,
-        *,
-        hub_m: float | None = None,
-        hub_sd_m: float = 0.0,
-    ) -> BeamShape:
+    def fit(self, x_m: npt.ArrayLike, sigma_m: npt.ArrayLike) -> BeamShape:
         """Fit one frame.
 
         Parameters
         ----------
         x_m, sigma_m : array_like, shape (n_markers,) -- displacements and standard deviations; NaN where not
             seen [m]
-        hub_m, hub_sd_m : float -- the hub's position, where it is known, and its standard deviation [m]
 
         Returns
         -------
@@ -103,16 +100,64 @@ class BeamShapeFitter:
                 "marker"
             )
         seen = np.isfinite(x) & np.isfinite(sigma) & (sigma > 0)
-        hub_prior = (0.0, _UNKNOWN_HUB_SD_M) if hub_m is None else (hub_m, max(hub_sd_m, 1e-9))
         # Deviations from the prior in units of its standard deviations: well scaled rows of a least squares.
-        scale = np.concatenate([[hub_prior[1]], self._coordinate_sd])
+        scale = np.concatenate([[_UNKNOWN_HUB_SD_M], self._coordinate_sd])
         design = np.hstack([np.ones((n_markers, 1)), self._shapes])[seen] * scale / sigma[seen, None]
-        target = (x[seen] - hub_prior[0]) / sigma[seen]
+        target = x[seen] / sigma[seen]
         rows = np.vstack([design, np.eye(1 + n_modes)])
         values = np.concatenate([target, np.zeros(1 + n_modes)])
         orthogonal, triangular = np.linalg.qr(rows)
         estimate = np.linalg.solve(triangular, orthogonal.T @ values) * scale
         inverse = np.linalg.inv(triangular) * scale[:, None]
-        return BeamShape(
-            float(estimate[0] + hub_prior[0]), np.asarray(estimate[1:]), np.asarray(inverse @ inverse.T)
+        return BeamShape(float(estimate[0]), np.asarray(estimate[1:]), np.asarray(inverse @ inverse.T))
+
+
+@dataclass(frozen=True)
+class BeamLine:
+    """The beam in one frame.
+
+    Attributes
+    ----------
+    heights_m : ndarray, shape (n_points,) -- above the clamp [m]; empty where the markers do not determine it
+    x_m, sigma_m : ndarray, shape (n_points,) -- absolute displacement and its standard deviation [m]
+    is_complete : bool -- every marker was seen
+    """
+
+    heights_m: FloatArray
+    x_m: FloatArray
+    sigma_m: FloatArray
+    is_complete: bool
+
+
+class BeamLineFitter:
+    """Fits the line to the markers of one rig.
+
+    Parameters
+    ----------
+    rig : Rig
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        model = rig.beam_model()
+        length, allowed = rig.beam.length, rig.hub.max_tip_deflection
+        frequencies = model.natural_frequencies
+        tip = np.abs(model.shape([length])[0])
+        self._fitter = BeamShapeFitter(
+            model.shape(rig.markers.heights), allowed / tip * frequencies[0] / frequencies
         )
+        self._heights = np.linspace(0.0, length, _POINTS)
+        self._shapes = model.shape(self._heights)
+        self._known_m = _KNOWN_SHARE * allowed
+
+    def fit(self, x_m: FloatArray, sigma_m: FloatArray) -> BeamLine:
+        """Fit the line to one frame.
+
+        Parameters
+        ----------
+        x_m, sigma_m : ndarray, shape (n_markers,) -- displacements and standard deviations; NaN where not seen [m]
+        """
+        shape = self._fitter.fit(x_m, sigma_m)
+        x, sigma = shape.displacement(self._shapes)
+        unknown = np.flatnonzero(sigma > self._known_m)
+        end = int(unknown[0]) if unknown.size else _POINTS
+        return BeamLine(self._heights[:end], x[:end], sigma[:end], bool(np.isfinite(x_m).all()))

@@ -1,4 +1,4 @@
-"""The markers in one frame: ``beam/markers``."""
+"""The markers in one frame, ``beam/markers``, and the line that they tell of the beam, ``beam/shape``."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from beam_ros.arrays import StructuredArray
+from beam_ros.arrays import FloatArray, StructuredArray
 from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
@@ -22,6 +23,11 @@ MARKER_DTYPE = np.dtype(
     }
 )
 """A row of ``beam/markers``: x, y, z [m] in ``rig``, u, v [px], displacement and its deviation [m], id, valid."""
+
+_LINE_WIDTH_M = 0.002
+_SEEN_RGB = (0.2, 0.9, 0.3)
+_INCOMPLETE_RGB = (1.0, 0.7, 0.1)
+_LINE_STRIP, _ADD, _DELETE = 4, 0, 2
 
 _POINT_FIELD_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 _POINT_FIELD_TYPES = {code: kind for kind, code in _POINT_FIELD_CODES.items()}
@@ -66,6 +72,34 @@ def marker_cloud(types: MessageTypes, cloud: MarkerCloud) -> Any:
     )
 
 
+def marker_cloud_from_columns(
+    types: MessageTypes,
+    stamp_ns: int,
+    heights_m: ArrayLike,
+    x_m: FloatArray,
+    sigma_m: FloatArray,
+    u_px: FloatArray,
+    v_px: FloatArray,
+) -> Any:
+    """Build the PointCloud2 of ``beam/markers``.
+
+    Parameters
+    ----------
+    types : MessageTypes
+    stamp_ns : int -- of the frame [ns, UNIX]
+    heights_m : array_like, shape (m,) -- above the clamp [m]
+    x_m, sigma_m : ndarray, shape (m,) -- displacement and its standard deviation [m]
+    u_px, v_px : ndarray, shape (m,) -- position in the image as it is; NaN where not seen [px]
+    """
+    rows = np.zeros(len(u_px), dtype=MARKER_DTYPE)
+    rows["x"], rows["z"] = x_m, heights_m
+    rows["x_m"], rows["sigma_m"] = x_m, sigma_m
+    rows["u"], rows["v"] = u_px, v_px
+    rows["id"] = np.arange(len(u_px))
+    rows["valid"] = np.isfinite(u_px)
+    return marker_cloud(types, MarkerCloud(stamp_ns, rows))
+
+
 def read_marker_cloud(message: Any) -> MarkerCloud:
     """Read a message of ``beam/markers`` by the names of its fields, in whatever order and type they are.
 
@@ -103,3 +137,52 @@ def read_marker_cloud(message: Any) -> MarkerCloud:
     for name in names:
         rows[name] = table[name]
     return MarkerCloud(stamp_ns(message), rows)
+
+
+def beam_shape(
+    types: MessageTypes, stamp_ns: int, heights_m: FloatArray, x_m: FloatArray, *, is_complete: bool
+) -> Any:
+    """Build the visualization_msgs/Marker of ``beam/shape``: a line strip in ``rig``, or its removal.
+
+    Parameters
+    ----------
+    types : MessageTypes
+    stamp_ns : int -- of the frame [ns, UNIX]
+    heights_m, x_m : ndarray, shape (n_points,) -- the line [m]; empty where it is not known
+    is_complete : bool -- every marker was seen
+    """
+    r, g, b = _SEEN_RGB if is_complete else _INCOMPLETE_RGB
+    return types.make(
+        "visualization_msgs/msg/Marker",
+        header=header(types, stamp_ns, graph.RIG_FRAME),
+        ns="beam",
+        id=0,
+        type=_LINE_STRIP,
+        action=_ADD if len(x_m) > 1 else _DELETE,
+        pose=types.make(
+            "geometry_msgs/msg/Pose",
+            position=types.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+            orientation=types.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+        scale=types.make("geometry_msgs/msg/Vector3", x=_LINE_WIDTH_M, y=0.0, z=0.0),
+        color=types.make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=1.0),
+        lifetime=types.make("builtin_interfaces/msg/Duration", sec=1, nanosec=0),
+        frame_locked=False,
+        points=[
+            types.make("geometry_msgs/msg/Point", x=float(x), y=0.0, z=float(z))
+            for x, z in zip(x_m, heights_m, strict=True)
+        ],
+        colors=[],
+        texture_resource="",
+        texture=types.make(
+            "sensor_msgs/msg/CompressedImage",
+            header=header(types, stamp_ns, ""),
+            format="",
+            data=types.octets(b""),
+        ),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=types.make("visualization_msgs/msg/MeshFile", filename="", data=types.octets(b"")),
+        mesh_use_embedded_materials=False,
+    )

@@ -13,7 +13,7 @@ from beam_ros.messages.stamps import stamp_ns
 from beam_ros.rig.rig import Rig
 
 pytest.importorskip("rclpy", reason="the shell needs rclpy")
-from beam_ros.shell.camera_topics import CameraOutput
+from beam_ros.shell.simulated_camera import SimulatedCamera
 
 START = 1_700_000_000_000_000_000
 SPEED = 0.2  # [m/s]: a frame stamped 1 ms late shows a hub 0.3 px away
@@ -37,7 +37,7 @@ def published(with_images: bool, **values: object) -> tuple[Rig, dict[str, list]
         return SimpleNamespace(publish=came.setdefault(topic, []).append)
 
     node = SimpleNamespace(rig=rig, types=BagTypes(), offer=offer)
-    CameraOutput(node, model, snapshots, START, with_images=with_images).publish_until(START + 50_000_000)
+    SimulatedCamera(node, model, snapshots, START, with_images=with_images).publish_until(START + 50_000_000)
     return rig, came
 
 

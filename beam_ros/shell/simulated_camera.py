@@ -14,7 +14,7 @@ from beam_ros.shell.node import RigNode
 from beam_ros.vision.rendering.frames import SceneRenderer
 
 
-class CameraOutput:
+class SimulatedCamera:
     """Publishes what a simulated camera sees: frames, or displacements where no images are wanted.
 
     Parameters
@@ -78,7 +78,5 @@ class CameraOutput:
         u = self._film.mean_displacement(exposure)
         u = u + self._noise * self._rng.standard_normal(len(u))
         stamps = self._film.marker_stamps(exposure)
-        for stamp_ns in sorted(set(stamps)):
-            chosen = [k for k, stamp in enumerate(stamps) if stamp == stamp_ns]
-            names = [self._names[k] for k in chosen]
-            self._displacements.publish(messages.displacement(self._types, stamp_ns, names, u[chosen]))
+        for _, message in messages.displacement_messages(self._types, self._names, stamps, u):
+            self._displacements.publish(message)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.camera.device import DeviceCamera, driver_stamp
+from beam_ros.vision.errors import CaptureError, VisionParameterError
+from tests.beam_ros.vision.camera.conftest import N_FRAMES
+from tests.beam_ros.vision.packaged_rig import packaged_camera
+
+SECOND = 1_000_000_000
+SMALL = packaged_camera(width=64, height=48, rate_hz=50.0)
+
+
+def device(path: Path) -> DeviceCamera:
+    """A file in place of a device: OpenCV opens both alike."""
+    return DeviceCamera(str(path), SMALL, "", sets_exposure=False)
+
+
+def test_a_drivers_stamp_is_taken_from_whichever_clock_it_is_of() -> None:
+    monotonic, real = 5000 * SECOND, 1_700_000_000 * SECOND
+    assert driver_stamp((5000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, None)
+    assert driver_stamp((1_700_000_000 - 0.02) * 1e3, monotonic, real) == (real - SECOND // 50, None)
+    for nothing in (0.0, -1.0, float("nan"), 40.0, 5001e3):
+        assert driver_stamp(nothing, monotonic, real) == (real, "arrival")
+
+
+def test_a_device_that_stops_giving_frames_says_so(video: Path) -> None:
+    camera = device(video)
+    camera.open()
+    for _ in range(N_FRAMES):
+        camera.read()
+    with pytest.raises(CaptureError, match="gives no more frames"):
+        camera.read()
+    camera.close()
+
+
+def test_a_device_whose_frames_are_no_images_says_so(video: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = device(video)
+    camera.open()
+    monkeypatch.setattr(camera, "_capture", _FloatingCapture())
+    with pytest.raises(CaptureError, match=r"frame is float64 of shape \(4, 4, 3\).*device_format"):
+        camera.read()
+
+
+class _FloatingCapture:
+    """A capture of frames that are no images."""
+
+    def read(self):
+        return True, np.zeros((4, 4, 3))
+
+    def get(self, _number: int) -> float:
+        return 0.0
+
+
+def test_what_is_no_camera_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    text = tmp_path / "video9"
+    text.write_text("no camera")
+    with pytest.raises(CaptureError, match=r"cannot be opened.*tracker\.device"):
+        device(text).open()
+
+
+def test_a_pixel_format_is_four_characters() -> None:
+    with pytest.raises(VisionParameterError, match=r"tracker\.device_format is 'grey scale': expected four"):
+        DeviceCamera("/dev/video0", SMALL, "grey scale", sets_exposure=False)
