@@ -49,6 +49,7 @@ RECIPES = [
     Doublet(drive="velocity", amplitude=0.01),
     Doublet(drive="acceleration", amplitude=0.3, rise_s=0.0),
     Sine(n_cycles=10.0, still_s=1.0),
+    Sine(n_cycles=10.0, fade_cycles=5.0, still_s=1.0),
     SteppedSine(frequencies_hz=(3.0, 9.0, 5.0), measure_cycles=3),
     BandLimitedNoise(high_hz=20.0, length_s=4.0, still_s=0.0),
     PointToPoint(still_s=1.0),
