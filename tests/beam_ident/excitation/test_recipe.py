@@ -228,6 +228,7 @@ def test_samples_serve_every_command_mode():
         (lambda: LogChirp(sweep_s=float("nan")), "sweep_s is nan"),
         (lambda: LogChirp(fade_in_s=15.0), "half of sweep_s"),
         (lambda: Multisine(n_periods=0), "n_periods is 0"),
+        (lambda: Multisine(n_periods=2.5), "n_periods is 2.5; expected a whole number"),
         (lambda: Multisine(low_hz=0.11, high_hz=0.15, line_period_s=10.0), "at least one line"),
         (lambda: Step(distance=0.0), "distance is 0.0"),
         (lambda: Step().sample(period_s=0.0), "period_s is 0.0"),
