@@ -122,3 +122,8 @@ def test_the_noises_displacement_ceiling_holds_low_frequencies_down():
     held = BandLimitedNoise(start_frequency=0.2, end_frequency=20.0, max_displacement=1e-4).sample(2e-3)
     assert np.std(held.positions) < 3e-4  # four octaves of 1e-4 each at most, as a sum of squares 2e-4
     assert np.std(free.positions) > 10 * np.std(held.positions)
+
+
+def test_band_limited_noise_has_the_lines_of_its_band_and_no_other():
+    recipe = BandLimitedNoise(start_frequency=1.0, end_frequency=20.0, duration=4.0)
+    np.testing.assert_array_equal(recipe._line_numbers(), np.arange(4, 81))

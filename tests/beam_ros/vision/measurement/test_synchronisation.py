@@ -7,7 +7,7 @@ import pytest
 
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.vision.errors import SynchronisationError
-from beam_ros.vision.measurement.synchronisation import synchronise
+from beam_ros.vision.measurement.synchronisation import _hermite, synchronise
 
 PERIOD = 1e-3
 
@@ -59,6 +59,7 @@ def test_the_offset_is_recovered_to_two_tenths_of_a_millisecond(offset_s):
     assert abs(found.offset_s - offset_s) < 4 * found.offset_sd_s
     assert found.offset_sd_s < 0.3e-3
     assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert found.drift == found.drift_sd == 0.0
     assert found.hub_times(camera_t[0]) == pytest.approx(1.0, abs=0.2e-3)
 
 
@@ -106,3 +107,14 @@ def test_what_does_not_belong_together_is_refused():
         synchronise(t, position, camera_t, np.full(seen.size, np.nan))
     with pytest.raises(SynchronisationError, match="rising times"):
         synchronise(t[::-1], position, camera_t, seen)
+
+
+def test_between_samples_with_their_slopes_a_cubic_is_followed_exactly():
+    def cubic(t):
+        return 1.0 - 2.0 * t + 0.5 * t**2 + 3.0 * t**3, -2.0 + t + 9.0 * t**2
+
+    knots = np.array([0.0, 0.1, 0.4, 0.5, 1.0])
+    times = np.array([0.0, 0.03, 0.25, 0.4, 0.77, 1.0])
+    value, slope = _hermite(knots, *cubic(knots), times)
+    np.testing.assert_allclose(value, cubic(times)[0], atol=1e-12)
+    np.testing.assert_allclose(slope, cubic(times)[1], atol=1e-12)
