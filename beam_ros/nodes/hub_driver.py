@@ -29,7 +29,7 @@ def _connect(rig: Rig) -> Hub:
     end = time.monotonic() + rig.serial.patience
     while not port.exists() and time.monotonic() < end and rclpy.ok():
         time.sleep(_LOOK_AGAIN_S)
-    return DriverHub(rig.hub_parameters(), guard=tip_guard(rig))
+    return DriverHub(rig.axis_parameters(), rig.link_parameters(), guard=tip_guard(rig))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -18,7 +18,7 @@ from beam_ros.hub.contract import AXIS_STATES, REQUEST_KINDS, AxisState, Request
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.line.framing import encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, MAX_BATCH_TICKS, CommandMode
-from beam_ros.hub.simulated.axis import TickBatch
+from beam_ros.hub.ticks import TickBatch
 
 MAGIC = b"BEAM"
 VERSION = 1
