@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 from beam_ros.hub.errors import HubParameterError
@@ -77,7 +78,7 @@ class AxisParameters:
                 if getattr(self, name) > getattr(self, limit):
                     raise _refusal(name, getattr(self, name), f"at most {limit} = {getattr(self, limit)}")
 
-    @property
+    @cached_property
     def period(self) -> float:
         """The device's tick [s of device time]."""
         return self.period_ns * 1e-9
@@ -92,12 +93,12 @@ class AxisParameters:
         """Length of one batch of samples [ns of device time]."""
         return self.batch_ticks * self.period_ns
 
-    @property
+    @cached_property
     def watchdog_ticks(self) -> int:
         """The watchdog's patience in ticks."""
         return round(self.watchdog_s * 1e9 / self.period_ns)
 
-    @property
+    @cached_property
     def position_limit(self) -> float:
         """Greatest distance from home [m]."""
         return self.travel / 2
@@ -117,7 +118,7 @@ class AxisParameters:
         """Unit of set-points and samples."""
         return {"acceleration": "m/s^2", "velocity": "m/s", "position": "m", "effort": "N"}[self.command_mode]
 
-    @property
+    @cached_property
     def is_ramped(self) -> bool:
         """Whether the velocity runs linearly through a tick; else it jumps at its beginning and stays."""
         return self.command_mode in ("acceleration", "effort")

@@ -29,7 +29,15 @@ from beam_ros.hub.simulated.profiles import (
 )
 from beam_ros.hub.simulated.sequence_buffer import SequenceBuffer
 from beam_ros.hub.simulated.state_machine import AxisEvent, AxisStateMachine
-from beam_ros.hub.simulated.transitions import Activity, Cause
+from beam_ros.hub.simulated.transitions import (
+    ARMED,
+    FOLLOWING,
+    HOMING,
+    RUNNING,
+    Activity,
+    Cause,
+    Condition,
+)
 from beam_ros.hub.ticks import TickBatch
 
 
@@ -76,6 +84,11 @@ class VirtualAxis:
     def device_ns(self) -> int:
         """Device time up to which the axis has advanced [ns]."""
         return self._motion.device_ns
+
+    @property
+    def condition(self) -> Condition:
+        """State and activity now: a row's origin in the table of transitions."""
+        return self._machine.condition
 
     @property
     def state(self) -> AxisState:
@@ -224,14 +237,15 @@ class VirtualAxis:
 
     def _do_tick(self) -> tuple[float, float]:
         """Watch, decide, integrate one period; return the reference that was applied and the force."""
-        self._watch()
-        motion = self._motion
-        if self.activity == "armed" and motion.tick >= self._buffer.start_tick:
+        machine, motion = self._machine, self._motion
+        if machine.condition.activity not in ("idle", "stopping"):
+            self._watch()
+        if machine.condition is ARMED and motion.tick >= self._buffer.start_tick:
             self._react("start")
         command: float | None = None
-        if self.activity == "sequence":
+        if machine.condition is RUNNING:
             command = self._next_sample()
-        elif self.activity == "setpoint":
+        elif machine.condition is FOLLOWING:
             command = command_towards(self._setpoint, motion.position, motion.velocity, self.parameters)
         if command is not None:
             reason = limit_reason(command, motion.position, motion.velocity, self.parameters)
@@ -242,14 +256,15 @@ class VirtualAxis:
 
     def _watch(self) -> None:
         """Stop on silence, of the host or of its set-points."""
-        if self.activity in ("idle", "stopping"):
-            return
         parameters = self.parameters
-        oldest_tick = self.tick - parameters.watchdog_ticks
-        ages = parameters.command_mode != "position"
+        oldest_tick = self._motion.tick - parameters.watchdog_ticks
         if self._fed_tick < oldest_tick:
             self._react("silence", f"watchdog: no word from the host for {parameters.watchdog_s:g} s")
-        elif self.activity == "setpoint" and ages and self._setpoint_tick < oldest_tick:
+        elif (
+            self._setpoint_tick < oldest_tick
+            and self._machine.condition is FOLLOWING
+            and parameters.command_mode != "position"
+        ):
             self._react("old set-point", f"set-point not refreshed for {parameters.watchdog_s:g} s")
 
     def _next_sample(self) -> float | None:
@@ -258,16 +273,16 @@ class VirtualAxis:
         if buffer.is_used_up:
             self._react("end")
             return None
-        awaited = buffer.awaited_sample
         command = buffer.take()
         if command is None:
-            self._react("underrun", f"underrun: sample {awaited} of {buffer.n_samples} did not come in time")
+            awaited = f"sample {buffer.awaited_sample} of {buffer.n_samples}"
+            self._react("underrun", f"underrun: {awaited} did not come in time")
         return command
 
     def _own_velocity(self) -> float:
         """Return the velocity for the end of this tick where the axis itself decides: hold, brake, home."""
         parameters, motion = self.parameters, self._motion
-        if self.activity == "homing":
+        if self._machine.condition is HOMING:
             if abs(motion.position) < ARRIVED and abs(motion.velocity) < ARRIVED / parameters.period:
                 self._react("home reached")
                 return 0.0

@@ -23,7 +23,7 @@ HISTORY_TICKS = 4096
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Hub and beam at exact instants, for whoever films them.
+    """Hub and beam at exact instants, as a camera needs them.
 
     Parameters
     ----------

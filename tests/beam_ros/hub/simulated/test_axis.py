@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import hashlib
+import random
+
 import numpy as np
 import pytest
 
@@ -333,3 +336,51 @@ def test_a_command_at_its_limit_is_obeyed_and_one_beyond_it_is_a_fault(mode, lim
     state, reason = state_after(1.001)
     assert state == "fault"
     assert "limit" in reason
+
+
+def seeded_run(axis, seed):
+    """Ask, command and neglect an axis at random for 1500 steps; return a digest of all that it does."""
+    rng = random.Random(seed)
+    limit = axis.parameters.command_limit
+    digest = hashlib.sha256()
+    for number in range(1500):
+        roll = rng.random()
+        answer = None
+        if roll < 0.12:
+            kind = ("enable", "enable", "home", "home", "stop", "disable", "clear_fault")[
+                int(rng.random() * 7)
+            ]
+            axis.request(number, kind)
+        elif roll < 0.3:
+            answer = axis.setpoint((2.2 * rng.random() - 1.1) * limit * (1.0, 0.1)[int(rng.random() * 2)])
+        elif roll < 0.42:
+            answer = axis.arm(axis.device_ns + int(rng.random() * 30_000_001), 200)
+        elif roll < 0.44:
+            axis.emergency_stop("by chance")
+        if axis.has_sequence and rng.random() < 0.95:
+            room = min(200 - axis.n_received, axis.buffer_free, 50)
+            start = axis.position if axis.parameters.command_mode == "position" else 0.0
+            axis.append(axis.n_received, [start + 0.01 * limit * (k % 2) for k in range(room)])
+        if rng.random() < 0.9:
+            axis.feed()
+        ticks = axis.advance(axis.device_ns + (TICK, 5 * TICK, 20 * TICK, 1_234_567)[int(rng.random() * 4)])
+        for array in (ticks.applied, ticks.position_counts, ticks.velocity_counts, ticks.efforts):
+            digest.update(array.tobytes())
+        events = [(event.tick, event.kind, event.text) for event in axis.take_events()]
+        digest.update(repr((answer, axis.state, axis.reason, events, axis.take_completed())).encode())
+    return digest.hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("mode", "digest"),
+    [
+        ("acceleration", "c2e55764f50c324d"),
+        ("velocity", "94e494ca106ad2b6"),
+        ("position", "68f29463604d852a"),
+        ("effort", "33eb0b146da7c1d4"),
+    ],
+)
+def test_a_seeded_run_is_the_same_to_the_last_bit_as_it_always_was(mode, digest):
+    """All of it is sums, products, quotients and square roots, which every computer rounds alike."""
+    parameters = AxisParameters(command_mode=mode)
+    assert seeded_run(VirtualAxis(parameters, RigidPlant(0.8, T), buffer_samples=128), 7) == digest
