@@ -88,7 +88,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
     ("beam_ros/offline", "identification", "offline/test_simulation"),
     ("beam_ros/process", "environment executables folders progress", "cli/test_main"),
-    ("beam_ros/shell", "axis_links", "packaging/test_plug_in"),
+    ("beam_ros/shell", "axis_links", "nodes/test_contract"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
     ("beam_ros/shell", "hub_topics", "nodes/test_contract"),
     ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
