@@ -2,8 +2,8 @@
 
 A condition is a state and what the axis does in it. Each row of ``TRANSITIONS`` says from which conditions a
 cause leads where, and with which effects; ``AxisStateMachine`` does what the rows say and nothing else, and
-docs/protocol.md prints them. Two things can be checked by reading: only the request ``enable`` leads from a
-condition that is not enabled to one that is, and every way out of movement leads through a stop at the limit.
+docs/protocol.md prints them. Two things can be checked by reading: only the request ``enable`` leads from a state
+that is not enabled to one that is, and an enabled axis is disabled only when a stop has brought it to rest.
 """
 
 from __future__ import annotations
