@@ -1,4 +1,4 @@
-"""The tests of every module are found: in the mirrored tree, or by a row of the table here."""
+"""The tests of every module are found, in the mirrored tree or by a row of a table; no name is used twice."""
 
 from __future__ import annotations
 
@@ -66,10 +66,12 @@ TESTED_IN = (
     ("beam_ros/cli/offline", "design", "excitation/test_plan"),
     ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
     ("beam_ros/excitation", "recipes", "excitation/test_plan"),
-    ("beam_ros/hub", "contract host_clock", "hub/simulated/test_simulated_hub"),
-    ("beam_ros/hub", "parameters", "hub/test_sequences"),
+    ("beam_ros/hub", "contract host_clock ticks", "hub/simulated/test_simulated_hub"),
+    ("beam_ros/hub/host", "journal pulse requests sample_stamping sequence_stream", "hub/line/test_client"),
+    ("beam_ros/hub/line", "connection", "hub/line/test_client"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
+    ("beam_ros/hub/simulated", "motion profiles sequence_buffer", "hub/simulated/test_axis"),
     ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),
     ("beam_ros/launching", "client processes", "launching/test_demo"),
     (
@@ -81,7 +83,9 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "firmware_emulator hub_driver simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
-    ("beam_ros/process", "executables folders progress", "cli/test_main"),
+    ("beam_ros/offline", "identification", "offline/test_simulation"),
+    ("beam_ros/process", "environment executables folders progress", "cli/test_main"),
+    ("beam_ros/shell", "axis_links", "nodes/test_contract"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
     ("beam_ros/shell", "hub_topics", "nodes/test_contract"),
     ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
@@ -140,3 +144,13 @@ def test_the_table_names_no_module_twice_and_none_that_is_gone_or_has_tests_of_i
 
 def test_the_tables_files_of_tests_exist() -> None:
     assert [str(file) for file in set(in_table().values()) if not file.exists()] == []
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            for node in ast.parse(path.read_text()).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: paths for name, paths in homes.items() if len(paths) > 1} == {}

@@ -1,26 +1,30 @@
-"""The hub's parameters: what the axis can do, how it is commanded and how it is reached.
+"""The hub's parameters: what the axis can do, how it is reached, and what a simulated device has.
 
-All values are SI. The class is frozen and checks itself, so that whatever holds a
-``HubParameters`` may trust it.
+All values are SI. Each class is frozen and checks itself, so that whatever holds one may trust it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 from beam_ros.hub.errors import HubParameterError
 
 CommandMode = Literal["acceleration", "velocity", "position", "effort"]
-COMMAND_MODES: tuple[str, ...] = get_args(CommandMode)
+COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 
 Hold = Literal["zoh", "linear"]
 
+BATCH_NS = 20_000_000
+MAX_BATCH_TICKS = 100
+"""Most ticks in one batch, which one telemetry frame of the line protocol carries."""
+
 
 @dataclass(frozen=True)
-class HubParameters:
-    """The moving hub with its controller.
+class AxisParameters:
+    """The axis and its controller: limits, command mode, tick and watchdog.
 
     Parameters
     ----------
@@ -45,20 +49,6 @@ class HubParameters:
         Limits of the profiled move to a position set-point [m/s], [m/s^2].
     homing_speed, homing_acceleration : float
         Limits of the move that looks for home [m/s], [m/s^2].
-    initial_position : float
-        Where a simulated hub stands at power-on, seen from its home [m].
-    buffer_samples : int
-        Samples of a sequence that the emulated device can hold.
-    serial_port : str
-        Port of the real controller, such as ``/dev/ttyACM0``; empty for the simulator.
-    serial_baud : int
-        Bits per second on that port.
-    max_clock_sd_ns : int
-        Standard deviation of the clock map above which no sequence starts [ns].
-    clock_drift_ppm : float
-        By how much the simulated device's clock runs fast [1e-6].
-    clock_start_ns : int
-        What the simulated device's clock reads at power-on [ns].
     """
 
     travel: float = 0.1
@@ -73,66 +63,22 @@ class HubParameters:
     move_acceleration: float = 0.5
     homing_speed: float = 0.02
     homing_acceleration: float = 0.2
-    initial_position: float = 0.0
-    buffer_samples: int = 512
-    serial_port: str = ""
-    serial_baud: int = 921_600
-    max_clock_sd_ns: int = 50_000
-    clock_drift_ppm: float = 0.0
-    clock_start_ns: int = 0
 
     def __post_init__(self) -> None:
-        positive = (
-            "travel",
-            "max_speed",
-            "max_acceleration",
-            "max_effort",
-            "encoder_resolution",
-            "period_ns",
-            "watchdog_s",
-            "move_speed",
-            "move_acceleration",
-            "homing_speed",
-            "homing_acceleration",
-            "serial_baud",
-            "max_clock_sd_ns",
-        )
-        for name in positive:
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
-                raise _refusal(name, value, "a finite number greater than 0")
-        for name in (
-            "period_ns",
-            "buffer_samples",
-            "serial_baud",
-            "max_clock_sd_ns",
-            "clock_start_ns",
-        ):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool):
-                raise _refusal(name, value, "a whole number")
+        whole = {"period_ns"}
+        for name in self.__dataclass_fields__.keys() - {"command_mode"}:
+            _check_positive(name, getattr(self, name), is_whole=name in whole)
         if self.command_mode not in COMMAND_MODES:
             raise _refusal("command_mode", self.command_mode, "one of " + ", ".join(COMMAND_MODES))
         if self.watchdog_s * 1e9 < 2 * self.batch_ns:
             raise _refusal("watchdog_s", self.watchdog_s, f"at least two batches ({2e-9 * self.batch_ns} s)")
-        for name, limit in (
-            ("move_speed", "max_speed"),
-            ("homing_speed", "max_speed"),
-            ("move_acceleration", "max_acceleration"),
-            ("homing_acceleration", "max_acceleration"),
-        ):
-            if getattr(self, name) > getattr(self, limit):
-                raise _refusal(name, getattr(self, name), f"at most {limit} = {getattr(self, limit)}")
-        if not abs(self.initial_position) <= self.travel / 2:
-            raise _refusal("initial_position", self.initial_position, f"within +-{self.travel / 2} m")
-        if not abs(self.clock_drift_ppm) <= 1000.0:
-            raise _refusal("clock_drift_ppm", self.clock_drift_ppm, "between -1000 and 1000")
-        if self.clock_start_ns < 0:
-            raise _refusal("clock_start_ns", self.clock_start_ns, "0 or more")
-        if self.buffer_samples < 64:
-            raise _refusal("buffer_samples", self.buffer_samples, "at least 64")
+        for kind in ("move", "homing"):
+            for quantity in ("speed", "acceleration"):
+                name, limit = f"{kind}_{quantity}", f"max_{quantity}"
+                if getattr(self, name) > getattr(self, limit):
+                    raise _refusal(name, getattr(self, name), f"at most {limit} = {getattr(self, limit)}")
 
-    @property
+    @cached_property
     def period(self) -> float:
         """The device's tick [s of device time]."""
         return self.period_ns * 1e-9
@@ -147,12 +93,12 @@ class HubParameters:
         """Length of one batch of samples [ns of device time]."""
         return self.batch_ticks * self.period_ns
 
-    @property
+    @cached_property
     def watchdog_ticks(self) -> int:
         """The watchdog's patience in ticks."""
         return round(self.watchdog_s * 1e9 / self.period_ns)
 
-    @property
+    @cached_property
     def position_limit(self) -> float:
         """Greatest distance from home [m]."""
         return self.travel / 2
@@ -172,15 +118,80 @@ class HubParameters:
         """Unit of set-points and samples."""
         return {"acceleration": "m/s^2", "velocity": "m/s", "position": "m", "effort": "N"}[self.command_mode]
 
+    @cached_property
+    def is_ramped(self) -> bool:
+        """Whether the velocity runs linearly through a tick; else it jumps at its beginning and stays."""
+        return self.command_mode in ("acceleration", "effort")
+
     @property
     def hold(self) -> Hold:
         """How the applied values continue between two ticks."""
         return "linear" if self.command_mode == "position" else "zoh"
 
+    def check_within_travel(self, name: str, position: float) -> None:
+        """Raise ``HubParameterError`` where a position [m], which the parameter ``name`` gives, is off the axis."""
+        if not abs(position) <= self.position_limit:
+            raise _refusal(name, position, f"within +-{self.position_limit} m")
 
-BATCH_NS = 20_000_000
-MAX_BATCH_TICKS = 100
-"""Most ticks in one batch, which one telemetry frame of the line protocol carries."""
+
+@dataclass(frozen=True)
+class LinkParameters:
+    """How the real controller is reached.
+
+    Parameters
+    ----------
+    serial_port : str
+        Its port, such as ``/dev/ttyACM0``.
+    serial_baud : int
+        Bits per second on that port.
+    max_clock_sd_ns : int
+        Standard deviation of the clock map above which no sequence starts [ns].
+    """
+
+    serial_port: str = ""
+    serial_baud: int = 921_600
+    max_clock_sd_ns: int = 50_000
+
+    def __post_init__(self) -> None:
+        for name in ("serial_baud", "max_clock_sd_ns"):
+            _check_positive(name, getattr(self, name), is_whole=True)
+
+
+@dataclass(frozen=True)
+class SimulatedDevice:
+    """What only a simulated or emulated device has: its start, its buffer and its clock.
+
+    Parameters
+    ----------
+    initial_position : float
+        Where the hub stands at power-on, seen from its home [m].
+    buffer_samples : int
+        Samples of a sequence that the emulated firmware can hold; the simulated hub holds any number.
+    clock_drift_ppm : float
+        By how much the device's clock runs fast [1e-6].
+    clock_start_ns : int
+        What the device's clock reads at power-on [ns].
+    """
+
+    initial_position: float = 0.0
+    buffer_samples: int = 512
+    clock_drift_ppm: float = 0.0
+    clock_start_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if not abs(self.clock_drift_ppm) <= 1000.0:
+            raise _refusal("clock_drift_ppm", self.clock_drift_ppm, "between -1000 and 1000")
+        for name, least in (("clock_start_ns", 0), ("buffer_samples", 64)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise _refusal(name, value, f"a whole number, at least {least}")
+
+
+def _check_positive(name: str, value: object, *, is_whole: bool) -> None:
+    if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+        raise _refusal(name, value, "a finite number greater than 0")
+    if is_whole and (not isinstance(value, int) or isinstance(value, bool)):
+        raise _refusal(name, value, "a whole number")
 
 
 def _refusal(name: str, value: object, expected: str) -> HubParameterError:

@@ -8,7 +8,6 @@ side of that for both hubs; the axis guards its own limits once more by itself.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,8 +24,7 @@ from beam_ros.hub.contract import (
     SequenceReport,
     SequenceState,
 )
-from beam_ros.hub.errors import HubProtocolError
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters
 
 MAX_CHUNK_POINTS = 500
 MAX_CHUNKS = 20_000
@@ -44,34 +42,8 @@ REST_SPEED = 1e-5
 RELATIVE_TOLERANCE = 1e-6
 """Slack on speed and acceleration, for what rounding does to a design that uses its limits fully."""
 
-_NAME = re.compile(r"(?P<id>\S+) (?P<index>\d{1,6})/(?P<count>\d{1,6})")
-
 Guard = Callable[[FloatArray], str | None]
 """A further check of a whole sequence (samples at device ticks), which returns a reason to refuse it."""
-
-
-def format_chunk_name(sequence_id: str, index: int, count: int) -> str:
-    """Return the name of chunk ``index`` (counted from 1) of ``count``, as ``<id> <k>/<n>``."""
-    return f"{sequence_id} {index}/{count}"
-
-
-def parse_chunk_name(name: str) -> tuple[str, int, int]:
-    """Return the sequence's id, the chunk's number (from 1) and the number of chunks.
-
-    Raises
-    ------
-    HubProtocolError
-        The name is not ``<id> <k>/<n>`` with 1 <= k <= n.
-    """
-    match = _NAME.fullmatch(name)
-    if match:
-        index, count = int(match["index"]), int(match["count"])
-        if 1 <= index <= count:
-            return match["id"], index, count
-    raise HubProtocolError(
-        f"sequence chunk named {name[:80]!r}: expected '<id> <k>/<n>' with 1 <= k <= n, an id without "
-        "spaces; name each chunk in header.frame_id"
-    )
 
 
 @dataclass(frozen=True)
@@ -93,7 +65,7 @@ class Sequence:
     values: FloatArray
 
 
-def expand_to_ticks(values: FloatArray, multiple: int, parameters: HubParameters) -> FloatArray:
+def expand_to_ticks(values: FloatArray, multiple: int, parameters: AxisParameters) -> FloatArray:
     """Return the samples at every device tick, as the mode's hold continues them.
 
     Parameters
@@ -102,7 +74,7 @@ def expand_to_ticks(values: FloatArray, multiple: int, parameters: HubParameters
         Samples, ``multiple`` ticks apart.
     multiple : int
         Ticks between two samples.
-    parameters : HubParameters
+    parameters : AxisParameters
         Gives the hold.
 
     Returns
@@ -119,14 +91,14 @@ def expand_to_ticks(values: FloatArray, multiple: int, parameters: HubParameters
     return np.interp(ticks, np.arange(len(values)) * multiple, values)
 
 
-def check_sequence(values: FloatArray, parameters: HubParameters, position: float) -> str | None:
+def check_sequence(values: FloatArray, parameters: AxisParameters, position: float) -> str | None:
     """Return why the axis must not run these samples from rest at ``position``, or None.
 
     Parameters
     ----------
     values : ndarray, shape (n_ticks,)
         Samples at device ticks, in the command mode's unit.
-    parameters : HubParameters
+    parameters : AxisParameters
         The axis's limits.
     position : float
         Where the hub rests now [m].
@@ -213,11 +185,11 @@ class SequenceAssembler:
     ----------
     first : SequenceChunk
         Whichever chunk came first.
-    parameters : HubParameters
+    parameters : AxisParameters
         The axis's limits.
     """
 
-    def __init__(self, first: SequenceChunk, parameters: HubParameters) -> None:
+    def __init__(self, first: SequenceChunk, parameters: AxisParameters) -> None:
         self._parameters = parameters
         self._head = first
         self._chunks: dict[int, SequenceChunk] = {}
@@ -297,13 +269,13 @@ class CommandGate:
 
     Parameters
     ----------
-    parameters : HubParameters
+    parameters : AxisParameters
         The axis's limits and command mode.
     guard : callable, optional
         A further check of a complete sequence, for limits that need a model of the beam.
     """
 
-    def __init__(self, parameters: HubParameters, guard: Guard | None = None) -> None:
+    def __init__(self, parameters: AxisParameters, guard: Guard | None = None) -> None:
         self._parameters = parameters
         self._guard = guard
         self._assembler: SequenceAssembler | None = None

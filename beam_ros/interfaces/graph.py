@@ -290,8 +290,8 @@ NODES: dict[str, Node] = {
             _HUB_PUBLISHES,
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_BEAM, *_AXIS, *_GUARD, *_group("serial")),
-            "the motion controller behind a serial port",
+            (*_BEAM, *_AXIS, *_GUARD, *_group("axis"), *_group("serial")),
+            "the motion controller behind a serial port or another axis link",
         ),
         Node(
             "firmware_emulator",

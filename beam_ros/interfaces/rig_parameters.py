@@ -75,6 +75,13 @@ class HubSettings:
 
 
 @dataclass(frozen=True)
+class AxisSettings:
+    """How the real axis is reached."""
+
+    kind: str = setting("kind of axis link: beam, or one that an installed package adds")
+
+
+@dataclass(frozen=True)
 class SerialSettings:
     """The line to the motion controller."""
 
@@ -233,6 +240,7 @@ class RigParameters:
     beam: BeamSettings
     markers: MarkerSettings
     hub: HubSettings
+    axis: AxisSettings
     serial: SerialSettings
     emulator: EmulatorSettings
     camera: CameraSettings

@@ -16,7 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from beam_ros import messages
 from beam_ros.errors import RigUnavailableError
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import LinkParameters
 from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
 from beam_ros.shell.node import qos_profile
@@ -24,7 +24,7 @@ from beam_ros.shell.node import qos_profile
 _SPIN_S = 0.05
 _LOOK_ROUND_S = 3.5
 """Under load two nodes take seconds to find each other [s]."""
-MAX_CLOCK_SD_NS = HubParameters.max_clock_sd_ns
+MAX_CLOCK_SD_NS = LinkParameters.max_clock_sd_ns
 """Standard deviation of the clock map below which an experiment may start [ns]."""
 
 

@@ -22,7 +22,7 @@ from beam_ros.messages.batches import (
 from beam_ros.messages.camera import camera_info, image
 from beam_ros.messages.clocks import clock_sync, read_clock_sync
 from beam_ros.messages.commands import (
-    Setpoint,
+    StampedSetpoint,
     chunk_frame,
     chunk_from_columns,
     read_sequence_chunk,
@@ -69,7 +69,7 @@ __all__ = [
     "MessageContentError",
     "MessageTypes",
     "RosTypes",
-    "Setpoint",
+    "StampedSetpoint",
     "batch_from_columns",
     "beam_shape",
     "camera_info",

@@ -22,7 +22,7 @@ from beam_ros.messages.trajectories import MODE_FIELDS, point_columns, single_co
 
 
 @dataclass(frozen=True)
-class Setpoint:
+class StampedSetpoint:
     """One set-point of ``hub/setpoint``: stamp [ns, UNIX], command mode and value in the mode's unit."""
 
     stamp_ns: int
@@ -30,13 +30,13 @@ class Setpoint:
     value: float
 
 
-def setpoint(types: MessageTypes, point: Setpoint) -> Any:
+def setpoint(types: MessageTypes, point: StampedSetpoint) -> Any:
     """Build the JointTrajectory of ``hub/setpoint``."""
     column = {MODE_FIELDS[point.mode]: np.array([point.value])}
     return trajectory(types, point.stamp_ns, graph.RIG_FRAME, [0], column)
 
 
-def read_setpoint(message: Any) -> Setpoint:
+def read_setpoint(message: Any) -> StampedSetpoint:
     """Read a message of ``hub/setpoint``.
 
     Raises
@@ -48,7 +48,7 @@ def read_setpoint(message: Any) -> Setpoint:
     mode, values = single_column(columns, "set-point")
     if len(times) != 1:
         raise MessageContentError(f"set-point with {len(times)} points: expected exactly one")
-    return Setpoint(stamp_ns(message), mode, float(values[0]))
+    return StampedSetpoint(stamp_ns(message), mode, float(values[0]))
 
 
 def split_sequence(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.parameters import SimulatedDevice
 from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
@@ -24,13 +25,12 @@ class FirmwareEmulator(RigNode):
     def __init__(self) -> None:
         super().__init__("firmware_emulator")
         model = self.rig.beam_model()
-        parameters = self.rig.hub_parameters(
-            clock_drift_ppm=self.rig.emulator.clock_drift_ppm, clock_start_ns=_POWER_ON_NS
-        )
+        parameters = self.rig.axis_parameters()
+        drift_ppm = self.rig.emulator.clock_drift_ppm
+        plant = beam_on_axis(model, parameters, self.rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
+        device = SimulatedDevice(clock_drift_ppm=drift_ppm, clock_start_ns=_POWER_ON_NS)
         self._link: Path | None = None
-        self._controller = EmulatedController(
-            parameters, beam_on_axis(model, parameters, self.rig.nonlinear_terms())
-        )
+        self._controller = EmulatedController(parameters, plant, device)
         self._camera = SimulatedCamera(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )

@@ -31,7 +31,7 @@ class Simulator(HubNode):
 
     def _build(self, rig: Rig) -> Hub:
         self._model = rig.beam_model()
-        parameters = rig.hub_parameters()
+        parameters = rig.axis_parameters()
         plant = beam_on_axis(self._model, parameters, rig.nonlinear_terms())
         factor = rig.simulation.real_time_factor
         self._simulated = SimulatedHub(

@@ -70,7 +70,7 @@ def simulate(
     """
     plan = plan_excitation(rig)
     model = rig.beam_model()
-    parameters = rig.hub_parameters()
+    parameters = rig.axis_parameters()
     axis = VirtualAxis(parameters, beam_on_axis(model, parameters, rig.nonlinear_terms()))
     hub = SimulatedHub(axis, guard=tip_guard(rig))
     types = BagTypes()

@@ -7,12 +7,11 @@ nobody has.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
-from beam_ros.errors import ParameterFileError, RigUnavailableError
+from beam_ros.errors import ParameterFileError, RigUnavailableError, likeliest
 
 Kind = TypeVar("Kind")
 
@@ -44,8 +43,8 @@ def find_kind(parameter: str, name: str, own: Mapping[str, Kind], group: str) ->
     others = plug_ins(group)
     if name not in others:
         known = [*own, *sorted(set(others) - set(own))]
-        near = difflib.get_close_matches(name, known, 1, 0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"a package adds one as entry point of {group}"
+        near = likeliest(name, known)
+        hint = f"did you mean {near!r}?" if near else f"a package adds one as entry point of {group}"
         raise ParameterFileError(f"{parameter} is {name!r}: expected one of {', '.join(known)}; {hint}")
     try:
         kind: Any = others[name].load()

@@ -13,8 +13,8 @@ import numpy as np
 
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
-from beam_ros.hub.simulated.axis import Snapshots
 from beam_ros.hub.simulated.beam_points import BeamPoints
+from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.timing import FrameTiming, exposure_weights

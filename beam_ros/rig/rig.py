@@ -20,7 +20,7 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
-    from beam_ros.hub.parameters import HubParameters
+    from beam_ros.hub.parameters import AxisParameters, LinkParameters
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -174,16 +174,11 @@ class Rig(RigParameters):
 
         return NonlinearTerms(self.beam_model(), AirDrag(self.beam.width))
 
-    def hub_parameters(self, **more: Any) -> HubParameters:
-        """The axis and its controller.
+    def axis_parameters(self) -> AxisParameters:
+        """The axis and its controller: limits, command mode, tick and watchdog."""
+        from beam_ros.hub.parameters import AxisParameters
 
-        Parameters
-        ----------
-        **more -- how a real device is reached, or what only a simulated one has, such as ``clock_drift_ppm``
-        """
-        from beam_ros.hub.parameters import HubParameters
-
-        return HubParameters(
+        return AxisParameters(
             travel=self.hub.travel,
             max_speed=self.hub.max_speed,
             max_acceleration=self.hub.max_acceleration,
@@ -193,8 +188,13 @@ class Rig(RigParameters):
             period_ns=round(self.hub.period * 1e9),
             watchdog_s=self.hub.watchdog,
             homing_speed=self.hub.homing_speed,
-            **more,
         )
+
+    def link_parameters(self) -> LinkParameters:
+        """How the real axis is reached."""
+        from beam_ros.hub.parameters import LinkParameters
+
+        return LinkParameters(self.serial.port, self.serial.baud)
 
     def camera_parameters(self) -> CameraParameters:
         """The camera and what it sees."""

@@ -45,7 +45,7 @@ class HubNode(RigNode):
         self._refused_setpoints = 0
         self._waiting: dict[int, Future] = {}
         self._mode = self.rig.hub.command_mode
-        self._period_ns = self.rig.hub_parameters().period_ns
+        self._period_ns = self.rig.axis_parameters().period_ns
         self._applied = self.offer("hub/applied")
         self._measured = self.offer("hub/measured")
         self._state = self.offer("hub/state")

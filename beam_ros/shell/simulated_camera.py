@@ -8,7 +8,7 @@ import numpy as np
 
 from beam_model import BeamModel
 from beam_ros import messages
-from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.shell.node import RigNode
 from beam_ros.vision.rendering.frames import SceneRenderer

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from beam_ros import messages
-from beam_ros.messages import Displacement, Health
+from beam_ros.bags.batches import decode_batch
+from beam_ros.interfaces.graph import SERVICES
+from beam_ros.messages import Displacement, Health, StampedSetpoint
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
 from tests.graph import Graph
@@ -87,3 +89,50 @@ def test_a_kind_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
     assert running.wait(40.0) == 2
     assert running.output().count("\n") == 1
     assert "expected one of topic, device, file, toy; did you mean 'toy'?" in running.output()
+
+
+def _call(graph: Graph, service: str) -> str:
+    """Call a service of the hub and return its answer, which must be a success."""
+    service_class = graph.types.service_class(SERVICES[service].type_name)
+    client = graph.node.create_client(service_class, service)
+    graph.wait(client.service_is_ready, service, 40.0)
+    request = service_class.Request()
+    if service == "hub/enable":
+        request.data = True
+    future = client.call_async(request)
+    graph.wait(future.done, f"an answer of {service}")
+    graph.node.destroy_client(client)
+    assert future.result().success
+    return str(future.result().message)
+
+
+def test_the_driver_moves_an_axis_whose_link_a_package_adds(
+    laboratory: Laboratory, executables: Executables
+) -> None:
+    measured: list[bytes] = []
+    options = ("-p", "axis.kind:=toy", "-p", "hub.command_mode:=position")
+    with Graph() as graph:
+        graph.listen("hub/measured", measured.append, raw=True)
+        setpoints = graph.publisher("hub/setpoint")
+        executables.start("hub_driver", "--ros-args", *options, program=laboratory("hub_driver"))
+        for kind in ("home", "enable"):
+            assert _call(graph, f"hub/{kind}") == f"the toy did {kind}"
+        point = StampedSetpoint(graph.node.get_clock().now().nanoseconds, "position", 0.012)
+        setpoints.publish(messages.setpoint(graph.types, point))
+        graph.wait(
+            lambda: bool(measured) and decode_batch(measured[-1]).positions[-1] == 0.012, "a measured move"
+        )
+    batches = [decode_batch(data) for data in measured]
+    assert batches[0].positions[0] == 0.0
+    assert all(batch.stamp_ns % TOY_PERIOD_NS == 0 for batch in batches[1:])
+
+
+def test_a_link_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
+    laboratory: Laboratory, executables: Executables
+) -> None:
+    running = executables.start(
+        "hub_driver", "--ros-args", "-p", "axis.kind:=toyy", program=laboratory("hub_driver")
+    )
+    assert running.wait(40.0) == 2
+    assert "axis.kind is 'toyy': expected one of beam, toy; did you mean 'toy'?" in running.output()
+    assert running.output().count("\n") == 1

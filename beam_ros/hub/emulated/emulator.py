@@ -1,6 +1,6 @@
 """A motion controller in software: the firmware's behaviour behind a pseudo-terminal.
 
-``FirmwareEmulator`` is the firmware: bytes in, bytes out, device time as an argument. It holds a
+``EmulatedFirmware`` is the firmware: bytes in, bytes out, device time as an argument. It holds a
 ``VirtualAxis`` with a small buffer and answers by the line protocol alone. ``EmulatedController`` gives it a
 clock that drifts, a thread and a pseudo-terminal, so that the driver meets a serial port; for a simulated
 camera it shows its axis with host stamps.
@@ -27,9 +27,11 @@ from beam_ros.hub.errors import HubConnectionError, HubProtocolError
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.parameters import HubParameters
-from beam_ros.hub.simulated.axis import Snapshots, TickBatch, VirtualAxis
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.hub.simulated.plant import Plant
+from beam_ros.hub.ticks import TickQueue
 
 PUSH_PATIENCE_NS = 1_000_000_000
 """Telemetry is pushed until the host has been silent for this long [ns of device time]."""
@@ -47,15 +49,17 @@ _SEQUENCE_STATES: dict[str, protocol.DeviceSequenceState] = {
 }
 
 
-class FirmwareEmulator:
+class EmulatedFirmware:
     """The firmware of a motion controller that speaks the line protocol.
 
     Parameters
     ----------
-    parameters : HubParameters
-        The axis; ``buffer_samples`` is the room for a sequence, ``clock_start_ns`` what the clock reads at boot.
+    parameters : AxisParameters
+        The axis.
     plant : Plant
         What the hub carries.
+    device : SimulatedDevice
+        Where the hub stands at boot, the room for a sequence, what the clock reads at boot.
     boot_id : int
         Another one for every start.
     name : str
@@ -63,20 +67,25 @@ class FirmwareEmulator:
     """
 
     def __init__(
-        self, parameters: HubParameters, plant: Plant, *, boot_id: int, name: str = "firmware emulator"
+        self,
+        parameters: AxisParameters,
+        plant: Plant,
+        device: SimulatedDevice,
+        *,
+        boot_id: int,
+        name: str = "firmware emulator",
     ) -> None:
-        self.axis = VirtualAxis(parameters, plant, buffer_samples=parameters.buffer_samples)
+        self.axis = VirtualAxis(parameters, plant, device, buffer_samples=device.buffer_samples)
         self._parameters = parameters
         self._boot_id = boot_id
         self._name = name
         self._decoder = FrameDecoder()
         self._output = bytearray()
         self._is_in_session = False
-        self._heard_ns = parameters.clock_start_ns
-        self._now_ns = parameters.clock_start_ns
+        self._heard_ns = device.clock_start_ns
+        self._now_ns = device.clock_start_ns
         self._identified_ns = -IDENTIFY_INTERVAL_NS
-        self._ticks: list[TickBatch] = []
-        self._n_ticks = 0
+        self._ticks = TickQueue(parameters.batch_ticks)
         self._replies: OrderedDict[int, protocol.RequestReply] = OrderedDict()
         self._setpoint_number = 0
         self._setpoints_refused = 0
@@ -106,10 +115,7 @@ class FirmwareEmulator:
             The device's clock now [ns], never earlier than before.
         """
         self._now_ns = max(self._now_ns, device_ns)
-        ticks = self.axis.advance(self._now_ns)
-        if len(ticks):
-            self._ticks.append(ticks)
-            self._n_ticks += len(ticks)
+        self._ticks.add(self.axis.advance(self._now_ns))
         self._note_changes()
         for payload in self._decoder.feed(data):
             # A frame that is whole but not ours changes nothing; the host finds out by the missing answer.
@@ -149,7 +155,6 @@ class FirmwareEmulator:
         self._sequence_state = "none"
         self._sequence_reason = ""
         self._ticks.clear()
-        self._n_ticks = 0
         self._is_in_session = speaks
         self._send(self._identity(protocol.VERSION if speaks else 0))
         self._send_status()
@@ -164,7 +169,7 @@ class FirmwareEmulator:
             boot_id=self._boot_id,
             period_ns=parameters.period_ns,
             batch_ticks=parameters.batch_ticks,
-            buffer_samples=parameters.buffer_samples,
+            buffer_samples=self.axis.device.buffer_samples,
             command_mode=parameters.command_mode,
             encoder_resolution=parameters.encoder_resolution,
             travel=parameters.travel,
@@ -246,21 +251,15 @@ class FirmwareEmulator:
             self._send(reply)
 
     def _push(self) -> None:
-        size = self._parameters.batch_ticks
         is_heard = self._now_ns - self._heard_ns <= PUSH_PATIENCE_NS
         if not (self._is_in_session and is_heard):
             self._ticks.clear()
-            self._n_ticks = 0
             return
-        if self._n_ticks < size:
-            return
-        ticks = TickBatch.join(self._ticks)
-        n_full = len(ticks) // size
-        for k in range(n_full):
-            self._send(protocol.Telemetry(ticks[k * size : (k + 1) * size]))
-        self._ticks = [ticks[n_full * size :]]
-        self._n_ticks = len(self._ticks[0])
-        self._send_status()
+        batches = self._ticks.take_full()
+        for ticks in batches:
+            self._send(protocol.Telemetry(ticks))
+        if batches:
+            self._send_status()
 
     def _send_status(self) -> None:
         if not self._is_in_session:
@@ -298,10 +297,12 @@ class EmulatedController:
 
     Parameters
     ----------
-    parameters : HubParameters
-        The axis; ``clock_drift_ppm`` and ``clock_start_ns`` are its clock's.
+    parameters : AxisParameters
+        The axis.
     plant : Plant
         What the hub carries.
+    device : SimulatedDevice, optional
+        The controller's start, buffer and clock.
     link : path, optional
         A symbolic link to keep pointing at the pseudo-terminal, which has another name after every ``plug``.
 
@@ -311,16 +312,24 @@ class EmulatedController:
         There is no pseudo-terminal available, or the link cannot be made.
     """
 
-    def __init__(self, parameters: HubParameters, plant: Plant, *, link: str | Path | None = None) -> None:
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        plant: Plant,
+        device: SimulatedDevice | None = None,
+        *,
+        link: str | Path | None = None,
+    ) -> None:
         self._parameters = parameters
+        self._device = device or SimulatedDevice()
         self._plant = plant
         self._link = None if link is None else Path(link)
         self._lock = threading.Lock()
         self._boots = 1
-        self._firmware = FirmwareEmulator(parameters, plant, boot_id=self._boot_id())
-        self._rate_ppb = round(parameters.clock_drift_ppm * 1000)
+        self._firmware = self._boot(self._device)
+        self._rate_ppb = round(self._device.clock_drift_ppm * 1000)
         self._boot_steady_ns = time.monotonic_ns()
-        self._boot_device_ns = parameters.clock_start_ns
+        self._boot_device_ns = self._device.clock_start_ns
         self._clock = HostClock(HostTime(self._boot_steady_ns, time.time_ns()))
         self._master: int | None = None
         self._slave: int | None = None
@@ -400,9 +409,8 @@ class EmulatedController:
         """Cut the power for a moment: the firmware forgets everything, the hub stays where it is."""
         with self._lock:
             where = self._firmware.axis.true_position
-            parameters = dataclasses.replace(self._parameters, initial_position=where)
             self._boots += 1
-            self._firmware = FirmwareEmulator(parameters, self._plant, boot_id=self._boot_id())
+            self._firmware = self._boot(dataclasses.replace(self._device, initial_position=where))
             self._boot_steady_ns = time.monotonic_ns()
 
     def inject(self, data: bytes) -> None:
@@ -458,8 +466,9 @@ class EmulatedController:
         with contextlib.suppress(OSError):
             os.write(self._wake_write, b"!")
 
-    def _boot_id(self) -> int:
-        return (os.getpid() << 12 | self._boots) & 0xFFFFFFFF
+    def _boot(self, device: SimulatedDevice) -> EmulatedFirmware:
+        boot_id = (os.getpid() << 12 | self._boots) & 0xFFFFFFFF
+        return EmulatedFirmware(self._parameters, self._plant, device, boot_id=boot_id)
 
     def _device_ns(self, steady_ns: int) -> int:
         elapsed_ns = steady_ns - self._boot_steady_ns

@@ -9,7 +9,7 @@ from beam_ros.hub.contract import HostTime, HubReport, Outcome, RequestKind, Seq
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.transport import SerialTransport
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from beam_ros.hub.sequences import Guard
 
 RECONNECT_S = 0.3
@@ -24,8 +24,10 @@ class DriverHub:
 
     Parameters
     ----------
-    parameters : HubParameters
-        The axis and its port.
+    parameters : AxisParameters
+        The axis.
+    link : LinkParameters
+        Its port.
     guard : callable, optional
         A further check of complete sequences, for limits that need a model of the beam.
 
@@ -36,9 +38,11 @@ class DriverHub:
         ``disconnected``, and the port is tried again until it comes back.
     """
 
-    def __init__(self, parameters: HubParameters, *, guard: Guard | None = None) -> None:
-        self._client = HubClient(parameters, guard)
-        self._transport = SerialTransport(parameters.serial_port, parameters.serial_baud)
+    def __init__(
+        self, parameters: AxisParameters, link: LinkParameters, *, guard: Guard | None = None
+    ) -> None:
+        self._client = HubClient(parameters, link, guard)
+        self._transport = SerialTransport(link.serial_port, link.serial_baud)
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._transport.open()

@@ -7,9 +7,9 @@ other which versions they speak. Everything else belongs to ``VERSION``. All num
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from beam_ros.hub.contract import AXIS_STATES, REQUEST_KINDS, AxisState, Request
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.line.framing import encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, MAX_BATCH_TICKS, CommandMode
-from beam_ros.hub.simulated.axis import TickBatch
+from beam_ros.hub.ticks import TickBatch
 
 MAGIC = b"BEAM"
 VERSION = 1
@@ -246,22 +246,142 @@ Message = (
 
 # Layouts --------------------------------------------------------------------------------------------------
 
-_HELLO = struct.Struct("<4sBB")
-_IDENTITY_HEAD = struct.Struct("<4sBBBI")
-_IDENTITY = struct.Struct("<IBHB5dI")
-_NUMBER = struct.Struct("<H")
-_REQUEST = struct.Struct("<HB")
-_SETPOINT = struct.Struct("<Hd")
-_ARM = struct.Struct("<HQI")
-_SAMPLES = struct.Struct("<HI")
-_CLOCK_REPLY = struct.Struct("<HQQ")
-_REPLY = struct.Struct("<HB")
-_TELEMETRY = struct.Struct("<QB")
-_TICK_BYTES = 8 + 4 + 4 + 4
-_STATUS = struct.Struct("<IQBiiHHHBIH")
+
+@dataclass(frozen=True)
+class _Field:
+    """How a field is written, and how it is read from an offset on: its value, and where the next one begins."""
+
+    pack: Callable[[Any], bytes]
+    take: Callable[[bytes, int], tuple[Any, int]]
+
+
+def _number(code: str) -> _Field:
+    layout = struct.Struct(f"<{code}")
+    return _Field(layout.pack, lambda data, at: (layout.unpack_from(data, at)[0], at + layout.size))
+
+
+def _one_of(words: Sequence[object]) -> _Field:
+    def take(data: bytes, at: int) -> tuple[object, int]:
+        return words[data[at]], at + 1
+
+    return _Field(lambda word: bytes((words.index(word),)), take)
+
+
+def _pack_text(text: str) -> bytes:
+    data = text.encode()[:MAX_TEXT].decode(errors="ignore").encode()
+    return bytes((len(data),)) + data
+
+
+def _take_text(data: bytes, at: int) -> tuple[str, int]:
+    end = at + 1 + data[at]
+    if end > len(data) or data[at] > MAX_TEXT:
+        raise ValueError(f"text of {data[at]} bytes where {len(data) - at - 1} follow")
+    return data[at + 1 : end].decode(), end
+
+
+def _check_count(what: str, count: int, most: int) -> None:
+    if not 1 <= count <= most:
+        raise ValueError(f"{count} {what}, expected 1 to {most}")
+
+
+def _pack_samples(values: FloatArray) -> bytes:
+    _check_count("samples", len(values), MAX_SAMPLES)
+    return np.asarray(values, dtype="<f8").tobytes()
+
+
+def _take_samples(data: bytes, at: int) -> tuple[FloatArray, int]:
+    values = np.frombuffer(data[at:], dtype="<f8").astype(np.float64)
+    _check_count("samples", len(values), MAX_SAMPLES)
+    return values, len(data)
+
+
+def _pack_ticks(ticks: TickBatch) -> bytes:
+    _check_count("ticks", len(ticks), MAX_BATCH_TICKS)
+    limits = np.iinfo(np.int32)
+    return b"".join(
+        (
+            _TICKS.pack(ticks.first_tick, len(ticks)),
+            ticks.applied.astype("<f8").tobytes(),
+            np.clip(ticks.position_counts, limits.min, limits.max).astype("<i4").tobytes(),
+            np.clip(ticks.velocity_counts, limits.min, limits.max).astype("<i4").tobytes(),
+            ticks.efforts.astype("<f4").tobytes(),
+        )
+    )
+
+
+def _take_ticks(data: bytes, at: int) -> tuple[TickBatch, int]:
+    first_tick, n = _TICKS.unpack_from(data, at)
+    _check_count("ticks", n, MAX_BATCH_TICKS)
+    at += _TICKS.size
+    ticks = TickBatch(
+        first_tick,
+        np.frombuffer(data, "<f8", n, at).astype(np.float64),
+        np.frombuffer(data, "<i4", n, at + 8 * n).astype(np.int64),
+        np.frombuffer(data, "<i4", n, at + 12 * n).astype(np.int64),
+        np.frombuffer(data, "<f4", n, at + 16 * n).astype(np.float32),
+    )
+    return ticks, at + 20 * n
+
+
+_TICKS = struct.Struct("<QB")
+_U8, _U16, _U32, _U64, _I32, _F64 = map(_number, "BHIQid")
+_TEXT = _Field(_pack_text, _take_text)
+_SAMPLES = _Field(_pack_samples, _take_samples)
+_TICK_BATCH = _Field(_pack_ticks, _take_ticks)
+_FLAG = _one_of((False, True))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """The fields of a message in their order.
+
+    Those of the handshake begin with ``MAGIC`` and ``n_frozen`` fields that no version changes; the first
+    field names the version that the rest belongs to, and what follows of another one is ignored.
+    """
+
+    make: Callable[..., Message]
+    fields: tuple[_Field, ...] = ()
+    n_frozen: int = 0
+
+    @property
+    def magic(self) -> bytes:
+        return MAGIC if self.n_frozen else b""
+
+    def ends_after(self, values: Sequence[object]) -> bool:
+        """Whether nothing of this version follows these first fields."""
+        return 0 < self.n_frozen == len(values) and (len(self.fields) == len(values) or values[0] != VERSION)
+
 
 HELLO, HEARTBEAT, CLOCK_QUERY, REQUEST, SETPOINT, ARM, SAMPLES, GOODBYE = range(0x01, 0x09)
 IDENTITY, CLOCK_REPLY, REQUEST_REPLY, ARM_REPLY, TELEMETRY, STATUS = range(0x81, 0x87)
+
+_LAYOUTS: dict[int, _Layout] = {
+    HELLO: _Layout(Hello, (_U8, _U8), n_frozen=2),
+    HEARTBEAT: _Layout(Heartbeat),
+    CLOCK_QUERY: _Layout(ClockQuery, (_U16,)),
+    REQUEST: _Layout(Request, (_U16, _one_of(REQUEST_KINDS))),
+    SETPOINT: _Layout(Setpoint, (_U16, _F64)),
+    ARM: _Layout(Arm, (_U16, _U64, _U32)),
+    SAMPLES: _Layout(Samples, (_U16, _U32, _SAMPLES)),
+    GOODBYE: _Layout(Goodbye),
+    IDENTITY: _Layout(
+        Identity,
+        (_U8, _U8, _U8, _U32, _U32, _U8, _U16, _one_of(COMMAND_MODES), *(_F64,) * 5, _U32, _TEXT),
+        n_frozen=4,
+    ),
+    CLOCK_REPLY: _Layout(ClockReply, (_U16, _U64, _U64)),
+    REQUEST_REPLY: _Layout(RequestReply, (_U16, _one_of(REPLY_PHASES), _TEXT)),
+    ARM_REPLY: _Layout(ArmReply, (_U16, _FLAG, _TEXT)),
+    TELEMETRY: _Layout(Telemetry, (_TICK_BATCH,)),
+    STATUS: _Layout(
+        Status,
+        (
+            *(_U32, _U64, _one_of(AXIS_STATES), _I32, _I32, _U16, _U16),
+            *(_U16, _one_of(DEVICE_SEQUENCE_STATES), _U32, _U16, _TEXT, _TEXT),
+        ),
+    ),
+}
+_KINDS = {layout.make: kind for kind, layout in _LAYOUTS.items()}
 
 
 def encode(message: Message) -> bytes:
@@ -277,122 +397,18 @@ def encode_payload(message: Message) -> bytes:
     HubProtocolError
         A value does not fit its field.
     """
+    kind = _KINDS[type(message)]
+    layout = _LAYOUTS[kind]
+    values = list(vars(message).values())
+    if layout.ends_after(values[: layout.n_frozen]):
+        values = values[: layout.n_frozen]
     try:
-        return _encode(message)
+        body = b"".join(field.pack(value) for field, value in zip(layout.fields, values, strict=False))
     except (struct.error, ValueError) as err:
         raise HubProtocolError(
             f"{type(message).__name__} cannot be sent: {err}; see docs/protocol.md"
         ) from err
-
-
-def _encode(message: Message) -> bytes:
-    match message:
-        case Hello():
-            body = _HELLO.pack(MAGIC, message.lowest_version, message.highest_version)
-            return _typed(HELLO, body)
-        case Heartbeat():
-            return _typed(HEARTBEAT)
-        case ClockQuery():
-            return _typed(CLOCK_QUERY, _NUMBER.pack(message.number))
-        case Request():
-            return _typed(REQUEST, _REQUEST.pack(message.number, REQUEST_KINDS.index(message.kind)))
-        case Setpoint():
-            return _typed(SETPOINT, _SETPOINT.pack(message.number, message.value))
-        case Arm():
-            return _typed(ARM, _ARM.pack(message.number, message.start_ns, message.n_samples))
-        case Samples():
-            _check_count("samples", len(message.values), MAX_SAMPLES)
-            values = np.asarray(message.values, dtype="<f8").tobytes()
-            return _typed(SAMPLES, _SAMPLES.pack(message.number, message.first) + values)
-        case Goodbye():
-            return _typed(GOODBYE)
-        case Identity():
-            return _typed(IDENTITY, _identity_body(message))
-        case ClockReply():
-            return _typed(
-                CLOCK_REPLY, _CLOCK_REPLY.pack(message.number, message.received_ns, message.sent_ns)
-            )
-        case RequestReply():
-            head = _REPLY.pack(message.number, REPLY_PHASES.index(message.phase))
-            return _typed(REQUEST_REPLY, head + _text(message.text))
-        case ArmReply():
-            return _typed(ARM_REPLY, _REPLY.pack(message.number, message.is_accepted) + _text(message.text))
-        case Telemetry():
-            return _typed(TELEMETRY, _telemetry_body(message.ticks))
-        case Status():
-            return _typed(STATUS, _status_body(message))
-
-
-def _typed(kind: int, body: bytes = b"") -> bytes:
-    return bytes((kind,)) + body
-
-
-def _text(text: str) -> bytes:
-    data = text.encode()[:MAX_TEXT].decode(errors="ignore").encode()
-    return bytes((len(data),)) + data
-
-
-def _check_count(what: str, count: int, most: int) -> None:
-    if not 1 <= count <= most:
-        raise ValueError(f"{count} {what}, expected 1 to {most}")
-
-
-def _identity_body(message: Identity) -> bytes:
-    head = _IDENTITY_HEAD.pack(
-        MAGIC, message.version, message.lowest_version, message.highest_version, message.boot_id
-    )
-    if message.version != VERSION:
-        return head
-    return (
-        head
-        + _IDENTITY.pack(
-            message.period_ns,
-            message.batch_ticks,
-            message.buffer_samples,
-            COMMAND_MODES.index(message.command_mode),
-            message.encoder_resolution,
-            message.travel,
-            message.max_speed,
-            message.max_acceleration,
-            message.max_effort,
-            message.watchdog_ns,
-        )
-        + _text(message.name)
-    )
-
-
-def _telemetry_body(ticks: TickBatch) -> bytes:
-    _check_count("ticks", len(ticks), MAX_BATCH_TICKS)
-    limits = np.iinfo(np.int32)
-    return b"".join(
-        (
-            _TELEMETRY.pack(ticks.first_tick, len(ticks)),
-            ticks.applied.astype("<f8").tobytes(),
-            np.clip(ticks.position_counts, limits.min, limits.max).astype("<i4").tobytes(),
-            np.clip(ticks.velocity_counts, limits.min, limits.max).astype("<i4").tobytes(),
-            ticks.efforts.astype("<f4").tobytes(),
-        )
-    )
-
-
-def _status_body(message: Status) -> bytes:
-    return (
-        _STATUS.pack(
-            message.boot_id,
-            message.tick,
-            AXIS_STATES.index(message.state),
-            message.position_count,
-            message.velocity_count,
-            message.setpoint_number,
-            message.setpoints_refused,
-            message.sequence_number,
-            DEVICE_SEQUENCE_STATES.index(message.sequence_state),
-            message.received,
-            message.free,
-        )
-        + _text(message.reason)
-        + _text(message.sequence_reason)
-    )
+    return bytes((kind,)) + layout.magic + body
 
 
 def decode(payload: bytes) -> Message:
@@ -405,181 +421,31 @@ def decode(payload: bytes) -> Message:
     """
     if not payload:
         raise HubProtocolError("empty payload: expected a type byte and a body")
-    decoder = _DECODERS.get(payload[0])
-    if decoder is None:
+    layout = _LAYOUTS.get(payload[0])
+    if layout is None:
         raise HubProtocolError(
             f"message type 0x{payload[0]:02x}: expected one of "
-            + ", ".join(f"0x{kind:02x}" for kind in _DECODERS)
+            + ", ".join(f"0x{kind:02x}" for kind in _LAYOUTS)
             + f"; the other side speaks another version than {VERSION}"
         )
     try:
-        return decoder(payload[1:])
+        return _decode(payload, layout)
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as err:
         raise HubProtocolError(
             f"message type 0x{payload[0]:02x} with {len(payload) - 1} bytes: {err}; see docs/protocol.md"
         ) from err
 
 
-def _take_text(data: bytes) -> tuple[str, bytes]:
-    length = data[0]
-    if length > min(len(data) - 1, MAX_TEXT):
-        raise ValueError(f"text of {length} bytes where {len(data) - 1} follow")
-    return data[1 : 1 + length].decode(), data[1 + length :]
-
-
-def _last_text(data: bytes) -> str:
-    text, rest = _take_text(data)
-    if rest:
-        raise ValueError(f"{len(rest)} bytes too many")
-    return text
-
-
-def _flag(value: int) -> bool:
-    if value > 1:
-        raise ValueError(f"flag {value}, expected 0 or 1")
-    return bool(value)
-
-
-def _decode_hello(body: bytes) -> Hello:
-    magic, lowest, highest = _HELLO.unpack(body[: _HELLO.size])
-    if magic != MAGIC:
-        raise ValueError(f"magic {magic!r}, expected {MAGIC!r}")
-    return Hello(lowest, highest)
-
-
-def _decode_empty(make: Callable[[], Message]) -> Callable[[bytes], Message]:
-    def decode_empty(body: bytes) -> Message:
-        if body:
-            raise ValueError("expected no body")
-        return make()
-
-    return decode_empty
-
-
-def _decode_clock_query(body: bytes) -> ClockQuery:
-    return ClockQuery(*_NUMBER.unpack(body))
-
-
-def _decode_request(body: bytes) -> Request:
-    number, kind = _REQUEST.unpack(body)
-    return Request(number, REQUEST_KINDS[kind])
-
-
-def _decode_setpoint(body: bytes) -> Setpoint:
-    return Setpoint(*_SETPOINT.unpack(body))
-
-
-def _decode_arm(body: bytes) -> Arm:
-    return Arm(*_ARM.unpack(body))
-
-
-def _decode_samples(body: bytes) -> Samples:
-    number, first = _SAMPLES.unpack(body[: _SAMPLES.size])
-    values = np.frombuffer(body[_SAMPLES.size :], dtype="<f8").astype(np.float64)
-    _check_count("samples", len(values), MAX_SAMPLES)
-    return Samples(number, first, values)
-
-
-def _decode_identity(body: bytes) -> Identity:
-    size = _IDENTITY_HEAD.size
-    magic, version, lowest, highest, boot_id = _IDENTITY_HEAD.unpack(body[:size])
-    if magic != MAGIC:
-        raise ValueError(f"magic {magic!r}, expected {MAGIC!r}")
-    if version != VERSION:
-        return Identity(version, lowest, highest, boot_id)
-    fields = _IDENTITY.unpack(body[size : size + _IDENTITY.size])
-    period_ns, batch_ticks, buffer_samples, mode, resolution, *limits, watchdog = fields
-    travel, speed, acceleration, effort = limits
-    name = _last_text(body[size + _IDENTITY.size :])
-    return Identity(
-        version,
-        lowest,
-        highest,
-        boot_id,
-        period_ns,
-        batch_ticks,
-        buffer_samples,
-        _mode(mode),
-        resolution,
-        travel,
-        speed,
-        acceleration,
-        effort,
-        watchdog,
-        name,
-    )
-
-
-def _mode(index: int) -> CommandMode:
-    modes: tuple[CommandMode, ...] = ("acceleration", "velocity", "position", "effort")
-    return modes[index]
-
-
-def _decode_clock_reply(body: bytes) -> ClockReply:
-    return ClockReply(*_CLOCK_REPLY.unpack(body))
-
-
-def _decode_request_reply(body: bytes) -> RequestReply:
-    number, phase = _REPLY.unpack(body[: _REPLY.size])
-    return RequestReply(number, REPLY_PHASES[phase], _last_text(body[_REPLY.size :]))
-
-
-def _decode_arm_reply(body: bytes) -> ArmReply:
-    number, is_accepted = _REPLY.unpack(body[: _REPLY.size])
-    return ArmReply(number, _flag(is_accepted), _last_text(body[_REPLY.size :]))
-
-
-def _decode_telemetry(body: bytes) -> Telemetry:
-    first_tick, count = _TELEMETRY.unpack(body[: _TELEMETRY.size])
-    _check_count("ticks", count, MAX_BATCH_TICKS)
-    data = body[_TELEMETRY.size :]
-    if len(data) != count * _TICK_BYTES:
-        raise ValueError(f"{len(data)} bytes for {count} ticks, expected {count * _TICK_BYTES}")
-    return Telemetry(
-        TickBatch(
-            first_tick,
-            np.frombuffer(data, "<f8", count).astype(np.float64),
-            np.frombuffer(data, "<i4", count, 8 * count).astype(np.int64),
-            np.frombuffer(data, "<i4", count, 12 * count).astype(np.int64),
-            np.frombuffer(data, "<f4", count, 16 * count).astype(np.float32),
-        )
-    )
-
-
-def _decode_status(body: bytes) -> Status:
-    fields = _STATUS.unpack(body[: _STATUS.size])
-    boot_id, tick, state, position, velocity, setpoint, refused, number, sequence, received, free = fields
-    reason, rest = _take_text(body[_STATUS.size :])
-    return Status(
-        boot_id,
-        tick,
-        AXIS_STATES[state],
-        position,
-        velocity,
-        setpoint,
-        refused,
-        number,
-        DEVICE_SEQUENCE_STATES[sequence],
-        received,
-        free,
-        reason,
-        _last_text(rest),
-    )
-
-
-_DECODERS: dict[int, Callable[[bytes], Message]] = {
-    HELLO: _decode_hello,
-    HEARTBEAT: _decode_empty(Heartbeat),
-    CLOCK_QUERY: _decode_clock_query,
-    REQUEST: _decode_request,
-    SETPOINT: _decode_setpoint,
-    ARM: _decode_arm,
-    SAMPLES: _decode_samples,
-    GOODBYE: _decode_empty(Goodbye),
-    IDENTITY: _decode_identity,
-    CLOCK_REPLY: _decode_clock_reply,
-    REQUEST_REPLY: _decode_request_reply,
-    ARM_REPLY: _decode_arm_reply,
-    TELEMETRY: _decode_telemetry,
-    STATUS: _decode_status,
-}
+def _decode(payload: bytes, layout: _Layout) -> Message:
+    at = 1 + len(layout.magic)
+    if payload[1:at] != layout.magic:
+        raise ValueError(f"magic {payload[1:at]!r}, expected {layout.magic!r}")
+    values: list[object] = []
+    for field in layout.fields:
+        value, at = field.take(payload, at)
+        values.append(value)
+        if layout.ends_after(values):
+            return layout.make(*values)
+    if at != len(payload):
+        raise ValueError(f"{len(payload) - at} bytes too many")
+    return layout.make(*values)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
-from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.hub.simulated.motion import Snapshots
 
 
 class BeamPoints:

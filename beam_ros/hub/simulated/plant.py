@@ -16,7 +16,7 @@ import numpy as np
 
 from beam_model import BeamModel, MotionStepper, NonlinearMotionStepper, NonlinearTerms
 from beam_ros.arrays import FloatArray
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters
 
 
 @dataclass(frozen=True)
@@ -305,18 +305,26 @@ class PlantOnDeviceClock:
         return acceleration / self._second**2
 
 
-def beam_on_axis(model: BeamModel, parameters: HubParameters, terms: NonlinearTerms | None = None) -> Plant:
+def beam_on_axis(
+    model: BeamModel,
+    parameters: AxisParameters,
+    terms: NonlinearTerms | None = None,
+    *,
+    clock_drift_ppm: float = 0.0,
+) -> Plant:
     """Put a beam on the axis of a device, whose clock may drift.
 
     Parameters
     ----------
     model : BeamModel
         Beam and hub.
-    parameters : HubParameters
-        The device's tick and the drift of its clock.
+    parameters : AxisParameters
+        The device's tick.
     terms : NonlinearTerms, optional
         Air drag and large deflections.
+    clock_drift_ppm : float, optional
+        By how much the device's clock runs fast [1e-6].
     """
-    second = 1.0 / (1.0 + parameters.clock_drift_ppm * 1e-6)
+    second = 1.0 / (1.0 + clock_drift_ppm * 1e-6)
     plant = BeamPlant(model, parameters.period * second, terms)
     return plant if second == 1.0 else PlantOnDeviceClock(plant, second)

@@ -14,7 +14,6 @@ from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import (
     ClockSync,
     HostTime,
-    HubEvent,
     HubReport,
     HubStatus,
     Outcome,
@@ -23,9 +22,12 @@ from beam_ros.hub.contract import (
     SequenceChunk,
 )
 from beam_ros.hub.errors import SnapshotError
+from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.sequences import CommandGate, Guard
-from beam_ros.hub.simulated.axis import Snapshots, TickBatch, VirtualAxis, sample_batches
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.motion import Snapshots
+from beam_ros.hub.ticks import TickQueue, sample_batches
 
 CLOCK_SYNC_NS = 200_000_000
 """Interval of the clock comparisons that are reported [ns]."""
@@ -56,16 +58,15 @@ class SimulatedHub:
         self._factor = real_time_factor
         self._gate = CommandGate(axis.parameters, guard)
         self._clock: HostClock | None = None
-        self._rate_ppb = round(axis.parameters.clock_drift_ppm * 1000)
+        self._rate_ppb = round(axis.device.clock_drift_ppm * 1000)
         self._anchor_stamp_ns = 0
         self._anchor_device_ns = axis.device_ns
         self._epoch = 1
         self._last_steady_ns = 0
         self._next_sync_ns = 0
-        self._pending: list[TickBatch] = []
-        self._n_pending = 0
+        self._ticks = TickQueue(axis.parameters.batch_ticks)
         self._next_request = 1
-        self._counters = {"real_time_jumps": 0, "setpoints_refused": 0, "pauses": 0}
+        self._journal = Journal(["pauses"])
 
     # The Hub protocol ---------------------------------------------------------------------------------
 
@@ -85,7 +86,7 @@ class SimulatedHub:
         if outcome.success:
             outcome = self.axis.setpoint(value)
         if not outcome.success:
-            self._counters["setpoints_refused"] += 1
+            self._journal.counters["setpoints_refused"] += 1
         return outcome
 
     def load(self, chunk: SequenceChunk, now: HostTime) -> None:
@@ -104,28 +105,16 @@ class SimulatedHub:
     def poll(self, now: HostTime) -> HubReport:
         """Advance by the time that has passed, and collect what happened."""
         clock = self._host_clock(now)
-        events: list[HubEvent] = []
         pause_ns = now.steady_ns - self._last_steady_ns
-        batches = self._catch_up_or_pause(now, clock, events)
+        batches = self._catch_up_or_pause(now, clock)
         self._last_steady_ns = now.steady_ns
         now_ns = clock.stamp_ns(now.steady_ns)
         self._advance(self.device_ns(now_ns), is_stall=pause_ns <= MAX_STALL_NS)
         batches += self._full_batches()
 
-        jump_ns = clock.jump_ns(now)
-        if jump_ns is not None:
-            self._counters["real_time_jumps"] += 1
-            events.append(
-                HubEvent(
-                    "error",
-                    f"the computer's real-time clock jumped by {jump_ns * 1e-9:.3f} s; stamps keep the old "
-                    "time: discard this recording and start the rig anew",
-                )
-            )
+        self._journal.watch_clock(clock, now)
         for event in self.axis.take_events():
-            line = self._gate.note(event.kind, event.text)
-            if line is not None:
-                events.append(line)
+            self._journal.add(self._gate.note(event.kind, event.text))
         self._gate.expire(now_ns)
         clock_syncs = []
         if now.steady_ns >= self._next_sync_ns:
@@ -139,7 +128,7 @@ class SimulatedHub:
             clock=clock_syncs,
             completed=self.axis.take_completed(),
             status=self._status(),
-            events=events,
+            events=self._journal.take_events(),
         )
 
     def close(self) -> None:
@@ -196,50 +185,37 @@ class SimulatedHub:
 
     def _advance(self, device_ns: int, *, is_stall: bool) -> None:
         """Advance the axis; after a mere stall it was one process with its host all along, never without it."""
-        step_ns = self._parameters.batch_ticks * self._parameters.period_ns
+        step_ns = self._parameters.batch_ns
         while True:
             until_ns = min(device_ns, self.axis.device_ns + step_ns) if is_stall else device_ns
-            self._pending.append(self.axis.advance(until_ns))
-            self._n_pending += len(self._pending[-1])
+            self._ticks.add(self.axis.advance(until_ns))
             self.axis.feed()
             if until_ns >= device_ns:
                 return
 
-    def _catch_up_or_pause(
-        self, now: HostTime, clock: HostClock, events: list[HubEvent]
-    ) -> list[tuple[SampleBatch, SampleBatch]]:
+    def _catch_up_or_pause(self, now: HostTime, clock: HostClock) -> list[tuple[SampleBatch, SampleBatch]]:
         """After a long pause, let the axis come to rest in its own time and begin a new clock epoch."""
         pause_ns = now.steady_ns - self._last_steady_ns
         if pause_ns <= MAX_CATCH_UP_NS:
             return []
         patience_ns = MAX_CATCH_UP_NS // 10
-        self._pending.append(self.axis.advance(self.axis.device_ns + patience_ns))
-        self._n_pending += len(self._pending[-1])
+        self._ticks.add(self.axis.advance(self.axis.device_ns + patience_ns))
         batches = self._full_batches()
-        self._pending.clear()
-        self._n_pending = 0
+        self._ticks.clear()
         self._anchor_stamp_ns = clock.stamp_ns(now.steady_ns)
         self._anchor_device_ns = self.axis.device_ns
         self._epoch += 1
-        self._counters["pauses"] += 1
-        events.append(HubEvent("error", f"the host paused for {pause_ns * 1e-9:.1f} s; new clock epoch"))
+        self._journal.counters["pauses"] += 1
+        self._journal.tell("error", f"the host paused for {pause_ns * 1e-9:.1f} s; new clock epoch")
         return batches
 
     def _full_batches(self) -> list[tuple[SampleBatch, SampleBatch]]:
-        size = self._parameters.batch_ticks
-        if self._n_pending < size:
-            return []
-        whole = TickBatch.join(self._pending)
         batches = []
-        n_full = len(whole) // size
-        for k in range(n_full):
-            ticks = whole[k * size : (k + 1) * size]
+        for ticks in self._ticks.take_full():
             stamp_ns = self.stamp_ns(ticks.first_tick * self._parameters.period_ns)
             batches.append(sample_batches(ticks, stamp_ns, self._epoch, self._parameters))
-        self._pending = [whole[n_full * size :]]
-        self._n_pending = len(self._pending[0])
         return batches
 
     def _status(self) -> HubStatus:
         axis = self.axis
-        return HubStatus(axis.state, axis.position, axis.velocity, axis.reason, dict(self._counters))
+        return HubStatus(axis.state, axis.position, axis.velocity, axis.reason, dict(self._journal.counters))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 import time
 from collections.abc import Callable
@@ -11,16 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
-from beam_ros.hub.emulated.emulator import EmulatedController, FirmwareEmulator
+from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 
 UNIX_START = 1_700_000_000_000_000_000
 STEADY_START = 5_000_000_000
+DRIFTING = SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=777_000_000_000)
 
 
 def rest_to_rest(n_ticks: int, amplitude: float = 0.5) -> np.ndarray:
@@ -46,7 +46,7 @@ def chunks_of(
     ]
 
 
-def enabled_axis(parameters: HubParameters, plant: object = None, **options: int) -> VirtualAxis:
+def enabled_axis(parameters: AxisParameters, plant: object = None, **options: int) -> VirtualAxis:
     axis = VirtualAxis(parameters, plant or RigidPlant(0.8, parameters.period), **options)
     axis.request(1, "home")
     while axis.state != "homed":
@@ -100,9 +100,15 @@ class Rig:
 class SimulatedRig(Rig):
     """A simulated hub with a host clock that the test moves."""
 
-    def __init__(self, parameters: HubParameters, plant: object = None, **options: object) -> None:
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        plant: object = None,
+        device: SimulatedDevice | None = None,
+        **options: object,
+    ) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
-        self.hub = SimulatedHub(VirtualAxis(parameters, load), **options)
+        self.hub = SimulatedHub(VirtualAxis(parameters, load, device), **options)
         self.steady_ns = STEADY_START
         self.reports = []
         self.hub.poll(self.now)
@@ -131,15 +137,15 @@ class LoopbackRig(Rig):
 
     def __init__(
         self,
-        parameters: HubParameters,
-        device_parameters: HubParameters | None = None,
-        plant: object = None,
-        guard: object = None,
+        parameters: AxisParameters,
+        device: SimulatedDevice = DRIFTING,
+        device_parameters: AxisParameters | None = None,
     ) -> None:
         self.parameters = parameters
+        self.device = device
         self.device_parameters = device_parameters or parameters
-        self.plant = plant or RigidPlant(0.8, parameters.period)
-        self.hub = self.client = HubClient(parameters, guard)
+        self.plant = RigidPlant(0.8, parameters.period)
+        self.hub = self.client = HubClient(parameters, LinkParameters())
         self.steady_ns = STEADY_START
         self.reports = []
         self.to_device: Callable[[bytes], bytes] = lambda data: data
@@ -150,7 +156,7 @@ class LoopbackRig(Rig):
         self.client.line_opened(self.steady_ns)
 
     def start_device(self, boot_id: int) -> None:
-        self.firmware = FirmwareEmulator(self.device_parameters, self.plant, boot_id=boot_id)
+        self.firmware = EmulatedFirmware(self.device_parameters, self.plant, self.device, boot_id=boot_id)
         self.boot_ns = self.steady_ns
 
     @property
@@ -158,8 +164,8 @@ class LoopbackRig(Rig):
         return HostTime(self.steady_ns, self.steady_ns - STEADY_START + UNIX_START)
 
     def device_ns(self, steady_ns: int) -> int:
-        rate = 1 + self.device_parameters.clock_drift_ppm * 1e-6
-        return self.device_parameters.clock_start_ns + round((steady_ns - self.boot_ns) * rate)
+        rate = 1 + self.device.clock_drift_ppm * 1e-6
+        return self.device.clock_start_ns + round((steady_ns - self.boot_ns) * rate)
 
     def run(self, seconds: float) -> list[HubReport]:
         new = []
@@ -187,10 +193,16 @@ class LoopbackRig(Rig):
 class DriverRig(Rig):
     """The driver with the emulated controller on a pseudo-terminal, in real time."""
 
-    def __init__(self, parameters: HubParameters, folder: Path, plant: object = None) -> None:
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        folder: Path,
+        plant: object = None,
+        device: SimulatedDevice = DRIFTING,
+    ) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
-        self.emulator = EmulatedController(parameters, load, link=folder / "hub")
-        self.hub = DriverHub(dataclasses.replace(parameters, serial_port=self.emulator.port))
+        self.emulator = EmulatedController(parameters, load, device, link=folder / "hub")
+        self.hub = DriverHub(parameters, LinkParameters(self.emulator.port))
         self.reports = []
 
     @property

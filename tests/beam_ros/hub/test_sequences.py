@@ -5,38 +5,25 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beam_ros.hub.errors import HubProtocolError
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.sequences import (
     CommandGate,
     check_sequence,
     expand_to_ticks,
-    format_chunk_name,
-    parse_chunk_name,
 )
 from tests.beam_ros.hub.hub_scenes import UNIX_START as NOW
 from tests.beam_ros.hub.hub_scenes import chunks_of, rest_to_rest
 
-ACCELERATION = HubParameters()
-VELOCITY = HubParameters(command_mode="velocity")
-POSITION = HubParameters(command_mode="position")
-EFFORT = HubParameters(command_mode="effort")
+ACCELERATION = AxisParameters()
+VELOCITY = AxisParameters(command_mode="velocity")
+POSITION = AxisParameters(command_mode="position")
+EFFORT = AxisParameters(command_mode="effort")
 
 
 def feed(gate, chunks, now_ns=NOW, state="enabled", position=0.0, speed=0.0):
     for chunk in chunks:
         sequence = gate.add(chunk, now_ns, state, position, speed)
     return sequence, gate.take_reports()
-
-
-def test_a_chunk_name_survives_the_round_trip():
-    assert parse_chunk_name(format_chunk_name("chirp-7", 3, 12)) == ("chirp-7", 3, 12)
-
-
-@pytest.mark.parametrize("name", ["", "x", "x 0/3", "x 4/3", "x 1/2 ", " 1/2", "a b 1/2", "x 1", "x -1/2"])
-def test_a_malformed_chunk_name_is_refused_with_its_form(name):
-    with pytest.raises(HubProtocolError, match="<id> <k>/<n>"):
-        parse_chunk_name(name)
 
 
 def test_chunks_in_any_order_make_the_whole_sequence():
@@ -177,7 +164,7 @@ def test_acceleration_sequences_are_checked_by_exact_integration():
 
 def test_travel_is_checked_between_ticks_too():
     # A tick that turns round in its middle: 20 mm from the start at both ends, 30 mm in between.
-    slow = HubParameters(period_ns=100_000_000)
+    slow = AxisParameters(period_ns=100_000_000)
     values = np.array([4.0, -8.0, 4.0])
     assert check_sequence(values, slow, 0.02) is None
     assert "travel" in check_sequence(values, slow, 0.0201)
@@ -212,31 +199,3 @@ def test_coarser_samples_are_held_or_joined_as_the_mode_does_it():
         CommandGate(ACCELERATION), chunks_of(rest_to_rest(400), NOW + 10**9, period_ns=2_000_000)
     )
     assert len(sequence.values) == 800
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("travel", 0.0),
-        ("max_speed", float("nan")),
-        ("max_acceleration", -1.0),
-        ("command_mode", "jerk"),
-        ("period_ns", 1e6),
-        ("watchdog_s", 0.03),
-        ("homing_speed", 1.0),
-        ("initial_position", 0.06),
-        ("clock_drift_ppm", 2000.0),
-        ("buffer_samples", 10),
-    ],
-)
-def test_a_parameter_no_hub_can_have_is_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=name):
-        HubParameters(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("period_ns", "ticks"), [(100_000, 100), (250_000, 80), (1_000_000, 20), (100_000_000, 1)]
-)
-def test_a_batch_is_about_twenty_milliseconds_and_fits_a_frame(period_ns, ticks):
-    parameters = HubParameters(period_ns=period_ns)
-    assert (parameters.batch_ticks, parameters.batch_ns) == (ticks, ticks * period_ns)

@@ -106,7 +106,7 @@ def test_batch_with_ragged_points_is_refused(types):
 
 @pytest.mark.parametrize("mode", sorted(messages.MODE_FIELDS))
 def test_setpoint_round_trip_in_every_mode(types, mode):
-    point = messages.Setpoint(STAMP, mode, 0.25)
+    point = messages.StampedSetpoint(STAMP, mode, 0.25)
     assert messages.read_setpoint(messages.setpoint(types, point)) == point
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.rig.filming import Film
 from beam_ros.rig.rig import Rig
 

@@ -62,7 +62,8 @@ def test_marker_masses_lower_the_frequencies() -> None:
 
 def test_every_room_takes_the_default_parameters() -> None:
     rig = Rig.from_file()
-    assert rig.hub_parameters(clock_drift_ppm=35.0).period_ns == 1_000_000
+    assert rig.axis_parameters().period_ns == 1_000_000
+    assert rig.link_parameters().serial_baud == 921_600
     assert rig.camera_parameters().marker_diameter_px == pytest.approx(12.0)
     assert len(rig.tracker_parameters().expected_rows_px or ()) == 3
 

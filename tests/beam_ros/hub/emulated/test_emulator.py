@@ -6,14 +6,14 @@ import time
 import numpy as np
 import pytest
 
-from beam_ros.hub.emulated.emulator import EmulatedController, FirmwareEmulator
+from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import DriverRig
 
-PARAMETERS = HubParameters()
+PARAMETERS = AxisParameters()
 
 
 def talk(firmware, messages, device_ns):
@@ -22,15 +22,15 @@ def talk(firmware, messages, device_ns):
     return [protocol.decode(p) for p in FrameDecoder().feed(answer)]
 
 
-def in_session() -> FirmwareEmulator:
-    firmware = FirmwareEmulator(PARAMETERS, RigidPlant(0.8, 1e-3), boot_id=5)
+def in_session() -> EmulatedFirmware:
+    firmware = EmulatedFirmware(PARAMETERS, RigidPlant(0.8, 1e-3), SimulatedDevice(), boot_id=5)
     identity, status = talk(firmware, [protocol.Hello()], 0)
     assert (identity.boot_id, status.state) == (5, "identified")
     return firmware
 
 
 def test_the_device_is_silent_until_it_is_greeted_and_says_who_it_is_when_spoken_to():
-    firmware = FirmwareEmulator(PARAMETERS, RigidPlant(0.8, 1e-3), boot_id=5)
+    firmware = EmulatedFirmware(PARAMETERS, RigidPlant(0.8, 1e-3), SimulatedDevice(), boot_id=5)
     assert talk(firmware, [], 10**8) == []
     (identity,) = talk(firmware, [protocol.Heartbeat(), protocol.Heartbeat()], 2 * 10**8)
     assert isinstance(identity, protocol.Identity)
@@ -38,7 +38,7 @@ def test_the_device_is_silent_until_it_is_greeted_and_says_who_it_is_when_spoken
 
 
 def test_a_host_of_another_version_is_told_which_one_the_device_speaks():
-    firmware = FirmwareEmulator(PARAMETERS, RigidPlant(0.8, 1e-3), boot_id=5)
+    firmware = EmulatedFirmware(PARAMETERS, RigidPlant(0.8, 1e-3), SimulatedDevice(), boot_id=5)
     (identity,) = talk(firmware, [protocol.Hello(2, 3)], 0)
     assert (identity.version, identity.lowest_version, identity.highest_version) == (0, 1, 1)
 
@@ -110,8 +110,8 @@ def test_samples_out_of_order_wait_for_those_before_them():
 
 
 def test_the_camera_sees_the_emulated_axis_at_host_stamps(tmp_path):
-    parameters = HubParameters(clock_drift_ppm=35.0, clock_start_ns=42_000_000_000, command_mode="velocity")
-    rig = DriverRig(parameters, tmp_path)
+    device = SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=42_000_000_000)
+    rig = DriverRig(AxisParameters(command_mode="velocity"), tmp_path, device=device)
     try:
         rig.connect()
         rig.enable()

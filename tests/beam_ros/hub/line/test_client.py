@@ -10,10 +10,10 @@ import pytest
 
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.parameters import HubParameters
-from tests.beam_ros.hub.hub_scenes import LoopbackRig, SimulatedRig, chunks_of, rest_to_rest
+from beam_ros.hub.parameters import AxisParameters
+from tests.beam_ros.hub.hub_scenes import DRIFTING, LoopbackRig, SimulatedRig, chunks_of, rest_to_rest
 
-PARAMETERS = HubParameters(clock_drift_ppm=35.0, clock_start_ns=777_000_000_000)
+PARAMETERS = AxisParameters()
 VELOCITY = dataclasses.replace(PARAMETERS, command_mode="velocity")
 
 
@@ -85,7 +85,7 @@ def test_the_devices_drift_and_map_come_out():
 
 @pytest.mark.parametrize("buffer_samples", [128, 512])
 def test_a_sequence_longer_than_the_buffer_is_streamed_and_applied_bit_for_bit(buffer_samples):
-    rig = connected(dataclasses.replace(PARAMETERS, buffer_samples=buffer_samples))
+    rig = connected(device=dataclasses.replace(DRIFTING, buffer_samples=buffer_samples))
     rig.enable()
     values = rest_to_rest(3000)
     start_ns = load(rig, values)
@@ -298,7 +298,7 @@ def test_a_sequence_waits_for_the_map_and_can_be_stopped_while_it_waits():
     ],
 )
 def test_a_device_that_is_not_the_one_of_the_rig_file_is_not_used(change, word):
-    rig = LoopbackRig(PARAMETERS, dataclasses.replace(PARAMETERS, **change))
+    rig = LoopbackRig(PARAMETERS, device_parameters=dataclasses.replace(PARAMETERS, **change))
     reports = rig.run(1.0)
     assert reports[-1].status.state == "disconnected"
     (event,) = [e for r in reports for e in r.events]
@@ -358,7 +358,7 @@ def test_every_command_mode_moves_as_in_the_simulated_hub(mode):
 
     real = path(connected(parameters))
     assert np.max(np.abs(real)) > 1e-3
-    assert np.array_equal(real, path(SimulatedRig(parameters)))
+    assert np.array_equal(real, path(SimulatedRig(parameters, device=DRIFTING)))
 
 
 def test_a_position_setpoint_is_moved_to_and_held_over_the_line():

@@ -19,23 +19,28 @@ from beam_model import BeamModel, BeamParameters
 from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.emulated.emulator import EmulatedController
 from beam_ros.hub.line.driver import DriverHub
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import BeamPlant
 from tests.beam_ros.hub.hub_scenes import DriverRig, Rig, SimulatedRig, chunks_of, rest_to_rest
 
 ROOT = Path(__file__).parents[4]
-ACCELERATION = HubParameters(clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=0.001)
-VELOCITY = dataclasses.replace(ACCELERATION, command_mode="velocity")
+ACCELERATION = AxisParameters()
+VELOCITY = AxisParameters(command_mode="velocity")
+DEVICE = SimulatedDevice(
+    clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=0.001, buffer_samples=4096
+)
 # For what is not about watchdogs: a busy computer that stands still for half a second changes nothing.
-PATIENT = dataclasses.replace(ACCELERATION, watchdog_s=1.0, buffer_samples=4096)
+PATIENT = AxisParameters(watchdog_s=1.0)
 
 
 @pytest.fixture
 def start(tmp_path):
     rigs = []
 
-    def start_rig(parameters: HubParameters, plant: object = None) -> DriverRig:
-        rigs.append(DriverRig(parameters, tmp_path, plant))
+    def start_rig(
+        parameters: AxisParameters, plant: object = None, device: SimulatedDevice = DEVICE
+    ) -> DriverRig:
+        rigs.append(DriverRig(parameters, tmp_path, plant, device))
         rigs[-1].connect()
         return rigs[-1]
 
@@ -106,7 +111,7 @@ def script(rig: Rig) -> list[object]:
 
 
 def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
-    simulated = script(SimulatedRig(PATIENT))
+    simulated = script(SimulatedRig(PATIENT, device=DEVICE))
     real = script(start(PATIENT))
     # The simulated device was identified before anyone listened.
     real[-1].remove("axis identified")
@@ -131,9 +136,9 @@ def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
             "f": np.concatenate([b.efforts for r in reports for b in r.measured])[part],
         }
 
-    parameters = dataclasses.replace(PATIENT, initial_position=0.0)
-    simulated = record(SimulatedRig(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
-    real = record(start(parameters, BeamPlant(BeamModel(rig_parameters), 1e-3)))
+    device = dataclasses.replace(DEVICE, initial_position=0.0)
+    simulated = record(SimulatedRig(PATIENT, BeamPlant(BeamModel(rig_parameters), 1e-3), device))
+    real = record(start(PATIENT, BeamPlant(BeamModel(rig_parameters), 1e-3), device))
     assert np.array_equal(simulated["applied"][:1800], values)
     for name, array in simulated.items():
         assert np.array_equal(real[name], array), name
@@ -236,10 +241,10 @@ def test_a_power_cut_of_the_controller_is_a_new_epoch(start):
 CHILD = """
 import sys, time
 from beam_ros.hub.contract import HostTime
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from beam_ros.hub.line.driver import DriverHub
 
-hub = DriverHub(HubParameters(command_mode="velocity", serial_port=sys.argv[1]))
+hub = DriverHub(AxisParameters(command_mode="velocity"), LinkParameters(sys.argv[1]))
 wanted = ["home", "enable"]
 state = "disconnected"
 while True:
@@ -258,7 +263,7 @@ while True:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_killed_or_stopped_process_leaves_the_axis_stopped(tmp_path, number):
-    emulator = EmulatedController(VELOCITY, BeamPlant(_beam(), 1e-3), link=tmp_path / "hub")
+    emulator = EmulatedController(VELOCITY, BeamPlant(_beam(), 1e-3), DEVICE, link=tmp_path / "hub")
     child = subprocess.Popen([sys.executable, "-c", CHILD, emulator.port], cwd=ROOT)
     try:
         end = time.monotonic() + 8.0
@@ -283,7 +288,7 @@ def _beam() -> BeamModel:
 
 def test_a_missing_port_is_one_clear_error():
     with pytest.raises(OSError, match="/dev/no-such-port") as caught:
-        DriverHub(HubParameters(serial_port="/dev/no-such-port"))
+        DriverHub(ACCELERATION, LinkParameters("/dev/no-such-port"))
     text = str(caught.value)
     assert "expected an existing port" in text
     assert "correct serial.port" in text
@@ -292,17 +297,17 @@ def test_a_missing_port_is_one_clear_error():
 
 def test_an_unnamed_port_is_one_clear_error():
     with pytest.raises(OSError, match=r"set serial\.port"):
-        DriverHub(HubParameters())
+        DriverHub(ACCELERATION, LinkParameters())
 
 
 def test_a_file_is_no_port(tmp_path):
     (tmp_path / "file").write_text("not a port")
     with pytest.raises(OSError, match="cannot be opened"):
-        DriverHub(HubParameters(serial_port=str(tmp_path / "file")))
+        DriverHub(ACCELERATION, LinkParameters(str(tmp_path / "file")))
 
 
 def test_a_port_in_use_is_not_shared(start):
     rig = start(ACCELERATION)
     with pytest.raises(OSError, match="no other program"):
-        DriverHub(dataclasses.replace(ACCELERATION, serial_port=rig.emulator.port))
+        DriverHub(ACCELERATION, LinkParameters(rig.emulator.port))
     assert rig.run(0.1)[-1].status.state == "identified"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.simulated.axis import TickBatch
+from beam_ros.hub.ticks import TickBatch
 
 TICKS = TickBatch(
     123_456_789_012,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_model import BeamModel, BeamParameters, Damping
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.hub.simulated.plant import BeamPlant, beam_on_axis
 from tests.beam_ros.hub.hub_scenes import enabled_axis, rest_to_rest
@@ -43,7 +43,7 @@ def play(axis, values, extra_ticks=400):
 @pytest.mark.parametrize("damping", [{}, {"air": 0.05}, {"internal": 3e-4}])
 def test_the_axis_shows_what_the_models_own_stepper_computes(damping):
     model = beam(**damping)
-    axis = enabled_axis(HubParameters(), BeamPlant(model, T))
+    axis = enabled_axis(AxisParameters(), BeamPlant(model, T))
     values = rest_to_rest(500, 2.0)
     start, _ = play(axis, values)
     reference = model.motion_stepper(T)
@@ -61,7 +61,7 @@ def test_the_axis_shows_what_the_models_own_stepper_computes(damping):
 def test_the_force_on_a_led_hub_drives_a_free_hub_along_the_same_path():
     model = beam()
     period = 2.5e-4
-    parameters = HubParameters(period_ns=250_000)
+    parameters = AxisParameters(period_ns=250_000)
     axis = enabled_axis(parameters, BeamPlant(model, period))
     n = 2000
     values = rest_to_rest(n, 1.0)
@@ -90,9 +90,9 @@ def test_velocity_steps_and_lines_of_position_bend_the_beam_like_the_smooth_moti
     model = beam()
     points = BeamPoints(model, HEIGHTS)
     values = smooth if mode == "position" else np.append(np.diff(smooth) / T, 0.0)
-    axis = enabled_axis(HubParameters(command_mode=mode), BeamPlant(model, T))
+    axis = enabled_axis(AxisParameters(command_mode=mode), BeamPlant(model, T))
     start, _ = play(axis, values)
-    accelerated = enabled_axis(HubParameters(), BeamPlant(model, T))
+    accelerated = enabled_axis(AxisParameters(), BeamPlant(model, T))
     a = np.gradient(np.gradient(smooth, T), T)
     begin, _ = play(accelerated, a - a.mean())
     ticks = np.arange(100, 1300, 10)
@@ -105,7 +105,7 @@ def test_velocity_steps_and_lines_of_position_bend_the_beam_like_the_smooth_moti
 
 def test_a_free_hub_with_a_beam_moves_as_the_force_stepper_says_and_brakes_to_rest():
     model = beam()
-    axis = enabled_axis(HubParameters(command_mode="effort"), BeamPlant(model, T))
+    axis = enabled_axis(AxisParameters(command_mode="effort"), BeamPlant(model, T))
     values = np.concatenate([np.full(150, 0.3), np.full(140, -0.3)])
     start, _ = play(axis, values)
     reference = model.force_stepper(T)
@@ -134,14 +134,13 @@ def test_the_deflection_under_a_lasting_acceleration_is_the_static_one():
     assert w[0] == pytest.approx(rigid, rel=0.1)
 
 
-DRIFTING = HubParameters(clock_drift_ppm=1000.0)
 SECOND = 1.0 / 1.001  # true seconds per second of a device that runs 1000 ppm fast
 
 
 def test_a_struck_beam_vibrates_in_true_time_whatever_the_devices_clock_says():
     """Closed form after a jump v of the hub: q = -Gamma v e^(-zeta w t) sin(w_d t) / w_d, in true time."""
     model = beam()
-    plant = beam_on_axis(model, DRIFTING)
+    plant = beam_on_axis(model, AxisParameters(), clock_drift_ppm=1000.0)
     plant.kick(0.1 * SECOND)  # as the device sees 0.1 m/s
     ticks = 3000
     for _ in range(ticks):
@@ -160,7 +159,7 @@ def test_a_struck_beam_vibrates_in_true_time_whatever_the_devices_clock_says():
 def test_a_held_acceleration_of_the_device_is_another_one_in_true_time():
     """The static shape under a lasting acceleration a is -Gamma a / w^2."""
     model = beam(viscous=5.0)
-    plant = beam_on_axis(model, DRIFTING)
+    plant = beam_on_axis(model, AxisParameters(), clock_drift_ppm=1000.0)
     for _ in range(4000):
         plant.step_led(1.0, 1.0)
     expected = -model.participation_factors / SECOND**2 / model.natural_frequencies**2
@@ -170,7 +169,10 @@ def test_a_held_acceleration_of_the_device_is_another_one_in_true_time():
 
 def test_a_free_hub_moves_in_true_time_and_is_told_in_the_devices():
     model = beam()
-    plant, truth = beam_on_axis(model, DRIFTING), model.force_stepper(T * SECOND)
+    plant, truth = (
+        beam_on_axis(model, AxisParameters(), clock_drift_ppm=1000.0),
+        model.force_stepper(T * SECOND),
+    )
     position = velocity = 0.0
     for _ in range(500):
         position, velocity = plant.step_free(position, velocity, 0.3)
@@ -184,4 +186,4 @@ def test_a_free_hub_moves_in_true_time_and_is_told_in_the_devices():
 
 
 def test_a_clock_without_drift_needs_no_translation():
-    assert isinstance(beam_on_axis(beam(), HubParameters()), BeamPlant)
+    assert isinstance(beam_on_axis(beam(), AxisParameters()), BeamPlant)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.contract import HostTime, SequenceChunk
-from beam_ros.hub.parameters import HubParameters
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from tests.beam_ros.hub.hub_scenes import STEADY_START, UNIX_START, SimulatedRig, chunks_of, rest_to_rest
 
 
@@ -13,7 +13,9 @@ def states(reports):
 
 
 def test_batches_have_twenty_ticks_and_strictly_increasing_stamps_without_gaps():
-    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=987_654_321_000))
+    rig = SimulatedRig(
+        AxisParameters(), device=SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=987_654_321_000)
+    )
     rng = np.random.default_rng(1)
     for _ in range(200):
         rig.run(float(rng.uniform(0.001, 0.03)), step_ns=10**9)
@@ -28,7 +30,9 @@ def test_batches_have_twenty_ticks_and_strictly_increasing_stamps_without_gaps()
 
 
 def test_a_sequence_runs_at_its_start_stamp_and_is_reported_all_the_way():
-    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=5_000_000_123))
+    rig = SimulatedRig(
+        AxisParameters(), device=SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=5_000_000_123)
+    )
     rig.enable()
     values = rest_to_rest(1200)
     start_ns = rig.now.unix_ns + 300_000_000
@@ -48,7 +52,7 @@ def test_a_sequence_runs_at_its_start_stamp_and_is_reported_all_the_way():
 
 
 def test_stop_aborts_a_running_sequence_and_unloads_it():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     for chunk in chunks_of(rest_to_rest(1200), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)
@@ -61,7 +65,7 @@ def test_stop_aborts_a_running_sequence_and_unloads_it():
 
 
 def test_stop_before_the_start_unloads_the_sequence():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     for chunk in chunks_of(rest_to_rest(500), rig.now.unix_ns + 500_000_000):
         rig.hub.load(chunk, rig.now)
@@ -71,7 +75,7 @@ def test_stop_before_the_start_unloads_the_sequence():
 
 
 def test_stop_while_loading_unloads_the_chunks():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     chunks = chunks_of(rest_to_rest(1000), rig.now.unix_ns + 900_000_000)
     rig.hub.load(chunks[0], rig.now)
@@ -80,7 +84,7 @@ def test_stop_while_loading_unloads_the_chunks():
 
 
 def test_a_host_that_stops_polling_finds_the_axis_stopped():
-    rig = SimulatedRig(HubParameters(command_mode="velocity"))
+    rig = SimulatedRig(AxisParameters(command_mode="velocity"))
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now)
     (report,) = rig.run(0.5, step_ns=10**9)
@@ -92,7 +96,7 @@ def test_a_host_that_stops_polling_finds_the_axis_stopped():
 
 def test_a_stalled_computer_does_not_abort_a_sequence():
     """Device and host are one process: when both stand still for a second, neither has left the other."""
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     for chunk in chunks_of(rest_to_rest(1500), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)
@@ -103,7 +107,7 @@ def test_a_stalled_computer_does_not_abort_a_sequence():
 
 
 def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     rig.run(0.1)
     before = rig.reports[-1].measured or rig.run(0.02)[-1].measured
@@ -118,7 +122,7 @@ def test_a_long_pause_opens_a_new_clock_epoch_with_later_stamps():
 
 
 def test_the_real_time_factor_scales_time_and_stamps():
-    rig = SimulatedRig(HubParameters(), real_time_factor=2.0)
+    rig = SimulatedRig(AxisParameters(), real_time_factor=2.0)
     reports = rig.run(1.0)
     stamps = [b.stamp_ns for r in reports for b in r.measured]
     assert len(stamps) == 100
@@ -126,7 +130,7 @@ def test_the_real_time_factor_scales_time_and_stamps():
 
 
 def test_a_jump_of_the_real_time_clock_is_an_error_and_the_stamps_do_not_follow():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.run(0.1)
     events, stamps = [], []
     for k in range(20):
@@ -142,7 +146,7 @@ def test_a_jump_of_the_real_time_clock_is_an_error_and_the_stamps_do_not_follow(
 
 
 def test_the_clock_syncs_redo_the_map():
-    rig = SimulatedRig(HubParameters(clock_drift_ppm=-80.0, clock_start_ns=10**15))
+    rig = SimulatedRig(AxisParameters(), device=SimulatedDevice(clock_drift_ppm=-80.0, clock_start_ns=10**15))
     rig.run(20.0)
     syncs = [s for r in rig.reports for s in r.clock]
     assert len(syncs) >= 95
@@ -154,7 +158,9 @@ def test_the_clock_syncs_redo_the_map():
 
 
 def test_a_camera_sees_the_hub_at_exact_stamps_of_the_past():
-    rig = SimulatedRig(HubParameters(clock_drift_ppm=35.0, clock_start_ns=123_456_789))
+    rig = SimulatedRig(
+        AxisParameters(), device=SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=123_456_789)
+    )
     rig.enable()
     values = rest_to_rest(800, 2.0)
     start_ns = rig.now.unix_ns + 200_000_000
@@ -169,7 +175,7 @@ def test_a_camera_sees_the_hub_at_exact_stamps_of_the_past():
 
 
 def test_close_leaves_the_axis_at_rest_and_disabled():
-    rig = SimulatedRig(HubParameters(command_mode="velocity"))
+    rig = SimulatedRig(AxisParameters(command_mode="velocity"))
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.2, rig.now)
     rig.run(0.1)
@@ -179,7 +185,7 @@ def test_close_leaves_the_axis_at_rest_and_disabled():
 
 
 def test_an_unusable_chunk_never_reaches_the_axis():
-    rig = SimulatedRig(HubParameters())
+    rig = SimulatedRig(AxisParameters())
     rig.enable()
     rig.hub.load(SequenceChunk("old", 1, 1, 0, 1_000_000, 0, np.zeros(5)), rig.now)
     (report,) = rig.run(0.01)

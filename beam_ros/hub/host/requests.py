@@ -1,0 +1,145 @@
+"""Requests and set-points on their way to the device: numbered, and repeated until they are heard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from beam_ros.hub.contract import Outcome, RequestKind
+from beam_ros.hub.sequences import MAX_AGE_NS
+
+RETRY_NS = 100_000_000
+ASK_AGAIN_NS = 500_000_000
+"""A request that was acknowledged is asked for again after this time, and until then every ``RETRY_NS``."""
+ANSWER_NS = 1_000_000_000
+"""A request that the device has not acknowledged by then has failed."""
+REPEAT_NS = 60_000_000
+"""A set-point that has not come is sent again after this time."""
+
+
+@dataclass
+class _PendingRequest:
+    request_id: int
+    kind: RequestKind
+    first_sent_ns: int | None = None
+    last_sent_ns: int = 0
+    is_acknowledged: bool = False
+
+
+class Requests:
+    """The requests that the device has not answered yet."""
+
+    def __init__(self) -> None:
+        self._newest_id = 0
+        self._closing_id = 0
+        self._pending: dict[int, _PendingRequest] = {}
+        self._completed: list[tuple[int, Outcome]] = []
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the request made by ``begin_close`` has been answered."""
+        return self._closing_id & 0xFFFF not in self._pending
+
+    def begin(self, kind: RequestKind) -> int:
+        """Take a request to be sent; return its id."""
+        self._newest_id += 1
+        self._pending[self._newest_id & 0xFFFF] = _PendingRequest(self._newest_id, kind)
+        return self._newest_id
+
+    def begin_close(self) -> None:
+        """Ask for a stop of whose end nobody is told but ``is_closed``."""
+        self._closing_id = self.begin("stop")
+
+    def refuse(self, kind: RequestKind, reason: str) -> int:
+        """Take a request that nobody can be asked for; return its id."""
+        self._newest_id += 1
+        message = f"cannot {kind.replace('_', ' ')}: the controller is disconnected: {reason}"
+        self._completed.append((self._newest_id, Outcome(False, message)))
+        return self._newest_id
+
+    def due(self, now_ns: int) -> Iterator[tuple[int, RequestKind]]:
+        """Yield number and kind of the requests that are to be sent now; fail those not answered in time."""
+        for number, pending in list(self._pending.items()):
+            if pending.first_sent_ns is None:
+                pending.first_sent_ns = now_ns
+            elif not pending.is_acknowledged and now_ns - pending.first_sent_ns > ANSWER_NS:
+                del self._pending[number]
+                message = f"{pending.kind}: the controller did not answer within {ANSWER_NS * 1e-9:g} s"
+                self._completed.append((pending.request_id, Outcome(False, message)))
+                continue
+            elif now_ns - pending.last_sent_ns < (ASK_AGAIN_NS if pending.is_acknowledged else RETRY_NS):
+                continue
+            pending.last_sent_ns = now_ns
+            yield number, pending.kind
+
+    def acknowledge(self, number: int) -> None:
+        """Note that the device works on a request."""
+        if number in self._pending:
+            self._pending[number].is_acknowledged = True
+
+    def finish(self, number: int, outcome: Outcome) -> None:
+        """Note how a request ended."""
+        pending = self._pending.pop(number, None)
+        if pending is not None:
+            self._complete(pending, outcome)
+
+    def fail_all(self, reason: str) -> None:
+        """Fail what is pending, because the device cannot be reached any more."""
+        for pending in self._pending.values():
+            message = f"{pending.kind}: the controller is disconnected: {reason}"
+            self._complete(pending, Outcome(False, message))
+        self._pending.clear()
+
+    def take_completed(self) -> list[tuple[int, Outcome]]:
+        """Return the requests that came to an end since the last call."""
+        completed, self._completed = self._completed, []
+        return completed
+
+    def _complete(self, pending: _PendingRequest, outcome: Outcome) -> None:
+        if pending.request_id != self._closing_id:
+            self._completed.append((pending.request_id, outcome))
+
+
+@dataclass
+class _Setpoint:
+    number: int
+    value: float
+    made_ns: int
+    sent_ns: int | None = None
+
+
+class SetpointRepeater:
+    """The newest set-point, sent again until it has come or is too old."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._setpoint: _Setpoint | None = None
+
+    def take(self, value: float, now_ns: int) -> None:
+        """Take a set-point made now (steady time [ns]), in place of an older one."""
+        self._number = self._number % 0xFFFF + 1
+        self._setpoint = _Setpoint(self._number, value, now_ns)
+
+    def drop(self) -> None:
+        """Forget it."""
+        self._setpoint = None
+
+    def due(self, now_ns: int, newest_number: int | None) -> tuple[int, float] | None:
+        """Return number and value where they are to be sent now.
+
+        Parameters
+        ----------
+        now_ns : int
+            Steady time [ns].
+        newest_number : int or None
+            Number of the set-point that came last to the device, as far as is known.
+        """
+        setpoint = self._setpoint
+        if setpoint is None:
+            return None
+        if newest_number == setpoint.number or now_ns - setpoint.made_ns > MAX_AGE_NS:
+            self._setpoint = None
+        elif setpoint.sent_ns is None or now_ns - setpoint.sent_ns >= REPEAT_NS:
+            setpoint.sent_ns = now_ns
+            return setpoint.number, setpoint.value
+        return None

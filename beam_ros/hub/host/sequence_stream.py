@@ -1,0 +1,167 @@
+"""A sequence on its way to the device: announced when the clock is known, streamed as the buffer takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from beam_ros.arrays import FloatArray
+from beam_ros.hub.contract import AxisEventKind
+from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.host.sample_stamping import DeviceClock
+from beam_ros.hub.sequences import CommandGate, Sequence
+
+LAST_ARM_NS = 80_000_000
+"""A complete sequence waits for the clock map to be good enough until this long before its start."""
+ARM_AGAIN_NS = 100_000_000
+RESEND_NS = 60_000_000
+"""Samples are sent again when none of them has been acknowledged for this long."""
+SAMPLES_PER_FRAME = 50
+FRAMES_PER_TURN = 4
+
+_ENDS: dict[str, AxisEventKind] = {
+    "done": "sequence_done",
+    "aborted": "sequence_aborted",
+    "underrun": "sequence_underrun",
+}
+
+
+@dataclass
+class _Transfer:
+    sequence: Sequence
+    number: int
+    start_steady_ns: int
+    start_device_ns: int | None = None
+    last_arm_ns: int = 0
+    is_accepted: bool = False
+    is_running: bool = False
+    sent: int = 0
+    received: int = 0
+    edge: int = 0
+    progress_ns: int = 0
+
+
+class SequenceStream:
+    """The one sequence that is on its way or running.
+
+    Parameters
+    ----------
+    gate : CommandGate
+        Is told of the sequence's fate.
+    device_clock : DeviceClock
+        Gives the start in device time.
+    journal : Journal
+        Counts what was sent again.
+    """
+
+    def __init__(self, gate: CommandGate, device_clock: DeviceClock, journal: Journal) -> None:
+        self._gate = gate
+        self._device_clock = device_clock
+        self._journal = journal
+        self._number = 0
+        self._transfer: _Transfer | None = None
+
+    def begin(self, sequence: Sequence, start_steady_ns: int) -> None:
+        """Take a checked sequence that is to start at a steady time [ns]."""
+        self._number = self._number % 0xFFFF + 1
+        self._transfer = _Transfer(sequence, self._number, start_steady_ns)
+
+    def lose(self, reason: str) -> None:
+        """Unload the sequence, because the device cannot be reached any more."""
+        self._end_early("aborted", reason)
+
+    def abort_unannounced(self, reason: str) -> None:
+        """Unload a sequence that the device does not know yet."""
+        self._gate.abort_loading(reason)
+        if self._transfer is not None and self._transfer.start_device_ns is None:
+            self._end_early("aborted", reason)
+
+    def announcement(self, now_ns: int) -> tuple[int, int, int] | None:
+        """Return number, start [ns of device time] and samples, where they are to be announced now."""
+        transfer = self._transfer
+        if transfer is None or transfer.is_accepted:
+            return None
+        if transfer.start_device_ns is None:
+            sd_ns, limit_ns = self._device_clock.sd_ns(now_ns), self._device_clock.max_sd_ns
+            if sd_ns < limit_ns:
+                start_ns = self._device_clock.mapping.device_ns(transfer.start_steady_ns)
+                transfer.start_device_ns = max(0, start_ns)
+            elif now_ns > transfer.start_steady_ns - LAST_ARM_NS:
+                self._end_early(
+                    "refused",
+                    f"the clock map's standard deviation is {sd_ns / 1000:.0f} us: expected below "
+                    f"{limit_ns / 1000:g} us; look for a slow USB hub or a busy computer",
+                )
+        if transfer.start_device_ns is None or now_ns - transfer.last_arm_ns < ARM_AGAIN_NS:
+            return None
+        transfer.last_arm_ns = now_ns
+        return transfer.number, transfer.start_device_ns, len(transfer.sequence.values)
+
+    def samples(self, now_ns: int) -> Iterator[tuple[int, int, FloatArray]]:
+        """Yield what is to be sent now: the sequence's number, the first sample's, and the samples."""
+        transfer = self._transfer
+        if transfer is None or not transfer.is_accepted:
+            return
+        if transfer.sent > transfer.received and now_ns - transfer.progress_ns > RESEND_NS:
+            self._journal.counters["resent_samples"] += transfer.sent - transfer.received
+            transfer.sent = transfer.received
+            transfer.progress_ns = now_ns
+        values = transfer.sequence.values
+        for _ in range(FRAMES_PER_TURN):
+            first = transfer.sent
+            end = min(first + SAMPLES_PER_FRAME, transfer.edge, len(values))
+            # Whole frames, unless it is the end: a sample at a time would cost a frame each.
+            if end <= first or (end < first + SAMPLES_PER_FRAME and end < len(values)):
+                break
+            if first == transfer.received:
+                transfer.progress_ns = now_ns
+            transfer.sent = end
+            yield transfer.number, first, values[first:end]
+
+    def note_answer(self, number: int, is_accepted: bool, text: str, received_ns: int) -> None:
+        """Take the device's answer to the announcement."""
+        transfer = self._transfer
+        if transfer is None or number != transfer.number or transfer.is_accepted:
+            return
+        if is_accepted:
+            transfer.is_accepted = True
+            transfer.progress_ns = received_ns
+        else:
+            self._end_early("refused", text)
+
+    def follow(
+        self, number: int, state: str, received: int, free: int, reason: str, received_ns: int
+    ) -> None:
+        """Take note of where the device says that the sequence stands.
+
+        Parameters
+        ----------
+        number : int
+            The sequence that the device speaks of.
+        state : str
+            armed, running, done, aborted or underrun.
+        received, free : int
+            Samples that have come without a gap, and room for more.
+        reason : str
+            Why it ended early.
+        received_ns : int
+            Steady time at which this came [ns].
+        """
+        transfer = self._transfer
+        if transfer is None or number != transfer.number:
+            return
+        if received > transfer.received:
+            transfer.received = received
+            transfer.progress_ns = received_ns
+        transfer.edge = max(transfer.edge, received + free)
+        if state in ("running", "done", "underrun") and not transfer.is_running:
+            transfer.is_running = True
+            self._gate.note("sequence_running", "")
+        if state in _ENDS:
+            self._gate.note(_ENDS[state], reason)
+            self._transfer = None
+
+    def _end_early(self, state: Literal["refused", "aborted"], reason: str) -> None:
+        self._transfer = None
+        self._gate.finish(state, reason)

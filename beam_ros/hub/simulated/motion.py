@@ -1,0 +1,211 @@
+"""The hub's exact motion tick by tick, and what a camera could see of it at any instant of the recent past.
+
+Within a tick either the acceleration is constant (acceleration mode, and effort mode while the axis holds or
+brakes), or the velocity is (velocity and position mode), or the force is (effort mode).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.hub.errors import SnapshotError
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from beam_ros.hub.simulated.plant import Plant
+
+HISTORY_TICKS = 4096
+"""Ticks of the past that ``HubMotion.snapshots`` can look into (4 s at 1 kHz)."""
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """Hub and beam at exact instants, as a camera needs them.
+
+    Parameters
+    ----------
+    times_ns : ndarray of int64, shape (n_times,)
+        Instants asked for [ns of device time].
+    positions, accelerations : ndarray, shape (n_times,)
+        Of the hub [m], [m/s^2]; the true ones, from home, not what the encoder says. Where the velocity
+        jumps from tick to tick, the acceleration is the jump spread over the tick.
+    residual_accelerations : ndarray, shape (n_times,)
+        The acceleration that the modes left out of q follow [m/s^2]; the hub's, but for internal damping.
+    coordinates : ndarray, shape (n_times, n_modes)
+        Modal coordinates q [m]: w(z) = shape(z) @ q - residual(z) * residual_acceleration.
+    """
+
+    times_ns: StampArray
+    positions: FloatArray
+    accelerations: FloatArray
+    residual_accelerations: FloatArray
+    coordinates: FloatArray
+
+
+class _TickStart(NamedTuple):
+    """All that it takes to say where hub and beam are at any instant of one tick."""
+
+    position: float
+    velocity: float
+    """After any jump at the tick's beginning."""
+    elastic: FloatArray
+    drive: float
+    """Acceleration of a led hub, force on a free one."""
+    is_free: bool
+    mean_acceleration: float
+
+
+class HubMotion:
+    """Hub and beam, integrated one device tick at a time.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Command mode, tick and encoder.
+    plant : Plant
+        What the hub carries, stepped with the same period.
+    device : SimulatedDevice
+        Where the hub stands at power-on, and what the clock reads then.
+
+    Attributes
+    ----------
+    tick : int
+        The tick that comes next; all before it are done.
+    position, velocity : float
+        Where the hub really is [m], seen from home, and how it moves [m/s].
+    """
+
+    def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
+        parameters.check_within_travel("initial_position", device.initial_position)
+        self.tick = self._first_tick = -(-device.clock_start_ns // parameters.period_ns)
+        self.position = self._encoder_zero = device.initial_position
+        self.velocity = 0.0
+        self._parameters = parameters
+        self._plant = plant
+        self._history: list[_TickStart | None] = [None] * HISTORY_TICKS
+
+    @property
+    def device_ns(self) -> int:
+        """Device time up to which the motion is integrated [ns]."""
+        return self.tick * self._parameters.period_ns
+
+    @property
+    def position_count(self) -> int:
+        """What the encoder reads [encoder_resolution]."""
+        return round((self.position - self._encoder_zero) / self._parameters.encoder_resolution)
+
+    @property
+    def velocity_count(self) -> int:
+        """Measured speed [encoder_resolution / period]."""
+        return round(self.velocity * self._parameters.period / self._parameters.encoder_resolution)
+
+    def set_zero(self) -> None:
+        """Take this very place for home."""
+        self.position = self._encoder_zero = 0.0
+
+    def follow(self, command: float) -> tuple[float, float]:
+        """Integrate one period under a command of the mode; return the reference applied and the force [N]."""
+        mode, period = self._parameters.command_mode, self._parameters.period
+        if mode == "effort":
+            return self.push(command)
+        if mode == "acceleration":
+            return self.lead(self.velocity + command * period, command)
+        if mode == "velocity":
+            return self.lead(command)
+        reference = self.position
+        _, effort = self.lead((command - self.position) / period)
+        self.position = command
+        return reference, effort
+
+    def lead(self, velocity: float, acceleration: float | None = None) -> tuple[float, float]:
+        """Integrate one period that leads the hub to a velocity; return reference and force."""
+        period = self._parameters.period
+        before = self.velocity
+        reference_position = self.position
+        if self._parameters.is_ramped:
+            if acceleration is None:
+                acceleration = (velocity - before) / period
+            start_velocity = before
+            mean_acceleration = acceleration
+            mean_velocity = before + acceleration * (period / 2)
+        else:
+            acceleration = 0.0
+            mean_acceleration = (velocity - before) / period
+            if velocity != before:
+                self._plant.kick(velocity - before)
+            start_velocity = mean_velocity = velocity
+        effort = self._plant.force_when_led(mean_acceleration)
+        self._history[self.tick % HISTORY_TICKS] = _TickStart(
+            reference_position, start_velocity, self._plant.state(), acceleration, False, mean_acceleration
+        )
+        self._plant.step_led(acceleration, mean_acceleration)
+        self.position += mean_velocity * period
+        self.velocity = velocity
+        self.tick += 1
+        mode = self._parameters.command_mode
+        if mode == "acceleration":
+            return acceleration, effort
+        if mode == "velocity":
+            return velocity, effort
+        if mode == "position":
+            return reference_position - self._encoder_zero, effort
+        return effort, effort
+
+    def push(self, force: float) -> tuple[float, float]:
+        """Integrate one period of the free hub under a force."""
+        self._history[self.tick % HISTORY_TICKS] = _TickStart(
+            self.position, self.velocity, self._plant.state(), force, True, 0.0
+        )
+        self.position, self.velocity = self._plant.step_free(self.position, self.velocity, force)
+        self.tick += 1
+        return force, force
+
+    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
+        """Return hub and beam at exact instants of the recent past, also inside ticks.
+
+        Parameters
+        ----------
+        times_ns : sequence of int
+            Instants [ns of device time], each within the last ``HISTORY_TICKS`` ticks that are done.
+
+        Raises
+        ------
+        SnapshotError
+            An instant lies ahead, or further back than the axis remembers.
+        """
+        times = np.asarray(times_ns, dtype=np.int64)
+        positions = np.empty(len(times))
+        accelerations = np.empty(len(times))
+        residuals = np.empty(len(times))
+        coordinates = np.empty((len(times), self._plant.n_modes))
+        oldest = max(self._first_tick, self.tick - HISTORY_TICKS)
+        for i, time_ns in enumerate(times.tolist()):
+            tick, rest_ns = divmod(time_ns, self._parameters.period_ns)
+            if tick == self.tick and rest_ns == 0 and tick > oldest:
+                tick, rest_ns = tick - 1, self._parameters.period_ns
+            entry = self._history[tick % HISTORY_TICKS] if oldest <= tick < self.tick else None
+            if time_ns == self.device_ns and self.tick == self._first_tick:
+                # Nothing has been done since power-on: hub and beam are where they stand.
+                entry = _TickStart(self.position, self.velocity, self._plant.state(), 0.0, False, 0.0)
+            if entry is None:
+                raise SnapshotError(
+                    f"snapshot at {time_ns} ns of device time: expected from "
+                    f"{oldest * self._parameters.period_ns} to {self.device_ns} ns; advance first, ask sooner"
+                )
+            tau = rest_ns * 1e-9
+            if entry.is_free:
+                motion = self._plant.free_motion(
+                    entry.elastic, entry.position, entry.velocity, tau, entry.drive
+                )
+                positions[i] = motion.position
+                accelerations[i] = residuals[i] = motion.acceleration
+                coordinates[i] = motion.coordinates
+            else:
+                positions[i] = entry.position + entry.velocity * tau + entry.drive * tau * tau / 2
+                accelerations[i] = entry.mean_acceleration
+                residuals[i] = self._plant.residual_acceleration(entry.elastic, tau, entry.mean_acceleration)
+                coordinates[i] = self._plant.coordinates(entry.elastic, tau, entry.drive)
+        return Snapshots(times, positions, accelerations, residuals, coordinates)
