@@ -33,10 +33,12 @@ test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
 verify: ## the figures of the documentation at full length, an hour at most
 	@$(SETUP) --extras ros,test -- python -m pytest --verify $(ARGS)
 
-lint: ## style and types
+lint: ## style, types, and which room imports which
 	@$(SETUP) --extras ros,test,dev -- ruff check .
 	@$(SETUP) --extras ros,test,dev -- ruff format --check .
 	@$(SETUP) --extras ros,test,dev -- mypy
+	@$(SETUP) --extras ros,test,dev -- lint-imports --no-cache --no-logo
+	@$(SETUP) --extras ros,test,dev -- python .ci/rooms.py
 
 mutants: ## seeded mutations of the code against its tests (ARGS="--count 200 --seed 1 --workers 2")
 	@$(SETUP) --extras ros,test,dev -- python -m tests.mutants $(ARGS)

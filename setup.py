@@ -35,6 +35,7 @@ TEST = [
 DEV = [
     "ruff>=0.17,<0.18",
     "mypy>=2.4,<3",
+    "import-linter>=2.5,<3",
     "cosmic-ray>=8.4,<9",
     "coverage>=7.13,<8",
     "build>=1.2",
