@@ -82,7 +82,6 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "firmware_emulator hub_driver simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
-    ("beam_ros/offline", "identification", "offline/test_simulation"),
     ("beam_ros/process", "environment executables folders progress", "cli/test_main"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
     ("beam_ros/shell", "hub_topics", "nodes/test_contract"),

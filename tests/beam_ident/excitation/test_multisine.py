@@ -122,3 +122,10 @@ def test_the_noises_displacement_ceiling_holds_low_frequencies_down():
     held = BandLimitedNoise(start_frequency=0.2, end_frequency=20.0, max_displacement=1e-4).sample(2e-3)
     assert np.std(held.positions) < 3e-4  # four octaves of 1e-4 each at most, as a sum of squares 2e-4
     assert np.std(free.positions) > 10 * np.std(held.positions)
+
+
+def test_band_limited_noise_has_the_lines_of_its_band_and_no_other():
+    recipe = BandLimitedNoise(low_hz=1.0, high_hz=20.0, length_s=4.0, fade_s=1e-6, still_s=0.0)
+    spectrum = np.abs(np.fft.rfft(recipe.displacement(1e-3 * np.arange(4000))))
+    lines = np.flatnonzero(spectrum > 1e-6 * np.max(spectrum))
+    np.testing.assert_array_equal(lines, np.arange(4, 81))

@@ -51,6 +51,7 @@ RECIPES = [
     Doublet(drive="velocity", amplitude=0.01),
     Doublet(drive="acceleration", amplitude=0.3, edge_time=0.0),
     Sine(duration=2.5, still=1.0),
+    Sine(duration=2.5, fade_cycles=5.0, still=1.0),
     SteppedSine(frequencies=(3.0, 9.0, 5.0), measure_cycles=3),
     BandLimitedNoise(end_frequency=20.0, duration=4.0, still=0.0),
     PointToPoint(still=1.0),

@@ -373,3 +373,10 @@ def test_a_position_setpoint_is_moved_to_and_held_over_the_line():
     assert len(came) == 2
     assert rig.reports[-1].status.position == pytest.approx(0.02, abs=1e-7)
     assert rig.reports[-1].status.state == "enabled"
+
+
+def test_the_last_words_are_said_while_the_link_is_up():
+    rig = LoopbackRig(PARAMETERS)
+    assert rig.client.goodbye() == b""
+    rig.connect()
+    assert rig.client.goodbye() == protocol.encode(protocol.Goodbye())
