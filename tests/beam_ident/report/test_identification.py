@@ -61,3 +61,19 @@ def test_values_are_rounded_to_their_uncertainty():
     assert with_uncertainty(2.0, 0.0) == "2"
     assert with_uncertainty(-5.69141e-7, 6.2e-7) == "(-5.7 ± 6.2)e-07"
     assert with_uncertainty(4.8e-6, 0.0023) == "0.0000 ± 0.0023"
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (4.38391, 0.00123, "4.3839 ± 0.0012"),
+        (-0.25, 0.5, "-0.25 ± 0.50"),
+        (1234.5, 67.0, "1234 ± 67"),
+        (1.234e-6, 2.1e-8, "(1.234 ± 0.021)e-06"),
+        (-3e-9, 4.4e-8, "(-0.3 ± 4.4)e-08"),
+        (1.5, 0.0, "1.5"),
+        (1.5, float("inf"), "1.5"),
+    ],
+)
+def test_a_number_is_written_to_two_digits_of_its_uncertainty(value, sd, text):
+    assert with_uncertainty(value, sd) == text

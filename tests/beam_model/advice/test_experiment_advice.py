@@ -100,3 +100,10 @@ def test_loads_at_resonance_are_those_of_the_reference() -> None:
 def test_bad_records_are_refused(values: list[float], thickness: float) -> None:
     with pytest.raises(BeamParameterError):
         predict_loads(MODEL, 1e-3, values, thickness)
+
+
+def test_markers_may_stand_as_close_as_the_separation_allows_exactly() -> None:
+    model = BeamModel(strip(), 2)
+    # One pair is left: from the lowest height allowed to the tip.
+    found = suggest_marker_heights(model, 2, lowest=0.1, separation=0.2)
+    assert found == pytest.approx([0.1, 0.3], abs=1e-12)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub.clock_mapping import ClockMapping, fit_affine
+from beam_ros.hub.clock_mapping import FLOOR_NS, ClockMapping, fit_affine
 from beam_ros.hub.contract import ClockSync
 
 HOST_START = 8_000_000_000_000
@@ -154,3 +154,16 @@ def test_a_fit_without_enough_to_fit_is_refused():
     for syncs in ([one], [one, one], [one, ClockSync(5, 5, 2, 10)]):
         with pytest.raises(ValueError, match="clock comparisons"):
             fit_affine(syncs)
+
+
+def test_an_outlier_pulls_like_two_deviations_and_no_more():
+    # Huber's psi of 2 sd: n comparisons at zero and one far off balance at 2 sd/n, wherever the outlier lies.
+    n, far_ns = 40, 3_000_000
+    syncs = [
+        ClockSync(HOST_START + k * 10**8, DEVICE_START + k * 10**8, 1, 0) for k in range(-n // 2, n // 2 + 1)
+    ]
+    middle = n // 2
+    syncs[middle] = ClockSync(syncs[middle].host_ns + far_ns, syncs[middle].device_ns, 1, 0)
+    found = fit_affine(syncs, rate_sd=1e-12)
+    at_middle = found.host_ns(syncs[middle].device_ns) - HOST_START
+    assert at_middle == pytest.approx(2.0 * FLOOR_NS / n, rel=0.05)
