@@ -153,3 +153,17 @@ def test_refusals(tmp_path):
     with pytest.raises(BagTruncatedError, match="still being recorded"):
         recover(tmp_path / "live")
     writer.close()
+
+
+def test_what_follows_a_broken_record_is_lost_to_the_byte(tmp_path):
+    path = write_experiment(tmp_path / "run", batches=100)
+    file = path / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    at = 8  # after the magic bytes; a record is an opcode, its length in eight bytes, and its content
+    for _ in range(5):
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at] = 0xEE  # no opcode
+    file.write_bytes(bytes(data))
+    report = recover(path)
+    assert report.lost_bytes == len(data) - at
+    assert f"no record begins at byte {at}" in " ".join(report.remarks)

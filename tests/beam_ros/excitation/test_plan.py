@@ -178,3 +178,20 @@ def test_a_plan_describes_itself_completely() -> None:
     assert info["recipe"]["kind"] == "chirp"
     assert info["hold"] == "zoh"
     assert Rig.from_nested(info["rig"]) == rig
+
+
+@pytest.mark.parametrize(("is_inverse", "n_periods"), [(False, 4), (True, 2)])
+def test_a_binary_sequence_is_repeated_as_often_as_its_duration_holds_it(
+    is_inverse: bool, n_periods: int
+) -> None:
+    # 511 clocks of 10 ms, and with the inverted half behind it twice that, in 20.5 s.
+    changes = {
+        "excitation.kind": "prbs",
+        "excitation.order": 9,
+        "excitation.clock_period": 0.01,
+        "excitation.duration": 20.5,
+        "excitation.inverse_repeat": is_inverse,
+    }
+    recipe = recipe_of_rig(Rig.from_file().with_values(changes))
+    assert recipe.n_periods == n_periods
+    assert recipe.duration_s - recipe.still_s == pytest.approx(4 * 511 * 0.01, abs=0.5)
