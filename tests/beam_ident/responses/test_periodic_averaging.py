@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
-from beam_ident.responses.periodic_averaging import periodic_response
+from beam_ident.responses.periodic_averaging import _moving_mean, periodic_response
 from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, PLANT, siso_record
 
 
@@ -113,3 +113,12 @@ def test_what_is_not_periodic_is_refused_with_the_remedy():
     other = OutputSignal("z", "", output.times_s, output.values, exposure_s=2e-3)
     with pytest.raises(EstimationError, match="different exposures"):
         periodic_response(TimeRecord(record.inputs, (output, other)), LINE_PERIOD_S)
+
+
+@pytest.mark.parametrize("width", [1, 3, 4, 9, 12])
+def test_a_moving_mean_is_centred_and_whole_at_the_ends(width):
+    values = np.random.default_rng(0).standard_normal((12, 2))
+    found = _moving_mean(values, width)
+    for line in range(12):
+        first = min(max(line - width // 2, 0), 12 - width)
+        np.testing.assert_allclose(found[line], np.mean(values[first : first + width], axis=0), atol=1e-12)

@@ -59,6 +59,7 @@ def test_the_offset_is_recovered_to_two_tenths_of_a_millisecond(offset_s):
     assert abs(found.offset_s - offset_s) < 4 * found.offset_sd_s
     assert found.offset_sd_s < 0.3e-3
     assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert found.drift == found.drift_sd == 0.0
     assert found.hub_times(camera_t[0]) == pytest.approx(1.0, abs=0.2e-3)
 
 
