@@ -7,7 +7,7 @@ import pytest
 
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.vision.errors import SynchronisationError
-from beam_ros.vision.measurement.synchronisation import synchronise
+from beam_ros.vision.measurement.synchronisation import _hermite, synchronise
 
 PERIOD = 1e-3
 
@@ -107,3 +107,14 @@ def test_what_does_not_belong_together_is_refused():
         synchronise(t, position, camera_t, np.full(seen.size, np.nan))
     with pytest.raises(SynchronisationError, match="rising times"):
         synchronise(t[::-1], position, camera_t, seen)
+
+
+def test_between_samples_with_their_slopes_a_cubic_is_followed_exactly():
+    def cubic(t):
+        return 1.0 - 2.0 * t + 0.5 * t**2 + 3.0 * t**3, -2.0 + t + 9.0 * t**2
+
+    knots = np.array([0.0, 0.1, 0.4, 0.5, 1.0])
+    times = np.array([0.0, 0.03, 0.25, 0.4, 0.77, 1.0])
+    value, slope = _hermite(knots, *cubic(knots), times)
+    np.testing.assert_allclose(value, cubic(times)[0], atol=1e-12)
+    np.testing.assert_allclose(slope, cubic(times)[1], atol=1e-12)
