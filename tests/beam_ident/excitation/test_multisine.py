@@ -125,5 +125,5 @@ def test_the_noises_displacement_ceiling_holds_low_frequencies_down():
 
 
 def test_band_limited_noise_has_the_lines_of_its_band_and_no_other():
-    recipe = BandLimitedNoise(low_hz=1.0, high_hz=20.0, length_s=4.0)
+    recipe = BandLimitedNoise(start_frequency=1.0, end_frequency=20.0, duration=4.0)
     np.testing.assert_array_equal(recipe._line_numbers(), np.arange(4, 81))
