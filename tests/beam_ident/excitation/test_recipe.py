@@ -234,6 +234,7 @@ def test_samples_serve_every_command_mode():
         (lambda: LogChirp(duration=float("nan")), "duration is nan"),
         (lambda: LogChirp(fade_in=15.0), "half of duration"),
         (lambda: Multisine(n_periods=0), "n_periods is 0"),
+        (lambda: Multisine(n_periods=2.5), "n_periods is 2.5; expected a whole number"),
         (lambda: Multisine(start_frequency=0.11, end_frequency=0.15, line_period=10.0), "at least one line"),
         (lambda: Step(duration=0.3), "at least two rise times"),
         (lambda: Step(step_size=0.0), "step_size is 0.0"),
