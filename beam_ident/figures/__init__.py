@@ -4,39 +4,18 @@ Every function returns a ``matplotlib.figure.Figure`` made without pyplot, so th
 nothing global is touched; matplotlib is imported only when a figure is asked for.
 """
 
-from beam_ident.figures.excitation import excitation_figure
-from beam_ident.figures.identification import (
-    fit_figure,
-    frequency_response_figure,
-    pole_figure,
-    residual_figure,
-    spectrum_figure,
-    time_figure,
-)
-from beam_ident.figures.modal_analysis import (
-    assurance_figure,
-    circle_figure,
-    stabilisation_figure,
-    synthesis_figure,
-)
-from beam_ident.figures.poles import pole_zero_figure
-from beam_ident.figures.responses import coherence_figure, response_over_model_figure
-from beam_ident.figures.validation import validation_figure
-
-__all__ = [
-    "assurance_figure",
-    "circle_figure",
-    "coherence_figure",
-    "excitation_figure",
-    "fit_figure",
-    "frequency_response_figure",
-    "pole_figure",
-    "pole_zero_figure",
-    "residual_figure",
-    "response_over_model_figure",
-    "spectrum_figure",
-    "stabilisation_figure",
-    "synthesis_figure",
-    "time_figure",
-    "validation_figure",
-]
+from beam_ident.figures.excitation import excitation_figure as excitation_figure
+from beam_ident.figures.identification import fit_figure as fit_figure
+from beam_ident.figures.identification import frequency_response_figure as frequency_response_figure
+from beam_ident.figures.identification import pole_figure as pole_figure
+from beam_ident.figures.identification import residual_figure as residual_figure
+from beam_ident.figures.identification import spectrum_figure as spectrum_figure
+from beam_ident.figures.identification import time_figure as time_figure
+from beam_ident.figures.modal_analysis import assurance_figure as assurance_figure
+from beam_ident.figures.modal_analysis import circle_figure as circle_figure
+from beam_ident.figures.modal_analysis import stabilisation_figure as stabilisation_figure
+from beam_ident.figures.modal_analysis import synthesis_figure as synthesis_figure
+from beam_ident.figures.poles import pole_zero_figure as pole_zero_figure
+from beam_ident.figures.responses import coherence_figure as coherence_figure
+from beam_ident.figures.responses import response_over_model_figure as response_over_model_figure
+from beam_ident.figures.validation import validation_figure as validation_figure

@@ -7,7 +7,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 import rclpy
@@ -203,11 +202,6 @@ class RigClient:
     def __enter__(self) -> RigClient:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._node.destroy_node()
         rclpy.try_shutdown()

@@ -1,6 +1,6 @@
 """The executables: each makes the environment safe first and only then imports what it runs.
 
-``pip`` and ``colcon`` make a script of each function here; ``command`` gives the same as an argument list that
+``pip`` and ``colcon`` make a script of each name in ``MODULES``; ``command`` gives the same as an argument list that
 works under both. What is missing on the machine (ROS 2, a camera or a serial library) ends in one line and
 status 2.
 """
@@ -13,6 +13,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 
 from beam_ros.process import environment
@@ -41,51 +42,6 @@ _PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
     "rosbags": ("rosbags", None),
     "mcap": ("mcap", None),
 }
-
-
-def beam() -> int:
-    """Run the command ``beam``."""
-    return run_executable("beam")
-
-
-def simulator() -> int:
-    """Run the node that integrates and films the beam."""
-    return run_executable("simulator")
-
-
-def hub_driver() -> int:
-    """Run the node of the motion controller behind a serial port."""
-    return run_executable("hub_driver")
-
-
-def vision_tracker() -> int:
-    """Run the node that measures the markers in the camera's frames."""
-    return run_executable("vision_tracker")
-
-
-def excitation_generator() -> int:
-    """Run the node that hands excitations to the hub."""
-    return run_executable("excitation_generator")
-
-
-def identifier() -> int:
-    """Run the node that identifies a model from a bag."""
-    return run_executable("identifier")
-
-
-def bag_recorder() -> int:
-    """Run the node that records the rig's topics."""
-    return run_executable("bag_recorder")
-
-
-def bag_player() -> int:
-    """Run the node that plays a bag back."""
-    return run_executable("bag_player")
-
-
-def firmware_emulator() -> int:
-    """Run the motion controller on a pseudo-terminal."""
-    return run_executable("firmware_emulator")
 
 
 def command(executable: str) -> list[str]:
@@ -172,6 +128,9 @@ def _refusal(error: ImportError) -> str | None:
         remedy = f"sudo apt install {in_ubuntu}" if in_ubuntu else "python3 bootstrap.py"
     return f"{sys.executable} has no module {module!r}; expected the package {on_pypi}; run `{remedy}`"
 
+
+for _name in MODULES:  # what the scripts of pip and colcon import
+    globals()[_name] = partial(run_executable, _name)
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in MODULES:

@@ -1,7 +1,7 @@
 """Write the sources of the API reference: a page for every room that holds public names of a package.
 
-A package's ``__all__`` says which names are public, and the module that defines a name says where it stands. Where a
-package has no ``__all__``, the public names are those of its modules. Nothing is listed by hand.
+The public names are those that a package offers itself, and the module that defines a name says where it stands. Where
+a package offers none, the public names are those of its modules. Nothing is listed by hand.
 """
 
 from __future__ import annotations
@@ -20,6 +20,16 @@ from sphinx.pycode import ModuleAnalyzer
 FOLDER = "api"
 
 
+def exported(package: ModuleType) -> list[str]:
+    """Return the names that a package offers itself: its ``__all__``, or what its ``__init__`` imports."""
+    own = [
+        name
+        for name, value in vars(package).items()
+        if not name.startswith("_") and not isinstance(value, ModuleType)
+    ]
+    return list(getattr(package, "__all__", [name for name in own if name != "annotations"]))
+
+
 def rooms_of(package: ModuleType) -> dict[str, dict[str, list[str]]]:
     """Return a package's public names by room and by the module that defines them.
 
@@ -32,8 +42,8 @@ def rooms_of(package: ModuleType) -> dict[str, dict[str, list[str]]]:
     dict of str to dict of str to list of str -- room, module, names; a room is a package or sub-package
     """
     names_of: dict[str, list[str]] = defaultdict(list)
-    if hasattr(package, "__all__"):
-        for name in sorted(package.__all__, key=str.lower):
+    if names := exported(package):
+        for name in sorted(names, key=str.lower):
             names_of[module_of(package, name)].append(name)
     else:
         for found in walk_packages(package.__path__, f"{package.__name__}."):
@@ -78,7 +88,7 @@ def page_of_room(package: ModuleType, room: str, modules: dict[str, list[str]], 
 
     Parameters
     ----------
-    package : module -- from which a reader imports the names, where it has ``__all__``
+    package : module -- from which a reader imports the names, where it offers them itself
     room : str -- dotted name of the sub-package, or of the package itself
     modules : dict of str to list of str -- public names by the module that defines them
     below : list of str -- rooms whose pages are listed on this one
@@ -95,7 +105,7 @@ def page_of_room(package: ModuleType, room: str, modules: dict[str, list[str]], 
         if module != room:
             lines += heading(module.rpartition(".")[2], "-")
         lines += [f".. automodule:: {module}", "   :no-members:", ""]
-        source = package if hasattr(package, "__all__") else import_module(module)
+        source = package if exported(package) else import_module(module)
         lines += [f".. currentmodule:: {source.__name__}", ""]
         for name in modules[module]:
             public = getattr(source, name)
