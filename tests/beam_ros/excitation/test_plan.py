@@ -194,4 +194,4 @@ def test_a_binary_sequence_is_repeated_as_often_as_its_duration_holds_it(
     }
     recipe = recipe_of_rig(Rig.from_file().with_values(changes))
     assert recipe.n_periods == n_periods
-    assert recipe.duration_s - recipe.still_s == pytest.approx(4 * 511 * 0.01, abs=0.5)
+    assert recipe.total_s - recipe.still == pytest.approx(4 * 511 * 0.01, abs=0.5)
