@@ -1,7 +1,7 @@
 """Write the sources of the API reference: a page for every room that holds public names of a package.
 
-The public names are those that a package offers itself, and the module that defines a name says where it stands. Where
-a package offers none, the public names are those of its modules. Nothing is listed by hand.
+The public names are those that a package offers itself, and the module that defines a name says where it
+stands. Where a package offers none, the public names are those of its modules. Nothing is listed by hand.
 """
 
 from __future__ import annotations
