@@ -252,7 +252,7 @@ class RigParameters:
     identifier: IdentifierSettings
 
     def __getitem__(self, name: str) -> Any:
-        """Return a parameter's value by its dotted name, for whoever goes through the whole table."""
+        """Return a parameter's value by its dotted name, for code that goes through the whole table."""
         group, _, leaf = name.partition(".")
         return getattr(getattr(self, group), leaf)
 

@@ -47,7 +47,7 @@ class Requests:
         return self._newest_id
 
     def begin_close(self) -> None:
-        """Ask for a stop of whose end nobody is told but ``is_closed``."""
+        """Ask for a stop whose end only ``is_closed`` reports."""
         self._closing_id = self.begin("stop")
 
     def refuse(self, kind: RequestKind, reason: str) -> int:
