@@ -22,7 +22,7 @@ WORDS = {
 }
 NAMES = {
     # A recipe's fields are named as in the rig file, in Hz.
-    r"beam_(model|ident)/(?!excitation/).*:frequencies": "omegas [rad/s], natural_frequencies [rad/s] or frequencies_hz",
+    r"beam_(model|ident)/(?!excitation/).*:frequencies": "omegas, natural_frequencies [rad/s] or frequencies_hz",
     r".*:(maximum|minimum)_\w+": "max_..., min_...",
     r".*:_?(LEAST|SMALLEST|MAXIMUM|MINIMUM|FEWEST|LONGEST)(_\w+)?": "MAX_..., MIN_...",
 }
