@@ -124,16 +124,15 @@ class LineBasis(ColumnBasis):
 
     def scanned(self, omegas: FloatArray, zetas: FloatArray, latency: float) -> FloatArray:
         """Return the columns of candidate modes, the weakest images left out."""
-        n = len(self.s)
-        total = np.zeros((len(omegas), 2 * n))
+        total = np.zeros((len(omegas), 2, len(self.s)))
         for column in self._scanned:
             # In real numbers: 1 / (a + jb) = (a - jb) / (a^2 + b^2).
             w = self.s[:, column].imag
             factor = self._front[:, column] * np.exp(-self.s[:, column] * latency)
             stiff, lossy = omegas[:, None] ** 2 - w**2, (2.0 * zetas * omegas)[:, None] * w
-            size = stiff**2 + lossy**2
-            stiff /= size
-            lossy /= size
-            total[:, :n] += factor.real * stiff + factor.imag * lossy
-            total[:, n:] += factor.imag * stiff - factor.real * lossy
-        return total[:, None, :]
+            size = 1.0 / (stiff * stiff + lossy * lossy)
+            stiff *= size
+            lossy *= size
+            total[:, 0] += factor.real * stiff + factor.imag * lossy
+            total[:, 1] += factor.imag * stiff - factor.real * lossy
+        return total.reshape(len(omegas), 1, -1)

@@ -32,6 +32,7 @@ _RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not
 _MAX_STAMPS = 1500
 _MAX_POINTS = 900
 _CHUNK = 160
+_FEW = 32  # candidates at once: what fits into the cache is several times quicker
 _FINE_DAMPINGS = (0.003, 0.015, 0.08)
 _RIDGE = 1e-6  # on columns of unit length
 _SAMPLES_PER_CYCLE = 7  # joined by a cubic spline
@@ -57,8 +58,12 @@ def likelihood_gains(
     fit : ModalFit -- the modes there are
     omegas, zetas : ndarray, shape (n_candidates,) -- [rad/s], [-]
     """
-    columns = problem.candidates(omegas, zetas, fit.clock)
-    return _gains(problem, [_Candidates.of(own) for own in columns], fit)
+    complement, gains = _Complement(problem, fit), []
+    for first in range(0, len(omegas), _FEW):
+        few = slice(first, first + _FEW)
+        columns = problem.candidates(omegas[few], zetas[few], fit.clock)
+        gains.append(complement.gains([_Candidates.of(own) for own in columns]))
+    return np.concatenate(gains)
 
 
 def rivals(
@@ -140,7 +145,7 @@ class ModalScan:
         if self._candidates is None or moved:
             self._candidates = self._prepare(self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock)
             self._clock = clock
-        return _gains(self.regression, self._candidates, model)
+        return _Complement(self.regression, model).gains(self._candidates)
 
     def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
         """Return the most promising further mode, or None when the band is used up.
@@ -158,7 +163,7 @@ class ModalScan:
         fine = self.omegas[best] * np.exp(np.linspace(-1.2, 1.2, 15) * SCAN_DAMPING)
         omegas = np.tile(fine, len(_FINE_DAMPINGS))
         zetas = np.repeat(_FINE_DAMPINGS, len(fine))
-        refined = _gains(self.regression, self._prepare(omegas, zetas, model.clock), model)
+        refined = _Complement(self.regression, model).gains(self._prepare(omegas, zetas, model.clock))
         winner = int(np.argmax(refined))
         return Candidate(float(omegas[winner]), float(zetas[winner]), float(refined[winner]))
 
@@ -191,38 +196,46 @@ class _Candidates:
         return _Candidates(columns.reshape(-1, columns.shape[2]), gram)
 
 
-def _gains(problem: ModalProblem, candidates: Sequence[_Candidates], fit: ModalFit) -> FloatArray:
-    """Return the gain in log-likelihood of every candidate, with all poles of a fit held.
+class _Complement:
+    """What the columns of a fit, with its poles held, leave of the data."""
 
-    Notes
-    -----
-    A candidate's columns C lower the residual sum of squares by ``b^T G^-1 b``, ``b = C^T P y`` and
-    ``G = C^T P C``, with ``P = I - Q Q^T`` the projection onto the complement of the present columns.
-    """
-    blocks = problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
-    total = np.zeros(len(candidates[0].gram))
-    for number, (block, candidate) in enumerate(zip(blocks, candidates, strict=True)):
-        scale = np.linalg.norm(block.matrix, axis=0)
-        basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
-        basis = basis[:, np.abs(np.diag(triangle)) > 1e-9]
-        shape = candidate.gram.shape[:2]
-        inside = (candidate.rows @ basis).reshape(*shape, -1)
-        gram = candidate.gram - inside @ inside.transpose(0, 2, 1)
-        for output, own in enumerate(problem.block_of):
-            if own != number:
-                continue
-            values = problem.values[output]
-            residual = values - basis @ (basis.T @ values)
-            projected = (candidate.rows @ residual).reshape(shape)
-            explained = np.einsum(
-                "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
-            )
-            if problem.is_noise_known:
-                total += 0.5 * explained
-                continue
-            share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
-            total -= 0.5 * len(values) * np.log1p(-share)
-    return total
+    def __init__(self, problem: ModalProblem, fit: ModalFit) -> None:
+        self.problem = problem
+        self.bases = []
+        for block in problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False):
+            scale = np.linalg.norm(block.matrix, axis=0)
+            basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
+            self.bases.append(basis[:, np.abs(np.diag(triangle)) > 1e-9])
+        owners = zip(problem.values, problem.block_of, strict=True)
+        self.residuals = [values - self.bases[own] @ (self.bases[own].T @ values) for values, own in owners]
+
+    def gains(self, candidates: Sequence[_Candidates]) -> FloatArray:
+        """Return the gain in log-likelihood of every candidate.
+
+        Notes
+        -----
+        A candidate's columns C lower the residual sum of squares by ``b^T G^-1 b``, ``b = C^T r`` and
+        ``G = C^T P C``, with the residuals r and the projection ``P = 1 - Q Q^T`` of (I.8).
+        """
+        problem = self.problem
+        total = np.zeros(len(candidates[0].gram))
+        for number, (basis, candidate) in enumerate(zip(self.bases, candidates, strict=True)):
+            shape = candidate.gram.shape[:2]
+            inside = (candidate.rows @ basis).reshape(*shape, -1)
+            gram = candidate.gram - inside @ inside.transpose(0, 2, 1)
+            for residual, own in zip(self.residuals, problem.block_of, strict=True):
+                if own != number:
+                    continue
+                projected = (candidate.rows @ residual).reshape(shape)
+                explained = np.einsum(
+                    "ga,ga->g", projected, np.linalg.solve(gram, projected[:, :, None])[:, :, 0]
+                )
+                if problem.is_noise_known:
+                    total += 0.5 * explained
+                    continue
+                share = np.clip(explained / max(float(residual @ residual), 1e-300), 0.0, 1.0 - 1e-15)
+                total -= 0.5 * len(residual) * np.log1p(-share)
+        return total
 
 
 def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float) -> InputSignal:
