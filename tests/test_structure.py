@@ -42,7 +42,6 @@ TESTED_IN = (
     ("beam_ident/subspace", "po_moesp", "subspace/test_model"),
     ("beam_ident/transfer_function", "multi_input_model", "transfer_function_estimation/test_multi_input"),
     ("beam_ident/transfer_function", "output_prediction", "transfer_function/test_model"),
-    ("beam_ident/transfer_function", "sampled_controller", "transfer_function_estimation/test_clsrivc"),
     (
         "beam_ident/transfer_function_estimation",
         "additive_fit",

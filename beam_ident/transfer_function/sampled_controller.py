@@ -100,10 +100,10 @@ class SampledController:
         if np.any(np.abs(poles) >= 1.0):
             return None
         if self.reference_enters == "error":
-            lead = int(np.flatnonzero(above)[0])
-            zeros, gain = np.roots(above), above[lead]
+            late = int(np.flatnonzero(above)[0])  # periods: the sections know poles and zeros alone
+            zeros, gain = np.roots(above), above[late]
         else:
-            zeros, gain = np.linalg.eigvals(inner), 1.0
+            late, zeros, gain = 0, np.linalg.eigvals(inner), 1.0
         zeros = np.concatenate([zeros, np.linalg.eigvals(transition)])
         sections = zpk2sos(zeros, poles, gain)
-        return [np.asarray(sosfilt(sections, reference)) for reference in references]
+        return [np.pad(sosfilt(sections, own), (late, 0))[: len(own)] for own in references]

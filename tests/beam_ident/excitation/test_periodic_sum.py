@@ -27,10 +27,11 @@ def plain(times: np.ndarray, period: float) -> np.ndarray:
         np.arange(300) * 0.02 + 0.007,  # beside the grid
         np.arange(300) * 0.0217,  # a step that does not divide it
         np.arange(30) * 0.05,  # a grid too coarse for line 30
+        np.arange(300) * (2.0 / 62),  # one just fine enough
         np.array([0.3]),
         np.array([0.5, 0.1, 0.2]),
     ],
-    ids=["grid", "shifted", "other step", "coarse", "one instant", "unsorted"],
+    ids=["grid", "shifted", "other step", "coarse", "just fine enough", "one instant", "unsorted"],
 )
 def test_every_way_gives_the_same_sum(times):
     np.testing.assert_allclose(

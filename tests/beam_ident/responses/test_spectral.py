@@ -154,3 +154,10 @@ def test_the_variance_of_few_averages_is_not_below_the_scatter(method):
     # Segments of a third of the record, 3.7 averages. What is stated is no less than the scatter, and the overlap of
     # the windows is counted as costing more than it does: 0.7 and 0.95 were measured.
     assert 0.6 < np.mean(errors) / np.mean(variances) < 1.05
+
+
+def test_outputs_of_different_length_have_different_lines_and_are_refused(noise_record):
+    output = noise_record.outputs[0]
+    shorter = OutputSignal("shorter", "", output.times_s[:9000], output.values[:9000])
+    with pytest.raises(EstimationError, match="'y' and 'shorter' have different stamps"):
+        welch_response(TimeRecord(noise_record.inputs, (output, shorter)))

@@ -244,3 +244,17 @@ def test_condition_and_inflation_of_two_parameters_belong_to_one_angle() -> None
     assert table.condition == pytest.approx(condition, rel=1e-12)
     # Unit columns with the cosine c: condition^2 = (1 + c)/(1 - c), and both deviations grow by 1/sqrt(1 - c^2).
     assert table.inflations == pytest.approx(np.full(2, 0.5 * (condition + 1.0 / condition)), rel=1e-9)
+
+
+def test_a_prior_and_a_frequency_are_weighed_by_their_variances() -> None:
+    # A bare clamped beam: omega_1 = 1.8751041^2 sqrt(kappa). Two opinions of kappa, a thousandth apart.
+    bare = strip()
+    kappa = bare.time_scale**-2
+    omega = 1.8751040687**2 * np.sqrt(kappa)
+    covariance = np.diag([(5e-4 * omega) ** 2, 1.0])  # kappa to a thousandth of itself
+    seen = ModalMeasurement.from_arrays([omega], [0.005], covariance)
+    prior = ParameterPrior(1.001 * kappa, 5e-4 * kappa)
+    fit = fit_beam(seen, bare, ("stiffness",), {"stiffness": prior}, model_discrepancy=0.0)
+    weights = np.array([1.0 / 1e-3**2, 1.0 / 5e-4**2])
+    assert fit.values[0] / kappa - 1.0 == pytest.approx(1e-3 * weights[1] / weights.sum(), rel=1e-2)
+    assert fit.standard_deviations[0] / kappa == pytest.approx(weights.sum() ** -0.5, rel=1e-2)
