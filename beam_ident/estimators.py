@@ -7,13 +7,12 @@ a line in ``ESTIMATORS``; another package adds its own, without a change here, a
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from beam_ident.errors import EstimationError
+from beam_ident.plug_ins import find_kind, plug_ins
 from beam_ident.results import LineResult, Result, TimeResult
 
 if TYPE_CHECKING:
@@ -98,7 +97,7 @@ ESTIMATORS: dict[str, EstimatorEntry] = {
 
 def estimator_meanings() -> dict[str, str]:
     """Return every estimator's name and meaning; those of other packages are named, not loaded."""
-    others = _plug_ins()
+    others = plug_ins(GROUP)
     return {name: entry.meaning for name, entry in ESTIMATORS.items()} | {
         name: f"added by {found.dist.name if found.dist else found.value}"
         for name, found in sorted(others.items())
@@ -114,24 +113,12 @@ def find_estimator(name: str) -> Estimator:
     EstimationError
         Nobody has that name, or the package that has it cannot be loaded.
     """
-    if name in ESTIMATORS:
-        module, _, function = ESTIMATORS[name].where.partition(":")
-        own: Estimator = getattr(import_module(module), function)
-        return own
-    others = _plug_ins()
-    if name not in others:
-        known: Sequence[str] = [*ESTIMATORS, *sorted(set(others) - set(ESTIMATORS))]
-        near = difflib.get_close_matches(name, known, 1, 0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"a package adds one as entry point of {GROUP}"
-        raise EstimationError(f"no estimator {name!r}; expected one of {', '.join(known)}: {hint}")
-    try:
-        added: Estimator = others[name].load()
-    except (ImportError, AttributeError) as err:
-        raise EstimationError(
-            f"estimator {name!r} cannot be loaded from {others[name].value} ({err}); expected an entry point of "
-            f"{GROUP} that can be imported. Install its package anew"
-        ) from err
-    return added
+    found: Any = find_kind("estimator", name, ESTIMATORS, GROUP, EstimationError, EstimationError)
+    if isinstance(found, EstimatorEntry):
+        module, _, function = found.where.partition(":")
+        found = getattr(import_module(module), function)
+    estimator: Estimator = found
+    return estimator
 
 
 def run_estimator(name: str, record: TimeRecord, settings: EstimatorSettings) -> Result:
@@ -155,10 +142,3 @@ def run_estimator(name: str, record: TimeRecord, settings: EstimatorSettings) ->
             "iterations and warnings"
         )
     return found
-
-
-def _plug_ins() -> dict[str, Any]:
-    """Return the entry points of other packages by name; nothing of them is imported."""
-    from importlib.metadata import entry_points
-
-    return {found.name: found for found in entry_points(group=GROUP)}

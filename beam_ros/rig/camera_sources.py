@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from beam_ros.process.plug_ins import find_kind
+from beam_ident.plug_ins import find_kind
+from beam_ros.errors import ParameterFileError, RigUnavailableError
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.camera.device import DeviceCamera
 from beam_ros.vision.camera.playback import VideoPlayback
@@ -45,4 +46,4 @@ def camera_kind(name: str) -> CameraKind:
     RigUnavailableError
         The package that has it cannot be imported.
     """
-    return find_kind("tracker.source", name, CAMERA_SOURCES, GROUP)
+    return find_kind("tracker.source", name, CAMERA_SOURCES, GROUP, ParameterFileError, RigUnavailableError)

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import rclpy
 
+from beam_ident.plug_ins import find_kind
+from beam_ros.errors import ParameterFileError, RigUnavailableError
 from beam_ros.hub.contract import Hub
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.sequences import Guard
-from beam_ros.process.plug_ins import find_kind
 from beam_ros.rig.rig import Rig
 
 AxisLink = Callable[[Rig, Guard], Hub]
@@ -48,4 +49,5 @@ def open_axis(rig: Rig, guard: Guard) -> Hub:
     RigUnavailableError
         The link's package cannot be loaded, or the axis cannot be reached.
     """
-    return find_kind("axis.kind", rig.axis.kind, AXIS_LINKS, "beam_ros.axis_links")(rig, guard)
+    errors = ParameterFileError, RigUnavailableError
+    return find_kind("axis.kind", rig.axis.kind, AXIS_LINKS, "beam_ros.axis_links", *errors)(rig, guard)

@@ -76,7 +76,7 @@ def test_the_estimator_of_another_package_identifies_a_bag(
 def test_the_librarys_own_estimators_cannot_be_replaced_and_a_broken_one_says_whose_it_is() -> None:
     assert find_estimator("modal").__module__ == "beam_ident.record_estimators"
     assert estimator_meanings()["modal"] == ESTIMATORS["modal"].meaning
-    with pytest.raises(EstimationError, match=r"toy_lab\.nowhere:estimate .*Install its package anew"):
+    with pytest.raises(EstimationError, match=r"toy_lab\.nowhere:estimate .*install that package anew"):
         find_estimator("gone")
     with pytest.raises(EstimationError, match="returned a NoneType; expected a Result"):
         run_estimator("empty", result_cases.record(), EstimatorSettings())
@@ -87,7 +87,7 @@ def test_the_librarys_own_estimators_cannot_be_replaced_and_a_broken_one_says_wh
     [("modl", "did you mean 'modal'"), ("xyz", "a package adds one as entry point of beam_ident.estimators")],
 )
 def test_an_unknown_name_is_answered_with_the_likeliest(name: str, hint: str) -> None:
-    with pytest.raises(EstimationError, match=f"no estimator '{name}'; expected one of modal, .*: {hint}"):
+    with pytest.raises(EstimationError, match=f"estimator is '{name}': expected one of modal, .*; {hint}"):
         find_estimator(name)
 
 
