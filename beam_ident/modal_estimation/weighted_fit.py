@@ -401,19 +401,7 @@ class WeightedFit:
 
     def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
         """Return the fit, with what correlation is left in the innovations in its covariance."""
-        excess = np.zeros_like(inverse)
-        first = 0
-        for length in linear.lengths:
-            own = slice(first, first + length)
-            first += length
-            # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations
-            # still have.
-            innovations = linear.residuals[own]
-            colour = autoregression(innovations)
-            if len(colour) > 1:
-                design = linear.design[own]
-                excess += score_covariance(design, autocorrelation(colour, length)) - design.T @ design
-        covariance = inverse + inverse @ excess @ inverse
+        covariance = _sandwich(linear, inverse)
         if self.smoothing is not None:
             covariance = self._without_feigned_information(point, linear, covariance)
         regression = self.regression
@@ -440,3 +428,20 @@ class WeightedFit:
             input_noise_shares=shares,
             iterations=self.fit.iterations + steps,
         )
+
+
+def _sandwich(linear: _Linearisation, inverse: FloatArray) -> FloatArray:
+    """Return the covariance (I.11) under the colour that the innovations still have, from that without colour."""
+    excess = np.zeros_like(inverse)
+    first = 0
+    for length in linear.lengths:
+        own = slice(first, first + length)
+        first += length
+        # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations
+        # still have.
+        innovations = linear.residuals[own]
+        colour = autoregression(innovations)
+        if len(colour) > 1:
+            design = linear.design[own]
+            excess += score_covariance(design, autocorrelation(colour, length)) - design.T @ design
+    return np.asarray(inverse + inverse @ excess @ inverse)

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from beam_ident import InputSignal, ModalModel, ModalStructure, OutputSignal, Prior, TimeRecord, identify
+from beam_ident.modal_estimation.weighted_fit import _Linearisation, _sandwich
 from benchmarks.ident.rig import Rig
 from tests.beam_ident.truth import OMEGAS, RESIDUAL_TERMS, RESIDUES, ZETAS, beam_record
 
@@ -101,6 +102,17 @@ def test_noise_of_the_input_is_not_taken_for_a_mode_beside_a_true_one(seed, reas
     (refused,) = [e.refused_because for e in found.orders if e.refused_because.startswith("weighed")]
     assert reason in refused
     assert [e.n_modes for e in found.orders if e.is_chosen] == [3]
+
+
+def test_the_mean_of_noise_with_a_colour_scatters_more_than_that_of_white_noise():
+    n, colour = 20_000, 0.5
+    white, shocks = np.random.default_rng(8).standard_normal((2, n))
+    coloured = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], shocks)
+    # Two outputs of unit variance, of which a constant each is estimated.
+    linear = _Linearisation(np.kron(np.eye(2), np.ones((n, 1))), np.concatenate([coloured, white]), (n, n))
+    variances = n * np.diag(_sandwich(linear, np.eye(2) / n))
+    # (1 + c) / (1 - c) for a first-order autoregression; 20000 samples know c to 0.006, the ratio to 0.025.
+    assert variances == pytest.approx([(1.0 + colour) / (1.0 - colour), 1.0], abs=0.1)
 
 
 @pytest.mark.verify

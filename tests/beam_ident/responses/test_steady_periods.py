@@ -118,3 +118,11 @@ def test_a_change_of_the_input_counts_from_a_millionth_of_its_power(share, has_c
     power = 0.5  # of the sine
     ticks[3, 40:60] += np.tile([1.0, -1.0], 10) * np.sqrt(share * 1e-6 * power)  # the third of 16 blocks
     assert input_changes(ticks) is has_changed
+
+
+@pytest.mark.filterwarnings("error")
+def test_periods_that_are_alike_to_the_last_bit_are_steady():
+    spectra = np.tile(1.0 + 2.0j, (2, 5, 3))
+    drift, is_unsteady = drift_of_periods(spectra)
+    assert drift.tolist() == [0.0, 0.0]
+    assert not np.any(is_unsteady)

@@ -111,3 +111,15 @@ def test_windows_together_keep_a_real_pole_beside_a_light_mode():
     together = windows[-1]
     np.testing.assert_allclose(together[together.imag == 0.0], [-0.4], rtol=0.1)
     np.testing.assert_allclose(together[together.imag > 0.0], [-0.4 + 20.0j], rtol=0.02)
+
+
+@pytest.mark.parametrize("place", [0, -1])
+def test_every_output_counts_up_to_the_ends_of_the_record(place):
+    times, drive = PERIOD_S * np.arange(600), prbs(600)
+    values = response(drive) + 0.1 * np.random.default_rng(2).standard_normal(600)
+    poles = []
+    for change in (0.0, 0.1):
+        values[place] += change
+        stretch = Stretch([InputSignal("u", "", times, drive).signal()], [(times, values.copy())])
+        poles.append(np.sort_complex(subspace_poles([stretch], 4)[0]))
+    assert np.max(np.abs(poles[1] / poles[0] - 1.0)) > 1e-7  # far beyond rounding

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.signal import lsim
 from beam_ident import EstimationError, InputSignal, ModelFormatError, OutputSignal, TimeRecord
 from beam_ident.evaluation.hold_out import validate
 from beam_ident.transfer_function.model import TransferFunctionModel
-from beam_ident.transfer_function_estimation.estimation import estimate_transfer_function
+from beam_ident.transfer_function_estimation.estimation import estimate_transfer_function, pooled_level
 from tests.beam_ident.rao_garnier import (
     PARAMETERS,
     PERIOD_S,
@@ -280,3 +281,12 @@ def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
         assert (both.offset, both.ramp) == pytest.approx((3.0, -2.0), abs=0.01)
         neither = estimate_transfer_function(record, 1, 0, method=method).records[0]
         assert (neither.offset, neither.ramp) == (0.0, 0.0)
+
+
+def test_the_level_of_several_records_counts_every_sample_alike():
+    records = [
+        SimpleNamespace(noise_sd=sd, residuals=np.zeros(n)) for sd, n in ((1.0, 300), (2.0, 100), (5.0, 100))
+    ]
+    # Variances 1, 4 and 25, three fifths and twice one fifth of the samples.
+    assert pooled_level(records) == pytest.approx(np.sqrt((3 * 1 + 4 + 25) / 5), rel=1e-12)
+    assert pooled_level(records[1:2]) == 2.0

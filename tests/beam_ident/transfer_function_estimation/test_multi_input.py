@@ -132,3 +132,25 @@ def test_impossible_requests_are_refused(common, change, says):
     arguments = {"n_poles": 4, "n_zeros": (2, 1)} | change
     with pytest.raises(EstimationError, match=says):
         estimate_transfer_function(common.record(0), **arguments)
+
+
+@pytest.mark.parametrize("has_common_poles", [True, False])
+def test_the_path_of_an_input_has_the_uncertainty_of_its_own_parameters(has_common_poles):
+    denominators = [np.array([1.0, 2.0, 30.0]), np.array([1.0, 3.0, 50.0])]
+    # Places in the covariance: every denominator, then every numerator, then every delay.
+    own = {
+        True: ([0, 1, 2, 5], [0, 1, 3, 4, 6]),
+        False: ([0, 1, 4, 7], [2, 3, 5, 6, 8]),
+    }[has_common_poles]
+    size = 7 if has_common_poles else 9
+    root = np.random.default_rng(0).standard_normal((size, size))
+    model = MultiInputModel(
+        numerators=(np.array([5.0]), np.array([6.0, 7.0])),
+        denominators=tuple(denominators[: 1 if has_common_poles else 2]),
+        delays=(0.01, 0.02),
+        covariance=root @ root.T,
+        noise_sd=1.0,
+        input_names=("hub", "force"),
+    )
+    for name, places in zip(("hub", "force"), own, strict=True):
+        assert np.array_equal(model.path(name).covariance, model.covariance[np.ix_(places, places)])

@@ -29,3 +29,14 @@ def test_seen_markers_are_ringed_in_green_and_lost_ones_named_in_red(dtype):
     assert green[37:39, 344].any()
     assert red[110:135, :120].any()
     assert not red[430:].any()
+
+
+def test_lost_markers_are_named_one_below_the_other_where_no_rows_are_given():
+    camera = packaged_camera()
+    frame = SceneRenderer(camera, HEIGHTS).render([np.nan] * 3, np.random.default_rng(0))
+    result = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3).process(frame, 0)
+    picture = draw_overlay(frame, result, NAMES, marker_diameter_px=12.0).astype(int)
+    written = np.flatnonzero(np.any(picture[..., 2] - picture[..., 1] > 60, axis=1))
+    # Three lines of 14 rows: letters on the line, with at most a tail of 4 rows below the last.
+    assert [np.any((14 * k + 2 <= written) & (written < 14 * k + 14)) for k in range(3)] == [True] * 3
+    assert written[-1] < 3 * 14 + 5

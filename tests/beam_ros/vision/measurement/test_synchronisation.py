@@ -7,7 +7,7 @@ import pytest
 
 from beam_model import BeamModel, BeamParameters, Damping
 from beam_ros.vision.errors import SynchronisationError
-from beam_ros.vision.measurement.synchronisation import _hermite, synchronise
+from beam_ros.vision.measurement.synchronisation import _hermite, _robust_covariance, synchronise
 
 PERIOD = 1e-3
 
@@ -118,3 +118,14 @@ def test_between_samples_with_their_slopes_a_cubic_is_followed_exactly():
     value, slope = _hermite(knots, *cubic(knots), times)
     np.testing.assert_allclose(value, cubic(times)[0], atol=1e-12)
     np.testing.assert_allclose(slope, cubic(times)[1], atol=1e-12)
+
+
+def test_residuals_weigh_with_each_other_by_bartletts_triangle():
+    rng = np.random.default_rng(4)
+    design, residual = rng.standard_normal((40, 2)), rng.standard_normal(40)
+    found = _robust_covariance(design, residual, PERIOD * np.arange(40), 3.5 * PERIOD)
+    # Newey and West (1987), eq. (5): lags up to m = 3 with weights 1 - lag / (m + 1), here as one matrix.
+    lag = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
+    noise = np.clip(1.0 - lag / 4.0, 0.0, None) * np.outer(residual, residual)
+    gain = np.linalg.solve(design.T @ design, design.T)
+    np.testing.assert_allclose(found, gain @ noise @ gain.T, rtol=1e-12)
