@@ -126,3 +126,10 @@ def test_a_subspace_of_noise_is_said_to_be_one():
     noise = OutputSignal("y", "", 0.01 * np.arange(1, 1000), rng.standard_normal(999))
     assert "no more than chance" in subspace_model(TimeRecord((drive,), (noise,)), 4).warnings[0]
     assert result_cases.result("subspace_model").warnings == ()
+
+
+def test_what_is_known_of_the_clock_has_no_covariance_with_anything():
+    found = result_cases.result("identify").model  # a receptance: its signals share a clock
+    known = [found.parameter_names.index(name) for name in ("latency", "clock_rate")]
+    assert not np.any(found.covariance[known, :])
+    assert not np.any(found.covariance[:, known])

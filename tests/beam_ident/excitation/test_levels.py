@@ -128,3 +128,8 @@ def test_pulses_of_both_kinds_are_no_shorter_than_their_edges(kind, fields, says
 
 def test_the_pause_is_each_kinds_own():
     assert (Pulse().gap, Doublet().gap) == (0.1, 1.0)
+
+
+def test_an_acceleration_doublet_is_followed_by_its_mirror_image_after_the_gap():
+    doublet = Doublet(drive="acceleration", amplitude=0.3, width=0.2, edge_time=0.05, gap=0.7)
+    assert doublet.active_s == pytest.approx(0.45 + 0.7 + 0.45)

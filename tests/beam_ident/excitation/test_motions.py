@@ -110,3 +110,9 @@ def test_nothing_moves_before_the_start_and_after_the_end(recipe):
     end = recipe.total_s - recipe.still
     outside = np.array([-1.3, -0.01, 0.0, end, end + 0.7])
     np.testing.assert_allclose(recipe.displacement(outside), 0.0, atol=1e-15)
+
+
+def test_a_move_that_its_jerk_alone_bounds_has_four_equal_pieces():
+    recipe = PointToPoint(waypoints=(0.01, 0.0), speed=1.0, acceleration=10.0, jerk=2.0)
+    # Jerk +, -, -, + for t each: half of the way is j t^3.
+    assert recipe.move_times_s[0] == pytest.approx(4.0 * (0.01 / (2.0 * 2.0)) ** (1.0 / 3.0), rel=1e-12)

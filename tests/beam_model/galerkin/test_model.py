@@ -134,3 +134,9 @@ def test_modal_parameters_meet_their_definitions() -> None:
     ratios = np.diag(modal.dampings)[1:] / (2.0 * modal.natural_frequencies[1:])
     assert ratios == pytest.approx(model.free_hub_damping_ratios, rel=1e-3)
     assert abs(modal.dampings[0, 0]) < 1e-12
+
+
+@pytest.mark.parametrize(("drive", "unit"), [("motion", "m"), ("force", "N")])
+def test_a_response_says_in_which_unit_its_input_is(drive: str, unit: str) -> None:
+    response = BeamModel(strip(), n_modes=2).frequency_response(np.array([10.0]), HEIGHTS, drive=drive)
+    assert response.input_unit == unit

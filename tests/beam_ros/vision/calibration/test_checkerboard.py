@@ -127,3 +127,9 @@ def test_the_standard_deviation_of_a_scale_is_that_of_the_corners_noise(monkeypa
     assert np.sqrt(np.mean([fit.sd**2 for fit in found])) == pytest.approx(true, rel=0.015)
     assert np.std([fit.pixels_per_metre for fit in found]) == pytest.approx(true, rel=0.15)
     assert np.mean([fit.pixels_per_metre for fit in found]) == pytest.approx(scale, rel=1e-4)
+
+
+def test_the_smallest_board_has_three_by_three_corners():
+    assert (Checkerboard(3, 3, 0.02).columns, Checkerboard(3, 3, 0.02).rows) == (3, 3)
+    with pytest.raises(CalibrationError, match="6 x 2 inner corners"):
+        Checkerboard(6, 2, 0.02)
