@@ -36,6 +36,7 @@ def test_the_report_shows_modes_figures_and_provenance_escaped(written):
     text = written.read_text()
     assert "A &lt;beam&gt;" in text
     assert "chirp &amp; still" in text
+    assert text.count("<h2>Provenance</h2>") == 1
     assert text.count("<figure>") == 6
     assert text.count("<figcaption>") == 6
     assert "1 (mode 1)" in text

@@ -6,6 +6,7 @@ import pytest
 from beam_ident import EstimationError, InputSignal, OutputSignal, Prior
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
+from beam_ident.transfer_function_estimation.state_variable_filter import stable_coefficients
 
 RNG = np.random.default_rng(3)
 DRIVES = (
@@ -109,3 +110,9 @@ def test_too_few_samples_are_refused_with_their_number():
     long, short = case.experiments[0], RecordShare("short", case.paths, STAMPS[:15], case.values[:15], 0.0)
     with pytest.raises(EstimationError, match="15 usable samples in record 'short'"):
         OutputErrorProblem([long, short], (2, 3), Nuisances())
+
+
+def test_unstable_roots_are_mirrored_and_stable_ones_left_as_they_are():
+    np.testing.assert_array_equal(stable_coefficients(np.array([3.0, 2.0])), [3.0, 2.0])
+    # (s - 1)(s + 2) becomes (s + 1)(s + 2).
+    np.testing.assert_allclose(stable_coefficients(np.array([1.0, -2.0])), [3.0, 2.0], rtol=1e-12)

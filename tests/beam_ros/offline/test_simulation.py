@@ -62,7 +62,12 @@ def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Pa
     pytest.importorskip("cv2")
     short = rig.with_values({"excitation.duration": 2.0, "excitation.still": 0.2})
     simulate(short, tmp_path / "camera", with_camera=True)
-    simulate(short.with_values({"simulation.displacement_noise": 0.0}), tmp_path / "truth")
+    done: list[tuple[float, float]] = []
+    quiet = short.with_values({"simulation.displacement_noise": 0.0})
+    simulate(quiet, tmp_path / "truth", on_progress=lambda *progress: done.append(progress))
+    # A step is 10 ms, and the sequence ends within a few of them after its last sample.
+    assert done[0][0] == pytest.approx(0.01, abs=0.005)
+    assert done[-1][0] == pytest.approx(done[-1][1], abs=0.1)
     with Bag(tmp_path / "camera") as camera, Bag(tmp_path / "truth") as truth:
         error = camera.displacements().positions - truth.displacements().positions
         # 0.006 px (the tracker's figure at this noise) at 1500 px/m is 4 um.
