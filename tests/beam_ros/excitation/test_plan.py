@@ -195,3 +195,11 @@ def test_a_binary_sequence_is_repeated_as_often_as_its_duration_holds_it(
     recipe = recipe_of_rig(Rig.from_file().with_values(changes))
     assert recipe.n_periods == n_periods
     assert recipe.total_s - recipe.still == pytest.approx(4 * 511 * 0.01, abs=0.5)
+
+
+@pytest.mark.parametrize(("duration", "fade_in", "fade_out"), [(0.4, 0.1, 0.1), (20.0, 1.0, 0.25)])
+def test_the_fades_of_a_chirp_take_at_most_a_quarter_of_it(
+    duration: float, fade_in: float, fade_out: float
+) -> None:
+    recipe = recipe_of_rig(Rig.from_file().with_values({"excitation.duration": duration}))
+    assert (recipe.fade_in, recipe.fade_out) == pytest.approx((fade_in, fade_out))
