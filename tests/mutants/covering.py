@@ -67,6 +67,8 @@ class CoverageMap:
         used = re.compile(rf"\b{re.escape(name)}\b")
         contexts: set[str] = set()
         for path in sorted(self._data.measured_files()):
+            if not (self._root / path).is_file():  # it left after the measurement
+                continue
             text = (self._root / path).read_text()
             numbers = {k for k, line in enumerate(text.splitlines(), 1) if used.search(line)}
             if numbers:
