@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 from beam_ros.arrays import ImageArray
@@ -40,20 +41,20 @@ class FrameSink(Protocol):
         """Return whether somebody listens to what becomes of the frames."""
 
 
-class FrameSource:
+class FrameSource(ABC):
     """Gives frames to a sink, on the node's executor."""
 
     silence: str
     """What to say when no frame comes and there are no complaints."""
 
+    @abstractmethod
     def complaints(self) -> list[Complaint]:
         """Return what is wrong with the source."""
-        raise NotImplementedError
 
-    def reset(self) -> None:
+    def reset(self) -> None:  # noqa: B027 - a source may have nothing to read again
         """Read again what is read only once."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - a source may have nothing to end
         """End what the node itself does not."""
 
 
