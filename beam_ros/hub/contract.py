@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 from beam_ros.arrays import FloatArray
+from beam_ros.hub.faults import NO_FAULT, Fault
 
 AxisState = Literal["disconnected", "identified", "homed", "enabled", "fault"]
+Activity = Literal["idle", "homing", "hold", "setpoint", "armed", "sequence", "stopping"]
 RequestKind = Literal["enable", "disable", "home", "stop", "clear_fault"]
 SequenceState = Literal["loading", "ready", "refused", "running", "done", "aborted", "underrun"]
 AxisEventKind = Literal["sequence_running", "sequence_done", "sequence_aborted", "sequence_underrun", "state"]
@@ -23,6 +25,7 @@ EventLevel = Literal["info", "warning", "error"]
 
 REQUEST_KINDS: tuple[RequestKind, ...] = ("enable", "disable", "home", "stop", "clear_fault")
 AXIS_STATES: tuple[AxisState, ...] = ("disconnected", "identified", "homed", "enabled", "fault")
+ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
 
 
 @dataclass(frozen=True)
@@ -167,8 +170,12 @@ class HubStatus:
         Measured position [m].
     velocity : float
         Measured velocity [m/s].
-    fault : str
-        Why the axis was disabled or stands in fault; empty while all is well.
+    activity : str
+        What the axis does in that state.
+    fault : Fault
+        Why the axis was stopped or cannot be reached; ``NO_FAULT`` while all is well.
+    reason : str
+        The same in the words of who noticed it, with its numbers; empty while all is well.
     counters : mapping of str to int
         For diagnostics: what was lost, refused, retried.
     """
@@ -176,7 +183,9 @@ class HubStatus:
     state: AxisState = "disconnected"
     position: float = 0.0
     velocity: float = 0.0
-    fault: str = ""
+    activity: Activity = "idle"
+    fault: Fault = NO_FAULT
+    reason: str = ""
     counters: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -201,8 +210,49 @@ class HubReport:
     events: list[HubEvent]
 
 
+@dataclass(frozen=True)
+class HubCapabilities:
+    """What an axis and the way to it can promise.
+
+    Parameters
+    ----------
+    name : str
+        Of the kind of link, for messages.
+    modes : tuple of str
+        Command modes that it takes: acceleration, velocity, position, effort.
+    is_buffered : bool
+        Whether whole sequences are handed over and clocked by the device; else the host paces every sample.
+    has_device_clock : bool
+        Whether the samples carry the device's own time; else they carry the time of their receipt.
+    has_watchdog : bool
+        Whether the device stops by itself when the host falls silent.
+    keeps_limits : bool
+        Whether the device keeps the rig's limits by itself.
+    telemetry : {"push", "poll", "none"}
+        How samples come.
+    rate : float
+        Samples a second that are measured and commanded at most [1/s].
+    shortcomings : tuple of str
+        What this axis cannot promise, one sentence each, for people.
+    """
+
+    name: str
+    modes: tuple[str, ...]
+    is_buffered: bool = True
+    has_device_clock: bool = True
+    has_watchdog: bool = True
+    keeps_limits: bool = True
+    telemetry: Literal["push", "poll", "none"] = "push"
+    rate: float = 1000.0
+    shortcomings: tuple[str, ...] = ()
+
+
 class Hub(Protocol):
-    """A moving hub: the simulated one or the one behind a serial line."""
+    """A moving hub: the simulated one, or one behind an axis link."""
+
+    @property
+    def capabilities(self) -> HubCapabilities:
+        """What the axis can promise."""
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""

@@ -33,7 +33,9 @@ class AxisParameters:
     max_speed : float
         Greatest speed [m/s].
     max_acceleration : float
-        Greatest acceleration [m/s^2]; every stop decelerates at it.
+        Greatest acceleration [m/s^2].
+    stop_deceleration : float
+        Every stop decelerates at it [m/s^2].
     max_effort : float
         Greatest force [N].
     encoder_resolution : float
@@ -54,6 +56,7 @@ class AxisParameters:
     travel: float = 0.1
     max_speed: float = 0.5
     max_acceleration: float = 10.0
+    stop_deceleration: float = 10.0
     max_effort: float = 20.0
     encoder_resolution: float = 1e-7
     command_mode: CommandMode = "acceleration"

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 
 from beam_ros.arrays import FloatArray
-from beam_ros.hub.contract import AXIS_STATES, REQUEST_KINDS, AxisState, RequestKind
+from beam_ros.hub.contract import ACTIVITIES, AXIS_STATES, REQUEST_KINDS, Activity, AxisState, RequestKind
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.line.framing import encode_frame
-from beam_ros.hub.parameters import COMMAND_MODES, MAX_BATCH_TICKS, CommandMode
+from beam_ros.hub.parameters import COMMAND_MODES, MAX_BATCH_TICKS, AxisParameters, CommandMode
 from beam_ros.hub.ticks import TickBatch
 
 MAGIC = b"BEAM"
-VERSION = 1
+VERSION = 2
 MAX_SAMPLES = 100
 """Most samples in one ``Samples`` message."""
 MAX_TEXT = 200
@@ -38,6 +38,47 @@ DEVICE_SEQUENCE_STATES: tuple[DeviceSequenceState, ...] = (
 )
 ReplyPhase = Literal["pending", "success", "failure"]
 REPLY_PHASES: tuple[ReplyPhase, ...] = ("pending", "success", "failure")
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """What a device keeps by itself; in ``Identity`` the widest that it can, in a session what it obeys.
+
+    Parameters
+    ----------
+    travel : float
+        Whole travel [m], home in its middle.
+    max_speed, max_acceleration, max_effort : float
+        Greatest speed [m/s], acceleration [m/s^2], effort [N].
+    stop_deceleration : float
+        Of the stop ramp [m/s^2].
+    move_speed, move_acceleration : float
+        Of the move to a position set-point [m/s], [m/s^2].
+    homing_speed, homing_acceleration : float
+        Of the way home [m/s], [m/s^2].
+    watchdog_ns : int
+        The silence after which it stops [ns].
+    """
+
+    travel: float = 0.0
+    max_speed: float = 0.0
+    max_acceleration: float = 0.0
+    max_effort: float = 0.0
+    stop_deceleration: float = 0.0
+    move_speed: float = 0.0
+    move_acceleration: float = 0.0
+    homing_speed: float = 0.0
+    homing_acceleration: float = 0.0
+    watchdog_ns: int = 0
+
+    @classmethod
+    def of(cls, parameters: AxisParameters) -> AxisLimits:
+        """Return the limits of the rig file."""
+        names = (field.name for field in fields(cls) if field.name != "watchdog_ns")
+        return cls(
+            **{name: float(getattr(parameters, name)) for name in names},
+            watchdog_ns=round(parameters.watchdog_s * 1e9),
+        )
 
 
 # Host to device -------------------------------------------------------------------------------------------
@@ -98,6 +139,14 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class SetLimits:
+    """Hands the device what it must obey in this session; answered by ``LimitsReply``."""
+
+    number: int
+    limits: AxisLimits
+
+
+@dataclass(frozen=True)
 class Goodbye:
     """The host closes the session: the device stops, and falls silent."""
 
@@ -121,10 +170,10 @@ class Identity:
         Tick, ticks in a telemetry batch, room for samples.
     command_mode : str
         What set-points and samples mean.
-    encoder_resolution, travel, max_speed, max_acceleration, max_effort : float
-        The axis, as the device guards it.
-    watchdog_ns : int
-        The silence after which it stops.
+    encoder_resolution : float
+        One count [m].
+    widest : AxisLimits
+        The widest limits that the device can be given.
     name : str
         For people.
     """
@@ -138,11 +187,7 @@ class Identity:
     buffer_samples: int = 0
     command_mode: CommandMode = "acceleration"
     encoder_resolution: float = 0.0
-    travel: float = 0.0
-    max_speed: float = 0.0
-    max_acceleration: float = 0.0
-    max_effort: float = 0.0
-    watchdog_ns: int = 0
+    widest: AxisLimits = AxisLimits()
     name: str = ""
 
 
@@ -174,6 +219,14 @@ class ArmReply:
 
 
 @dataclass(frozen=True)
+class LimitsReply:
+    """What the device obeys from now on; all zero where it has no limits yet."""
+
+    number: int
+    limits: AxisLimits
+
+
+@dataclass(frozen=True)
 class Telemetry:
     """What the axis did and measured in the last ticks."""
 
@@ -192,8 +245,16 @@ class Status:
         The tick that comes next.
     state : str
         identified, homed, enabled or fault.
+    activity : str
+        What the axis does in that state.
     position_count, velocity_count : int
         Encoder [encoder_resolution], [encoder_resolution / period].
+    fault_number : int
+        Why the axis was last stopped, by ``beam_ros.hub.faults``; 0: nothing is wrong.
+    silences : int
+        How often in this session the watchdog's time passed without a valid frame, modulo 2^16.
+    silence_tick : int
+        When it last did, 0 if never.
     setpoint_number : int
         Newest set-point that came, 0 if none has.
     setpoints_refused : int
@@ -215,8 +276,12 @@ class Status:
     boot_id: int
     tick: int
     state: AxisState
+    activity: Activity
     position_count: int
     velocity_count: int
+    fault_number: int
+    silences: int
+    silence_tick: int
     setpoint_number: int
     setpoints_refused: int
     sequence_number: int
@@ -236,12 +301,14 @@ Message = (
     | Arm
     | Samples
     | Goodbye
+    | SetLimits
     | Identity
     | ClockReply
     | RequestReply
     | ArmReply
     | Telemetry
     | Status
+    | LimitsReply
 )
 
 # Layouts --------------------------------------------------------------------------------------------------
@@ -277,6 +344,17 @@ def _take_text(data: bytes, at: int) -> tuple[str, int]:
     if end > len(data) or data[at] > MAX_TEXT:
         raise ValueError(f"text of {data[at]} bytes where {len(data) - at - 1} follow")
     return data[at + 1 : end].decode(), end
+
+
+_LIMITS_STRUCT = struct.Struct("<9dI")
+
+
+def _pack_limits(limits: AxisLimits) -> bytes:
+    return _LIMITS_STRUCT.pack(*vars(limits).values())
+
+
+def _take_limits(data: bytes, at: int) -> tuple[AxisLimits, int]:
+    return AxisLimits(*_LIMITS_STRUCT.unpack_from(data, at)), at + _LIMITS_STRUCT.size
 
 
 def _check_count(what: str, count: int, most: int) -> None:
@@ -326,6 +404,7 @@ def _take_ticks(data: bytes, at: int) -> tuple[TickBatch, int]:
 _TICKS = struct.Struct("<QB")
 _U8, _U16, _U32, _U64, _I32, _F64 = map(_number, "BHIQid")
 _TEXT = _Field(_pack_text, _take_text)
+_LIMITS = _Field(_pack_limits, _take_limits)
 _SAMPLES = _Field(_pack_samples, _take_samples)
 _TICK_BATCH = _Field(_pack_ticks, _take_ticks)
 _FLAG = _one_of((False, True))
@@ -352,8 +431,8 @@ class _Layout:
         return 0 < self.n_frozen == len(values) and (len(self.fields) == len(values) or values[0] != VERSION)
 
 
-HELLO, HEARTBEAT, CLOCK_QUERY, REQUEST, SETPOINT, ARM, SAMPLES, GOODBYE = range(0x01, 0x09)
-IDENTITY, CLOCK_REPLY, REQUEST_REPLY, ARM_REPLY, TELEMETRY, STATUS = range(0x81, 0x87)
+HELLO, HEARTBEAT, CLOCK_QUERY, REQUEST, SETPOINT, ARM, SAMPLES, GOODBYE, SET_LIMITS = range(0x01, 0x0A)
+IDENTITY, CLOCK_REPLY, REQUEST_REPLY, ARM_REPLY, TELEMETRY, STATUS, LIMITS_REPLY = range(0x81, 0x88)
 
 _LAYOUTS: dict[int, _Layout] = {
     HELLO: _Layout(Hello, (_U8, _U8), n_frozen=2),
@@ -364,19 +443,22 @@ _LAYOUTS: dict[int, _Layout] = {
     ARM: _Layout(Arm, (_U16, _U64, _U32)),
     SAMPLES: _Layout(Samples, (_U16, _U32, _SAMPLES)),
     GOODBYE: _Layout(Goodbye),
+    SET_LIMITS: _Layout(SetLimits, (_U16, _LIMITS)),
     IDENTITY: _Layout(
         Identity,
-        (_U8, _U8, _U8, _U32, _U32, _U8, _U16, _one_of(COMMAND_MODES), *(_F64,) * 5, _U32, _TEXT),
+        (_U8, _U8, _U8, _U32, _U32, _U8, _U16, _one_of(COMMAND_MODES), _F64, _LIMITS, _TEXT),
         n_frozen=4,
     ),
     CLOCK_REPLY: _Layout(ClockReply, (_U16, _U64, _U64)),
     REQUEST_REPLY: _Layout(RequestReply, (_U16, _one_of(REPLY_PHASES), _TEXT)),
     ARM_REPLY: _Layout(ArmReply, (_U16, _FLAG, _TEXT)),
     TELEMETRY: _Layout(Telemetry, (_TICK_BATCH,)),
+    LIMITS_REPLY: _Layout(LimitsReply, (_U16, _LIMITS)),
     STATUS: _Layout(
         Status,
         (
-            *(_U32, _U64, _one_of(AXIS_STATES), _I32, _I32, _U16, _U16),
+            *(_U32, _U64, _one_of(AXIS_STATES), _one_of(ACTIVITIES), _I32, _I32),
+            *(_U8, _U16, _U64, _U16, _U16),
             *(_U16, _one_of(DEVICE_SEQUENCE_STATES), _U32, _U16, _TEXT, _TEXT),
         ),
     ),
