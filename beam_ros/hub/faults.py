@@ -71,7 +71,9 @@ DEVICE_FAULTS = (
     Fault(6, "acceleration_limit", "a command exceeded the acceleration limit", "command less acceleration"),
     Fault(7, "effort_limit", "a command exceeded the effort limit", "command less effort"),
     Fault(8, "command_not_finite", "a command was not a number", "mend the program that sends it"),
-    Fault(9, "session_opened", "a host opened a new session", "home and enable again; use one host at a time"),
+    Fault(
+        9, "session_opened", "a host opened a new session", "home and enable again; use one host at a time"
+    ),
     Fault(10, "session_closed", "the host closed the session", "connect again"),
     Fault(
         11,
@@ -80,7 +82,12 @@ DEVICE_FAULTS = (
         "look for a jam, a loose belt or too much load",
     ),
     Fault(12, "end_switch", "an end switch was hit", "clear the fault and home the axis"),
-    Fault(13, "drive_alarm", "the motor's drive reports an alarm", "read the drive's display, then power-cycle it"),
+    Fault(
+        13,
+        "drive_alarm",
+        "the motor's drive reports an alarm",
+        "read the drive's display, then power-cycle it",
+    ),
     Fault(14, "encoder_lost", "the encoder gives no valid position", "check the encoder's cable"),
     Fault(15, "homing_failed", "home was not found", "check the home switch and the way to it"),
     Fault(
@@ -92,7 +99,9 @@ DEVICE_FAULTS = (
 )
 
 HOST_FAULTS = (
-    Fault(64, "port_unavailable", "the port cannot be opened", "connect the controller, or correct serial.port"),
+    Fault(
+        64, "port_unavailable", "the port cannot be opened", "connect the controller, or correct serial.port"
+    ),
     Fault(65, "port_lost", "the port vanished", "check cable and power; the driver goes on trying"),
     Fault(
         66,
@@ -127,10 +136,27 @@ HOST_FAULTS = (
         "the controller says nothing any more",
         "check its power and the cable; the driver goes on trying",
     ),
-    Fault(74, "telemetry_stopped", "the samples of the hub stopped", "check the line's baud rate and the firmware"),
-    Fault(75, "status_stopped", "the controller's status stopped", "check the line's baud rate and the firmware"),
-    Fault(76, "status_unreadable", "the controller's status cannot be decoded", "update the firmware or this suite"),
-    Fault(77, "clock_jumped", "the controller's clock jumped", "mend the firmware's clock; home and enable again"),
+    Fault(
+        74,
+        "telemetry_stopped",
+        "the samples of the hub stopped",
+        "check the line's baud rate and the firmware",
+    ),
+    Fault(
+        75, "status_stopped", "the controller's status stopped", "check the line's baud rate and the firmware"
+    ),
+    Fault(
+        76,
+        "status_unreadable",
+        "the controller's status cannot be decoded",
+        "update the firmware or this suite",
+    ),
+    Fault(
+        77,
+        "clock_jumped",
+        "the controller's clock jumped",
+        "mend the firmware's clock; home and enable again",
+    ),
     Fault(
         78,
         "clock_backwards",
@@ -150,7 +176,12 @@ HOST_FAULTS = (
         "the hub moves as no command explains",
         "look for slip, a loose belt, a lying encoder or somebody's hand",
     ),
-    Fault(82, "line_flooded", "more bytes come than an axis can say", "check serial.baud and what is on the port"),
+    Fault(
+        82,
+        "line_flooded",
+        "more bytes come than an axis can say",
+        "check serial.baud and what is on the port",
+    ),
     Fault(83, "host_frozen", "the host's program stood still", "free the host's processors; enable again"),
     Fault(84, "never_done", "the controller said `pending` and never more", "restart the controller"),
 )

@@ -6,7 +6,7 @@ All values are SI. Each class is frozen and checks itself, so that whatever hold
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -18,6 +18,8 @@ COMMAND_MODES: tuple[CommandMode, ...] = get_args(CommandMode)
 Hold = Literal["zoh", "linear"]
 
 BATCH_NS = 20_000_000
+MAX_WATCHDOG_S = 4.0
+"""The longest silence [s]: an axis that runs on for longer is not guarded, and 32 bits of nanoseconds hold it."""
 MAX_BATCH_TICKS = 100
 """Most ticks in one batch, which one telemetry frame of the line protocol carries."""
 
@@ -73,6 +75,8 @@ class AxisParameters:
             _check_positive(name, getattr(self, name), is_whole=name in whole)
         if self.command_mode not in COMMAND_MODES:
             raise _refusal("command_mode", self.command_mode, "one of " + ", ".join(COMMAND_MODES))
+        if self.watchdog_s > MAX_WATCHDOG_S:
+            raise _refusal("watchdog_s", self.watchdog_s, f"at most {MAX_WATCHDOG_S} s")
         if self.watchdog_s * 1e9 < 2 * self.batch_ns:
             raise _refusal("watchdog_s", self.watchdog_s, f"at least two batches ({2e-9 * self.batch_ns} s)")
         for kind in ("move", "homing"):
@@ -131,6 +135,15 @@ class AxisParameters:
         """How the applied values continue between two ticks."""
         return "linear" if self.command_mode == "position" else "zoh"
 
+    def widened(self, factor: float) -> AxisParameters:
+        """Return the axis with its travel, limits and watchdog larger by a factor."""
+        limits = (
+            *("travel", "max_speed", "max_acceleration", "stop_deceleration", "max_effort"),
+            *("move_speed", "move_acceleration", "homing_speed", "homing_acceleration"),
+        )
+        wider = {name: getattr(self, name) * factor for name in limits}
+        return replace(self, watchdog_s=min(self.watchdog_s * factor, MAX_WATCHDOG_S), **wider)
+
     def check_within_travel(self, name: str, position: float) -> None:
         """Raise ``HubParameterError`` where a position [m], which the parameter ``name`` gives, is off the axis."""
         if not abs(position) <= self.position_limit:
@@ -149,11 +162,14 @@ class LinkParameters:
         Bits per second on that port.
     max_clock_sd_ns : int
         Standard deviation of the clock map above which no sequence starts [ns].
+    prove_watchdog : bool
+        Whether every connection begins with a silence that the device must notice.
     """
 
     serial_port: str = ""
     serial_baud: int = 921_600
     max_clock_sd_ns: int = 50_000
+    prove_watchdog: bool = True
 
     def __post_init__(self) -> None:
         for name in ("serial_baud", "max_clock_sd_ns"):

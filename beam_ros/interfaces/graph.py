@@ -147,6 +147,12 @@ TOPICS: dict[str, Topic] = {
             "newest hub sample, for people and viewers [m, m/s, N]",
         ),
         Topic(
+            "hub/mode",
+            "std_msgs/msg/String",
+            _LATCHED,
+            "JSON at every change: state, activity, fault (number, name, sentence, remedy), since, reason",
+        ),
+        Topic(
             "hub/clock_sync",
             "sensor_msgs/msg/TimeReference",
             QualityOfService(100),
@@ -240,6 +246,7 @@ SERVICES: dict[str, Service] = {
 
 _HUB_PUBLISHES = (
     "hub/sequence_state",
+    "hub/mode",
     "hub/applied",
     "hub/measured",
     "hub/state",

@@ -61,6 +61,7 @@ class HubSettings:
     travel: float = setting("from stop to stop; home is in the middle", "m", 0.001, 10.0)
     max_speed: float = setting("limit of the hub's speed", "m/s", 0.001, 20.0)
     max_acceleration: float = setting("limit of the hub's acceleration", "m/s^2", 0.01, 1e3)
+    stop_deceleration: float = setting("of every stop; 0: max_acceleration", "m/s^2", 0.0, 1e3)
     max_effort: float = setting("limit of the force on the hub", "N", 0.01, 1e4)
     max_tip_deflection: float = setting("predicted tip deflection that is refused", "m", 1e-5, 1.0)
     encoder_resolution: float = setting("step of the measured position", "m", 1e-12, 0.001)
@@ -70,8 +71,17 @@ class HubSettings:
     applied_hold: Literal["zoh", "linear", "cubic"] = setting("between ticks, of the command")
     measured_hold: Literal["linear", "cubic"] = setting("between ticks, of the position")
     period: float = setting("tick of the device", "s", 0.0001, 0.1)
-    watchdog: float = setting("silence until the device stops by itself", "s", 0.05, 5.0)
+    watchdog: float = setting("silence until the device stops by itself", "s", 0.05, 4.0)
     homing_speed: float = setting("speed while homing", "m/s", 0.001, 1.0, within=("hub.max_speed", 1.0))
+    homing_acceleration: float = setting(
+        "while homing", "m/s^2", 0.001, 1e3, within=("hub.max_acceleration", 1.0)
+    )
+    move_speed: float = setting(
+        "of the move to a position set-point", "m/s", 0.001, 20.0, within=("hub.max_speed", 1.0)
+    )
+    move_acceleration: float = setting(
+        "of the move to a position set-point", "m/s^2", 0.001, 1e3, within=("hub.max_acceleration", 1.0)
+    )
 
 
 @dataclass(frozen=True)
@@ -79,6 +89,7 @@ class AxisSettings:
     """How the real axis is reached."""
 
     kind: str = setting("kind of axis link: beam, or one that an installed package adds")
+    prove_watchdog: bool = setting("fall silent once in every connection and see the device notice")
 
 
 @dataclass(frozen=True)

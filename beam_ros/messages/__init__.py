@@ -52,6 +52,7 @@ from beam_ros.messages.stamps import SECOND_NS as SECOND_NS
 from beam_ros.messages.stamps import header as header
 from beam_ros.messages.stamps import stamp_ns as stamp_ns
 from beam_ros.messages.stamps import time_ns as time_ns
+from beam_ros.messages.texts import hub_mode as hub_mode
 from beam_ros.messages.texts import json_text as json_text
 from beam_ros.messages.texts import read_json as read_json
 from beam_ros.messages.texts import sequence_state as sequence_state

@@ -7,7 +7,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from beam_ros.hub.contract import SequenceReport
+from beam_ros.hub.contract import HubStatus, SequenceReport
+from beam_ros.hub.faults import NO_FAULT
 from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes
@@ -28,6 +29,28 @@ def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
         "state": report.state,
         "points": report.points,
         "reason": report.reason,
+    }
+    return json_text(types, content)
+
+
+def hub_mode(types: MessageTypes, status: HubStatus, since_ns: int) -> Any:
+    """Build the String of ``hub/mode``.
+
+    Parameters
+    ----------
+    types : MessageTypes
+    status : HubStatus
+    since_ns : int -- when the hub came into this state, activity or fault [ns, UNIX]
+    """
+    fault = None
+    if status.fault is not NO_FAULT:
+        fault = {name: getattr(status.fault, name) for name in ("number", "name", "sentence", "remedy")}
+    content = {
+        "state": status.state,
+        "activity": status.activity,
+        "fault": fault,
+        "since": round(since_ns * 1e-9, 6),
+        "reason": status.reason,
     }
     return json_text(types, content)
 

@@ -30,7 +30,7 @@ class FirmwareEmulator(RigNode):
         plant = beam_on_axis(model, parameters, self.rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
         device = SimulatedDevice(clock_drift_ppm=drift_ppm, clock_start_ns=_POWER_ON_NS)
         self._link: Path | None = None
-        self._controller = EmulatedController(parameters, plant, device)
+        self._controller = EmulatedController(parameters.widened(_HEADROOM), plant, device)
         self._camera = SimulatedCamera(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )
@@ -74,6 +74,9 @@ class FirmwareEmulator(RigNode):
             self._link.unlink()
         self._controller.close()
 
+
+_HEADROOM = 2.0
+"""By how much the device could do more than the rig file allows: limits that are not handed over would show."""
 
 _POWER_ON_NS = 123_456_000_000
 """What the device's clock reads at power-on: an epoch that nobody could mistake for the host's."""

@@ -182,19 +182,23 @@ class Rig(RigParameters):
             travel=self.hub.travel,
             max_speed=self.hub.max_speed,
             max_acceleration=self.hub.max_acceleration,
+            stop_deceleration=self.hub.stop_deceleration or self.hub.max_acceleration,
             max_effort=self.hub.max_effort,
             encoder_resolution=self.hub.encoder_resolution,
             command_mode=self.hub.command_mode,
             period_ns=round(self.hub.period * 1e9),
             watchdog_s=self.hub.watchdog,
             homing_speed=self.hub.homing_speed,
+            homing_acceleration=self.hub.homing_acceleration,
+            move_speed=self.hub.move_speed,
+            move_acceleration=self.hub.move_acceleration,
         )
 
     def link_parameters(self) -> LinkParameters:
         """How the real axis is reached."""
         from beam_ros.hub.parameters import LinkParameters
 
-        return LinkParameters(self.serial.port, self.serial.baud)
+        return LinkParameters(self.serial.port, self.serial.baud, prove_watchdog=self.axis.prove_watchdog)
 
     def camera_parameters(self) -> CameraParameters:
         """The camera and what it sees."""

@@ -42,6 +42,7 @@ class HubNode(RigNode):
         super().__init__(executable)
         self._hub = build(self.rig)
         self._status = HubStatus()
+        self._told_mode: tuple[object, ...] = ()
         self._refused_setpoints = 0
         self._waiting: dict[int, Future] = {}
         self._mode = self.rig.hub.command_mode
@@ -51,6 +52,7 @@ class HubNode(RigNode):
         self._state = self.offer("hub/state")
         self._clock_sync = self.offer("hub/clock_sync")
         self._sequence_state = self.offer("hub/sequence_state")
+        self._mode_state = self.offer("hub/mode")
         self.listen("hub/setpoint", self._on_setpoint)
         # 500 points cost rclpy milliseconds to unpack, the suite's own codec microseconds.
         self.listen("hub/sequence", self._on_chunk, raw=True)
@@ -60,6 +62,8 @@ class HubNode(RigNode):
         for name, kind in services.items():
             self.serve(name, self._answer(kind), callback_group=group)  # type: ignore[arg-type]
         self.serve("hub/enable", self._on_enable, callback_group=group)
+        for shortcoming in self._hub.capabilities.shortcomings:
+            self.get_logger().warning(f"this axis cannot promise: {shortcoming}")
         self.create_timer(_POLL_S, self._poll)
 
     def _answer(self, kind: RequestKind) -> Callable[[Any, Any], Any]:
@@ -128,6 +132,14 @@ class HubNode(RigNode):
         for event in report.events:
             self._log(event)
         self._status = report.status
+        self._publish_mode(report.status)
+
+    def _publish_mode(self, status: HubStatus) -> None:
+        """Publish what the hub is about, when that has changed."""
+        mode = (status.state, status.activity, status.fault.number, status.reason)
+        if mode != self._told_mode:
+            self._told_mode = mode
+            self._mode_state.publish(messages.hub_mode(self.types, status, host_time().unix_ns))
 
     def _log(self, event: HubEvent) -> None:
         # rclpy ties a line of code to one severity, hence a line for each.
@@ -143,12 +155,17 @@ class HubNode(RigNode):
         """Report the axis's state and what was lost or refused."""
         status = self._status
         level = {"disconnected": "ERROR", "fault": "ERROR"}.get(status.state, "OK")
-        sentence = f"{status.state}: {status.fault}" if status.fault else status.state
+        sentence = f"{status.state}: {status.reason}" if status.reason else status.state
+        about: dict[str, object] = {"activity": status.activity, "fault": status.fault.number}
+        if status.fault.remedy:
+            about["remedy"] = status.fault.remedy
+        for number, shortcoming in enumerate(self._hub.capabilities.shortcomings, start=1):
+            about[f"cannot promise {number}"] = shortcoming
         jumps = status.counters.get("real_time_jumps", 0)
         if jumps:
             # Recorded with the bag, so that whoever reads it later knows.
             level, sentence = "ERROR", f"the computer's real-time clock jumped {jumps} times; {sentence}"
-        return level, sentence, {**status.counters, "refused set-points": self._refused_setpoints}
+        return level, sentence, {**about, **status.counters, "refused set-points": self._refused_setpoints}
 
     def close(self) -> None:
         """Leave the axis stopped."""

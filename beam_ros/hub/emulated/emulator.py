@@ -23,7 +23,8 @@ import numpy as np
 
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import HostTime, Outcome
-from beam_ros.hub.errors import HubConnectionError, HubProtocolError
+from beam_ros.hub.errors import HubConnectionError, HubParameterError, HubProtocolError
+from beam_ros.hub.faults import fault
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
@@ -55,7 +56,7 @@ class EmulatedFirmware:
     Parameters
     ----------
     parameters : AxisParameters
-        The axis.
+        The axis, with the widest limits that it can be given.
     plant : Plant
         What the hub carries.
     device : SimulatedDevice
@@ -86,6 +87,8 @@ class EmulatedFirmware:
         self._now_ns = device.clock_start_ns
         self._identified_ns = -IDENTIFY_INTERVAL_NS
         self._ticks = TickQueue(parameters.batch_ticks)
+        self._has_limits = False
+        self._silences = self._told_silences = 0
         self._replies: OrderedDict[int, protocol.RequestReply] = OrderedDict()
         self._setpoint_number = 0
         self._setpoints_refused = 0
@@ -102,6 +105,7 @@ class EmulatedFirmware:
             protocol.Arm: self._on_arm,
             protocol.Samples: self._on_samples,
             protocol.Goodbye: self._on_goodbye,
+            protocol.SetLimits: self._on_limits,
         }
 
     def exchange(self, data: bytes, device_ns: int) -> bytes:
@@ -147,7 +151,9 @@ class EmulatedFirmware:
 
     def _on_hello(self, hello: protocol.Hello) -> None:
         speaks = hello.lowest_version <= protocol.VERSION <= hello.highest_version
-        self.axis.emergency_stop("a host opened a new session")
+        self.axis.emergency_stop(fault("session_opened"), "a host opened a new session")
+        self._has_limits = False
+        self._silences = self._told_silences = self.axis.silences
         self._replies.clear()
         self._arm_reply = None
         self._setpoint_number = 0
@@ -172,13 +178,19 @@ class EmulatedFirmware:
             buffer_samples=self.axis.device.buffer_samples,
             command_mode=parameters.command_mode,
             encoder_resolution=parameters.encoder_resolution,
-            travel=parameters.travel,
-            max_speed=parameters.max_speed,
-            max_acceleration=parameters.max_acceleration,
-            max_effort=parameters.max_effort,
-            watchdog_ns=round(parameters.watchdog_s * 1e9),
+            widest=protocol.AxisLimits.of(parameters),
             name=self._name,
         )
+
+    def _on_limits(self, message: protocol.SetLimits) -> None:
+        axis = self.axis
+        if axis.activity == "idle":
+            # What no axis can have changes nothing; the host reads it from the answer.
+            with contextlib.suppress(HubParameterError):
+                axis.obey(message.limits.narrowed(self._parameters))
+                self._has_limits = True
+        obeyed = protocol.AxisLimits.of(axis.parameters) if self._has_limits else protocol.AxisLimits()
+        self._send(protocol.LimitsReply(message.number, obeyed))
 
     def _on_clock_query(self, query: protocol.ClockQuery) -> None:
         self._send(protocol.ClockReply(query.number, self._now_ns, self._now_ns))
@@ -187,6 +199,11 @@ class EmulatedFirmware:
         known = self._replies.get(request.number)
         if known is not None:
             self._send(known)
+            return
+        if request.kind in ("enable", "home") and not self._has_limits:
+            text = f"cannot {request.kind}: the axis has no limits; set them first"
+            self._remember(protocol.RequestReply(request.number, "failure", text))
+            self._send(self._replies[request.number])
             return
         self._remember(protocol.RequestReply(request.number, "pending", ""))
         self.axis.request(request.number, request.kind)
@@ -229,7 +246,7 @@ class EmulatedFirmware:
         self._send_status()
 
     def _on_goodbye(self, _goodbye: protocol.Goodbye) -> None:
-        self.axis.emergency_stop("the host closed the session")
+        self.axis.emergency_stop(fault("session_closed"), "the host closed the session")
         self._send_status()
         self._is_in_session = False
 
@@ -242,6 +259,9 @@ class EmulatedFirmware:
                 self._sequence_state = _SEQUENCE_STATES[event.kind]
                 self._sequence_reason = event.text
             # One status for each change, so that the host sees them all, in their order.
+            self._send_status()
+        if self.axis.silences != self._told_silences:
+            self._told_silences = self.axis.silences
             self._send_status()
         for number, outcome in self.axis.take_completed():
             if number not in self._replies:
@@ -274,8 +294,12 @@ class EmulatedFirmware:
                 self._boot_id,
                 axis.tick,
                 axis.state,
+                axis.activity,
                 min(max(position, limits.min), limits.max),
                 min(max(velocity, limits.min), limits.max),
+                axis.fault.number,
+                (axis.silences - self._silences) & 0xFFFF,
+                axis.silence_tick if axis.silences != self._silences else 0,
                 self._setpoint_number,
                 self._setpoints_refused,
                 self._sequence_number,
@@ -298,7 +322,7 @@ class EmulatedController:
     Parameters
     ----------
     parameters : AxisParameters
-        The axis.
+        The axis, with the widest limits that it can be given.
     plant : Plant
         What the hub carries.
     device : SimulatedDevice, optional

@@ -13,8 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from beam_ros.hub.contract import HostTime, HubReport, HubStatus, Outcome, RequestKind, SequenceChunk
+from beam_ros.hub.contract import (
+    AxisState,
+    HostTime,
+    HubCapabilities,
+    HubReport,
+    HubStatus,
+    Outcome,
+    RequestKind,
+    SequenceChunk,
+)
 from beam_ros.hub.errors import HubProtocolError
+from beam_ros.hub.faults import Fault, fault, fault_of
 from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.pulse import HostPulse
 from beam_ros.hub.host.requests import Requests, SetpointRepeater
@@ -33,6 +43,7 @@ COUNTERS = (
     "lost_ticks",
     "unstamped_batches",
     "connections",
+    "watchdog_proved",
     "resent_samples",
 )
 
@@ -52,6 +63,7 @@ class HubClient:
 
     def __init__(self, parameters: AxisParameters, link: LinkParameters, guard: Guard | None = None) -> None:
         self._parameters = parameters
+        self._link = link
         self._gate = CommandGate(parameters, guard)
         self._decoder = FrameDecoder()
         self._journal = Journal(COUNTERS)
@@ -64,8 +76,24 @@ class HubClient:
         self._stamping = SampleStamping(parameters, self._device_clock, self._journal)
         self._clock: HostClock | None = None
         self._device: protocol.Status | None = None
+        self._told_state: AxisState | None = None
 
     # The Hub protocol ---------------------------------------------------------------------------------
+
+    @property
+    def capabilities(self) -> HubCapabilities:
+        """What the protocol promises, and what goes without the proof of the watchdog."""
+        unproved = (
+            ()
+            if self._link.prove_watchdog
+            else ("the controller's watchdog is believed, not proved: axis.prove_watchdog is off",)
+        )
+        return HubCapabilities(
+            "beam",
+            (self._parameters.command_mode,),
+            rate=1.0 / self._parameters.period,
+            shortcomings=unproved,
+        )
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
@@ -132,13 +160,10 @@ class HubClient:
         self._connection.open(now_ns)
         self._decoder.reset()
 
-    def line_lost(self, reason: str) -> None:
+    def line_lost(self, cause: Fault, reason: str) -> None:
         """Take note that the port is closed."""
-        was_up = self._connection.is_up
         self._forget_session(reason)
-        self._connection.lose(reason)
-        if was_up:
-            self._journal.tell("error", reason)
+        self._connection.lose(cause, reason)
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether the device has said nothing for so long that the port should be opened anew."""
@@ -158,7 +183,9 @@ class HubClient:
                     self._journal.tell("warning", str(err))
                 continue
             handler = _HANDLERS.get(type(message))
-            if handler is not None and (self._connection.is_up or isinstance(message, protocol.Identity)):
+            if handler is not None and (
+                self._connection.is_in_session or isinstance(message, protocol.Identity)
+            ):
                 self._connection.hear(received_ns)
                 handler(self, message, received_ns)
 
@@ -168,27 +195,26 @@ class HubClient:
             # A set-point that waited for a frozen host is too old to be sent when it thaws.
             self._setpoints.drop()
             return b""
-        messages = list(self._words(now_ns) if self._connection.is_up else self._greeting(now_ns))
+        messages = list(self._connection.words(now_ns))
+        if self._connection.is_in_session and not self._connection.must_be_silent:
+            messages += self._words(now_ns)
         if messages:
             self._pulse.note_sent(now_ns)
         return b"".join(map(protocol.encode, messages))
 
     def clock_query(self, now_ns: int) -> bytes:
         """Return a question for the device's clock, if one is due, to be sent at once."""
-        if not self._connection.is_up or self._pulse.talking_since_ns is None:
+        connection = self._connection
+        if not connection.is_in_session or connection.must_be_silent or self._pulse.talking_since_ns is None:
             return b""
         number = self._device_clock.query(now_ns)
         return b"" if number is None else protocol.encode(protocol.ClockQuery(number))
 
     def goodbye(self) -> bytes:
         """Return the last words to the device."""
-        return protocol.encode(protocol.Goodbye()) if self._connection.is_up else b""
+        return protocol.encode(protocol.Goodbye()) if self._connection.is_in_session else b""
 
     # What is said -------------------------------------------------------------------------------------
-
-    def _greeting(self, now_ns: int) -> Iterator[protocol.Message]:
-        if self._connection.is_hello_due(now_ns):
-            yield protocol.Hello()
 
     def _words(self, now_ns: int) -> Iterator[protocol.Message]:
         is_quiet = True
@@ -214,14 +240,18 @@ class HubClient:
 
     def _on_identity(self, identity: protocol.Identity, received_ns: int) -> None:
         is_new_boot = not self._connection.is_same_boot(identity)
-        if self._connection.is_up:
-            reason = "the controller restarted" if is_new_boot else "the session was lost"
-            self._forget_session(reason)
+        news = self._connection.note_identity(identity, received_ns)
+        if news == "lost":
+            cause = fault("restarted" if is_new_boot else "session_lost")
+            self._forget_session(cause.sentence)
             self.line_opened(received_ns)
-            self._journal.tell("error", reason)
-        elif self._connection.establish(identity):
+            self._journal.tell("error", f"{cause.sentence}; {cause.remedy}")
+        elif news == "new":
             self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
+
+    def _on_limits_reply(self, reply: protocol.LimitsReply, received_ns: int) -> None:
+        self._connection.note_limits(reply.limits, received_ns)
 
     def _on_clock_reply(self, reply: protocol.ClockReply, received_ns: int) -> None:
         self._device_clock.answer(reply.number, reply.received_ns, reply.sent_ns, received_ns, self._clock)
@@ -240,6 +270,7 @@ class HubClient:
 
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
+        self._connection.note_status(status, received_ns)
         if before is not None:
             refused = (status.setpoints_refused - before.setpoints_refused) & 0xFFFF
             self._journal.counters["setpoints_refused"] += refused
@@ -251,7 +282,8 @@ class HubClient:
             status.sequence_reason,
             received_ns,
         )
-        if before is None or status.state != before.state:
+        if self._connection.is_up and status.state != self._told_state:
+            self._told_state = status.state
             text = f"{status.state}: {status.reason}" if status.reason else status.state
             self._journal.add(self._gate.note("state", text))
 
@@ -267,7 +299,7 @@ class HubClient:
         self._requests.fail_all(reason)
         self._setpoints.drop()
         self._stream.lose(reason)
-        self._device = None
+        self._device = self._told_state = None
 
     def _status(self, now_ns: int | None = None) -> HubStatus:
         counters = dict(self._journal.counters)
@@ -275,12 +307,15 @@ class HubClient:
             counters.update(self._device_clock.counters(now_ns))
         device = self._device
         if not self._connection.is_up or device is None:
-            return HubStatus(fault=self._connection.reason, counters=counters)
+            connection = self._connection
+            return HubStatus(fault=connection.fault, reason=connection.reason, counters=counters)
         resolution = self._parameters.encoder_resolution
         return HubStatus(
             device.state,
             device.position_count * resolution,
             device.velocity_count * resolution / self._parameters.period,
+            device.activity,
+            fault_of(device.fault_number),
             device.reason,
             counters,
         )
@@ -293,4 +328,5 @@ _HANDLERS: dict[type, Callable[..., None]] = {
     protocol.ArmReply: HubClient._on_arm_reply,
     protocol.Telemetry: HubClient._on_telemetry,
     protocol.Status: HubClient._on_status,
+    protocol.LimitsReply: HubClient._on_limits_reply,
 }

@@ -1,22 +1,42 @@
-"""Whether there is a session with a device, and whether it is the axis of the rig file."""
+"""The session with a device that is the axis of the rig file, keeps its limits, and stops when left alone.
+
+A connection comes up in steps. The host greets; the device says who it is; the host hands it the rig's limits
+and looks at what it will obey; then the host falls silent on purpose, at rest and disabled, and looks whether
+the device notices in time. Only after that does the axis take commands.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import fields
 from typing import Literal
 
+from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
-ConnectionState = Literal["down", "greeting", "up"]
+ConnectionState = Literal["down", "greeting", "limits", "proof", "up"]
 
 HELLO_NS = 200_000_000
+REFUSED_NS = 2_000_000_000
+"""A device that was refused is greeted again after this time: somebody may have mended it."""
+LIMITS_AGAIN_NS = 100_000_000
 SILENCE_NS = 500_000_000
 """A device that says nothing for this long is lost."""
 NO_ANSWER_NS = 3_000_000_000
 """A port where nobody answers the greeting for this long is opened anew."""
+STEP_NS = 3_000_000_000
+"""A device that rests and still has not set its limits after this time will not do it."""
 COMPLAINT_NS = 2_000_000_000
 """A greeting that nobody answers for this long is reported."""
+SINGLE_PRECISION = 1e-6
+"""Limits may differ by this share: a device may calculate with 24 bits."""
+PROOF_TRIALS = 3
+"""A busy host may miss when the silence began; a device that has no watchdog misses every time."""
+PROOF_SLACK_NS = 100_000_000
+"""What the way of the last frame and of the status may add to the watchdog's time."""
 
 
 class Connection:
@@ -27,45 +47,78 @@ class Connection:
     parameters : AxisParameters
         What the rig file says of the axis; the device must agree.
     link : LinkParameters
-        The port, for messages.
+        The port, for messages, and whether the watchdog is proved.
     journal : Journal
         Is told of changes.
 
     Attributes
     ----------
     state : str
-        down: no port; greeting: the device has not answered; up: in session.
-    reason : str
+        down: no port; greeting: the device has not answered; limits: it is told what to obey; proof: the host is
+        silent on purpose; up: in session.
+    fault : Fault
         Why it is not up.
+    reason : str
+        The same with its numbers.
     """
 
     def __init__(self, parameters: AxisParameters, link: LinkParameters, journal: Journal) -> None:
         self.state: ConnectionState = "down"
+        self.fault: Fault = NO_FAULT
         self.reason = "not connected yet"
         self._parameters = parameters
+        self._wanted = protocol.AxisLimits.of(parameters)
         self._link = link
         self._journal = journal
         self._opened_ns = 0
         self._heard_ns = 0
         self._last_hello_ns: int | None = None
+        self._next_hello_ns = 0
+        self._n_unanswered = 0
         self._boot_id: int | None = None
+        self._name = ""
         self._has_complained = False
+        self._is_at_rest = False
+        self._rested_ns: int | None = None
+        self._last_set_ns: int | None = None
+        self._tick = 0
+        self._silences = 0
+        self._proof_began_ns: int | None = None
+        self._proof_tick = 0
+        self._proof_silences = 0
+        self._n_trials = 0
 
     @property
     def is_up(self) -> bool:
-        """Whether there is a session."""
+        """Whether the axis takes commands."""
         return self.state == "up"
+
+    @property
+    def is_in_session(self) -> bool:
+        """Whether the device has answered, so that its messages count."""
+        return self.state in ("limits", "proof", "up")
+
+    @property
+    def must_be_silent(self) -> bool:
+        """Whether the host says nothing, to see whether the device notices."""
+        return self._proof_began_ns is not None
 
     def open(self, now_ns: int) -> None:
         """Begin to greet the device on the line."""
-        self.state = "greeting"
-        self.reason = "the controller has not answered yet"
-        self._opened_ns = self._heard_ns = now_ns
-        self._last_hello_ns = None
+        self._greet_again(now_ns, now_ns)
+        self._heard_ns = now_ns
+        self._n_unanswered = 0
 
-    def lose(self, reason: str) -> None:
-        """Take note that there is no line any more."""
-        self.state, self.reason = "down", reason
+    def lose(self, cause: Fault, reason: str) -> None:
+        """Take note that there is no line or no session any more."""
+        was_in_session, self.state = self.is_in_session, "down"
+        self._proof_began_ns = None
+        if was_in_session:
+            self.fault, self.reason = cause, reason
+            self._journal.tell("error", reason)
+        elif cause is not fault("controller_silent"):
+            # Who never answered is no news when the port is opened anew.
+            self._complain(cause, reason)
 
     def hear(self, now_ns: int) -> None:
         """Note a sign of life of the device."""
@@ -75,42 +128,155 @@ class Connection:
         """Whether the device has said nothing for so long that the port should be opened anew."""
         if talking_since_ns is None:
             return False
-        patience_ns = SILENCE_NS if self.is_up else NO_ANSWER_NS
-        return now_ns - max(self._heard_ns, talking_since_ns) > patience_ns
+        patience_ns = SILENCE_NS
+        if self.state == "proof":
+            patience_ns += self._proof_patience_ns
+        elif not self.is_in_session:
+            patience_ns = NO_ANSWER_NS
+        since_ns = max(self._heard_ns, self._next_hello_ns, talking_since_ns)
+        return now_ns - since_ns > patience_ns
 
-    def is_hello_due(self, now_ns: int) -> bool:
-        """Whether the device is to be greeted now."""
-        if now_ns - self._opened_ns > COMPLAINT_NS:
-            self._complain(
-                f"nobody answers on {self._link.serial_port} at {self._link.serial_baud} baud: "
-                f"expected a controller that speaks protocol version {protocol.VERSION}; check serial.port, "
-                "serial.baud, and that the controller has power and the firmware"
-            )
-        if self._last_hello_ns is not None and now_ns - self._last_hello_ns < HELLO_NS:
-            return False
-        self._last_hello_ns = now_ns
-        return True
+    def words(self, now_ns: int) -> Iterator[protocol.Message]:
+        """Yield what brings the connection up, where it is due now."""
+        if self.state == "greeting":
+            if self._is_hello_due(now_ns):
+                yield protocol.Hello()
+        elif self.state == "limits" and self._rested_ns is not None:
+            if now_ns - self._rested_ns > STEP_NS:
+                self._refuse(now_ns, fault("limits_not_obeyed"), "the controller does not answer SetLimits")
+            elif self._last_set_ns is None or now_ns - self._last_set_ns >= LIMITS_AGAIN_NS:
+                self._last_set_ns = now_ns
+                yield protocol.SetLimits(1, self._wanted)
+        elif self.state == "proof":
+            yield from self._prove(now_ns)
+
+    # What the device says -----------------------------------------------------------------------------
+
+    def note_identity(self, identity: protocol.Identity, now_ns: int) -> Literal["new", "same", "lost"]:
+        """Take the device's name; say whether a session begins, goes on, or was lost.
+
+        A greeting that was repeated before the device could answer is answered twice: the second answer says
+        nothing new.
+        """
+        is_same_boot = identity.boot_id == self._boot_id
+        if self.is_in_session:
+            if is_same_boot and self._n_unanswered > 0:
+                self._n_unanswered -= 1
+                return "same"
+            return "lost"
+        self._n_unanswered -= 1
+        objection = _objection(identity, self._parameters)
+        if objection is not None:
+            self._refuse(now_ns, *objection)
+            return "same"
+        self.state, self.reason = "limits", "the controller is being given its limits"
+        self._name = identity.name
+        self._boot_id = identity.boot_id
+        self._rested_ns = self._last_set_ns = None
+        self._is_at_rest = False
+        self._n_trials = 0
+        self._journal.counters["watchdog_proved"] = 0
+        return "new"
 
     def is_same_boot(self, identity: protocol.Identity) -> bool:
         """Whether the device has not restarted since the last session."""
         return identity.boot_id == self._boot_id
 
-    def establish(self, identity: protocol.Identity) -> bool:
-        """Begin a session with a device that is the axis of the rig file; else say why it is not."""
-        objection = _objection(identity, self._parameters)
+    def note_status(self, status: protocol.Status, now_ns: int) -> None:
+        """Follow the device on the way up: is it at rest, has it noticed the host's silence?"""
+        self._tick, self._silences = status.tick, status.silences
+        self._is_at_rest = status.activity == "idle" and status.state != "enabled"
+        if self.state == "limits" and self._is_at_rest and self._rested_ns is None:
+            self._rested_ns = now_ns
+        if self.must_be_silent and status.silences != self._proof_silences:
+            self._judge(now_ns, (status.silence_tick - self._proof_tick) * self._parameters.period_ns)
+
+    def note_limits(self, obeyed: protocol.AxisLimits, now_ns: int) -> None:
+        """Take the device's answer to what it was told to obey."""
+        if self.state != "limits" or obeyed == protocol.AxisLimits():
+            return
+        objection = _limits_objection(obeyed, self._wanted)
         if objection:
-            self._complain(objection)
-            return False
-        self.state, self.reason = "up", ""
-        self._boot_id = identity.boot_id
+            self._refuse(now_ns, fault("limits_not_obeyed"), objection)
+        elif self._link.prove_watchdog:
+            self.state, self.reason = "proof", "the controller's watchdog is being proved"
+        else:
+            self._establish()
+
+    # The proof of the watchdog ------------------------------------------------------------------------
+
+    @property
+    def _proof_patience_ns(self) -> int:
+        """How long a device is given that does not notice the silence."""
+        return 2 * self._wanted.watchdog_ns + PROOF_SLACK_NS
+
+    def _prove(self, now_ns: int) -> Iterator[protocol.Message]:
+        """Say a last word and be silent, or give a trial up that the device let pass."""
+        if self._proof_began_ns is None:
+            if self._is_at_rest:
+                self._proof_began_ns = now_ns
+                self._proof_tick, self._proof_silences = self._tick, self._silences
+                yield protocol.Heartbeat()
+        elif now_ns - self._proof_began_ns > self._proof_patience_ns:
+            self._judge(now_ns, now_ns - self._proof_began_ns)
+
+    def _judge(self, now_ns: int, elapsed_ns: int) -> None:
+        """Compare the silence that the device noticed with its watchdog's time."""
+        self._proof_began_ns = None
+        allowed_ns = self._wanted.watchdog_ns + 2 * self._parameters.batch_ns + PROOF_SLACK_NS
+        if 0 <= elapsed_ns <= allowed_ns:
+            self._journal.counters["watchdog_proved"] = 1
+            self._establish()
+            return
+        self._n_trials += 1
+        if self._n_trials >= PROOF_TRIALS:
+            self._refuse(
+                now_ns,
+                fault("watchdog_unproved"),
+                f"{elapsed_ns * 1e-9:.3f} s of silence without a time-out of the controller: expected one within "
+                f"{self._wanted.watchdog_ns * 1e-9:g} s",
+            )
+
+    # Inside -------------------------------------------------------------------------------------------
+
+    def _establish(self) -> None:
+        self.state, self.fault, self.reason = "up", NO_FAULT, ""
         self._has_complained = False
         self._journal.counters["connections"] += 1
-        self._journal.tell("info", f"connected: {identity.name} on {self._link.serial_port}")
+        self._journal.tell("info", f"connected: {self._name} on {self._link.serial_port}")
+
+    def _greet_again(self, now_ns: int, hello_ns: int) -> None:
+        self.state = "greeting"
+        self.fault, self.reason = fault("no_answer"), "the controller has not answered yet"
+        self._opened_ns = now_ns
+        self._last_hello_ns = None
+        self._next_hello_ns = hello_ns
+        self._proof_began_ns = None
+
+    def _is_hello_due(self, now_ns: int) -> bool:
+        if now_ns < self._next_hello_ns:
+            return False
+        if now_ns - max(self._opened_ns, self._next_hello_ns) > COMPLAINT_NS:
+            self._complain(
+                fault("no_answer"),
+                f"nobody answers on {self._link.serial_port} at {self._link.serial_baud} baud: "
+                f"expected a controller that speaks protocol version {protocol.VERSION}; check serial.port, "
+                "serial.baud, and that the controller has power and the firmware",
+            )
+        if self._last_hello_ns is not None and now_ns - self._last_hello_ns < HELLO_NS:
+            return False
+        self._last_hello_ns = now_ns
+        self._n_unanswered += 1
         return True
 
-    def _complain(self, text: str) -> None:
+    def _refuse(self, now_ns: int, cause: Fault, reason: str) -> None:
+        """Leave this device alone for a while, and say once why."""
+        self._greet_again(now_ns, now_ns + REFUSED_NS)
+        self._complain(cause, f"{reason}; {cause.remedy}")
+
+    def _complain(self, cause: Fault, text: str) -> None:
         """Say once what is wrong with the connection."""
-        self.reason = text
+        self.fault, self.reason = cause, text
         if not self._has_complained:
             self._has_complained = True
             self._journal.tell("error", text)
@@ -124,19 +290,48 @@ _EQUAL = {
 """What device and rig file must agree on, and how a message names it."""
 
 
-def _objection(identity: protocol.Identity, parameters: AxisParameters) -> str | None:
+def _objection(identity: protocol.Identity, parameters: AxisParameters) -> tuple[Fault, str] | None:
     """Return why this device cannot be the axis of the rig file."""
     if identity.version != protocol.VERSION:
-        return (
+        return fault("wrong_version"), (
             f"the controller speaks protocol versions {identity.lowest_version} to "
-            f"{identity.highest_version}: expected {protocol.VERSION}; update the firmware or this suite"
+            f"{identity.highest_version}: expected {protocol.VERSION}"
         )
     for name, words in _EQUAL.items():
         value, wanted = getattr(identity, name), getattr(parameters, name)
         if value != wanted:
-            return f"the controller's {words} is {value}, the rig file's {wanted}: make them the same"
-    for name in ("travel", "max_speed", "max_acceleration", "max_effort"):
-        limit, allowed = getattr(identity, name), getattr(parameters, name)
-        if limit < allowed * (1 - 1e-9):
-            return f"the controller allows {name} {limit:g}, the rig file {allowed:g}: lower hub.{name}"
+            return fault("wrong_axis"), (
+                f"the controller's {words} is {value}, the rig file's {wanted}: expected the same"
+            )
+    for words, count in (
+        ("ticks in a batch", identity.batch_ticks),
+        ("room for samples", identity.buffer_samples),
+    ):
+        if count < 1:
+            return fault("wrong_axis"), f"the controller names {count} {words}: expected at least 1"
+    widest, wanted_limits = vars(identity.widest), vars(protocol.AxisLimits.of(parameters))
+    for name, limit in widest.items():
+        if not (math.isfinite(limit) and limit > 0):
+            return fault(
+                "limits_not_obeyed"
+            ), f"the controller names {name} {limit}: expected a positive number"
+        if limit < wanted_limits[name] * (1 - SINGLE_PRECISION):
+            return fault("wrong_axis"), (
+                f"the controller allows {name} {limit:g}, the rig file {wanted_limits[name]:g}: "
+                f"lower hub.{_key(name)}"
+            )
     return None
+
+
+def _limits_objection(obeyed: protocol.AxisLimits, wanted: protocol.AxisLimits) -> str | None:
+    """Return why what a device will obey is not what the rig file says."""
+    for field in fields(wanted):
+        limit, allowed = getattr(obeyed, field.name), getattr(wanted, field.name)
+        if not abs(limit - allowed) <= SINGLE_PRECISION * allowed:
+            return f"the controller will obey {field.name} {limit:g}: expected {allowed:g} of hub.{_key(field.name)}"
+    return None
+
+
+def _key(limit: str) -> str:
+    """Return the rig file's name of a limit."""
+    return "watchdog" if limit == "watchdog_ns" else limit

@@ -5,8 +5,16 @@ from __future__ import annotations
 import threading
 import time
 
-from beam_ros.hub.contract import HostTime, HubReport, Outcome, RequestKind, SequenceChunk
+from beam_ros.hub.contract import (
+    HostTime,
+    HubCapabilities,
+    HubReport,
+    Outcome,
+    RequestKind,
+    SequenceChunk,
+)
 from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.faults import fault
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
@@ -49,6 +57,11 @@ class DriverHub:
         self._client.line_opened(time.monotonic_ns())
         self._thread = threading.Thread(target=self._run, name="hub-serial", daemon=True)
         self._thread.start()
+
+    @property
+    def capabilities(self) -> HubCapabilities:
+        """What the protocol promises."""
+        return self._client.capabilities
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
@@ -103,7 +116,7 @@ class DriverHub:
             except HubConnectionError as err:
                 self._transport.close()
                 with self._lock:
-                    self._client.line_lost(str(err))
+                    self._client.line_lost(fault("port_lost"), str(err))
                 self._ending.wait(RECONNECT_S)
         try:
             if self._transport.is_open:

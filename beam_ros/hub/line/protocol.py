@@ -6,9 +6,10 @@ other which versions they speak. Everything else belongs to ``VERSION``. All num
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -79,6 +80,21 @@ class AxisLimits:
             **{name: float(getattr(parameters, name)) for name in names},
             watchdog_ns=round(parameters.watchdog_s * 1e9),
         )
+
+    def narrowed(self, widest: AxisParameters) -> AxisParameters:
+        """Return an axis that obeys these limits, or its own where they are narrower.
+
+        Raises
+        ------
+        HubParameterError
+            No axis can have them.
+        """
+        own = vars(AxisLimits.of(widest))
+        least = {name: min(wanted, own[name]) for name, wanted in vars(self).items()}
+        if any(math.isnan(wanted) for wanted in vars(self).values()):
+            least = vars(AxisLimits())
+        watchdog_s = least.pop("watchdog_ns") * 1e-9
+        return replace(widest, watchdog_s=watchdog_s, **least)
 
 
 # Host to device -------------------------------------------------------------------------------------------

@@ -16,7 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from beam_ros.arrays import StampArray
-from beam_ros.hub.contract import AxisState, Outcome, RequestKind
+from beam_ros.hub.contract import Activity, AxisState, Outcome, RequestKind
+from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.motion import HubMotion, Snapshots
 from beam_ros.hub.simulated.plant import Plant
@@ -34,7 +35,6 @@ from beam_ros.hub.simulated.transitions import (
     FOLLOWING,
     HOMING,
     RUNNING,
-    Activity,
     Cause,
     Condition,
 )
@@ -54,6 +54,15 @@ class VirtualAxis:
         Where the hub stands at power-on, what the clock reads then.
     buffer_samples : int, optional
         Room for samples of a sequence; without it there is no limit.
+
+    Attributes
+    ----------
+    parameters : AxisParameters
+        What it obeys now; see ``obey``.
+    silences : int
+        How often the watchdog's time has passed without a sign of life of the host.
+    silence_tick : int
+        When it last did, 0 if never.
     """
 
     def __init__(
@@ -69,7 +78,9 @@ class VirtualAxis:
         self._motion = HubMotion(parameters, plant, self.device)
         self._machine = AxisStateMachine({"watchdog fed": self.feed, "zero set": self._motion.set_zero})
         self._buffer = SequenceBuffer(buffer_samples, looks_ahead=parameters.command_mode == "position")
-        self._fed_tick = self._motion.tick
+        self.silences = 0
+        self.silence_tick = 0
+        self.feed()
         self._setpoint = 0.0
         self._setpoint_tick = self._motion.tick
 
@@ -101,8 +112,13 @@ class VirtualAxis:
         return self._machine.condition.activity
 
     @property
+    def fault(self) -> Fault:
+        """Why the axis was disabled or stands in fault; ``NO_FAULT`` while all is well."""
+        return self._machine.fault
+
+    @property
     def reason(self) -> str:
-        """Why the axis was disabled or stands in fault; empty while all is well."""
+        """The same with its numbers; empty while all is well."""
         return self._machine.reason
 
     @property
@@ -151,7 +167,18 @@ class VirtualAxis:
 
     def feed(self) -> None:
         """Note a sign of life of the host."""
-        self._fed_tick = self.tick
+        self._silent_at_tick = self._motion.tick + self.parameters.watchdog_ticks + 1
+
+    def obey(self, parameters: AxisParameters) -> None:
+        """Keep other limits from now on; for an axis that is disabled and at rest.
+
+        Parameters
+        ----------
+        parameters : AxisParameters
+            With the tick, the mode and the resolution of those before.
+        """
+        self.parameters = parameters
+        self.feed()
 
     def request(self, request_id: int, kind: RequestKind) -> None:
         """Begin a change of state; how it ended appears in ``take_completed``."""
@@ -200,9 +227,9 @@ class VirtualAxis:
             return Outcome(False, "samples: no sequence is armed")
         return self._buffer.append(first, values)
 
-    def emergency_stop(self, reason: str) -> None:
-        """Decelerate at the limit to rest, then disable, because of something the device noticed."""
-        self._react("emergency stop", reason)
+    def emergency_stop(self, cause: Fault, reason: str) -> None:
+        """Decelerate to rest, then disable, because of something the device noticed."""
+        self._react("emergency stop", reason, cause)
 
     # Ticks --------------------------------------------------------------------------------------------
 
@@ -238,8 +265,10 @@ class VirtualAxis:
     def _do_tick(self) -> tuple[float, float]:
         """Watch, decide, integrate one period; return the reference that was applied and the force."""
         machine, motion = self._machine, self._motion
-        if machine.condition.activity not in ("idle", "stopping"):
-            self._watch()
+        if motion.tick == self._silent_at_tick:
+            self._note_silence()
+        if machine.condition is FOLLOWING:
+            self._watch_setpoint()
         if machine.condition is ARMED and motion.tick >= self._buffer.start_tick:
             self._react("start")
         command: float | None = None
@@ -248,24 +277,26 @@ class VirtualAxis:
         elif machine.condition is FOLLOWING:
             command = command_towards(self._setpoint, motion.position, motion.velocity, self.parameters)
         if command is not None:
-            reason = limit_reason(command, motion.position, motion.velocity, self.parameters)
-            if reason is None:
+            breach = limit_reason(command, motion.position, motion.velocity, self.parameters)
+            if breach is None:
                 return motion.follow(command)
-            self._react("limit", reason)
+            self._react("limit", breach[1], breach[0])
         return motion.lead(self._own_velocity())
 
-    def _watch(self) -> None:
-        """Stop on silence, of the host or of its set-points."""
+    def _note_silence(self) -> None:
+        """Count that the host has said nothing for the watchdog's time, and stop."""
+        self.silences += 1
+        self.silence_tick = self._motion.tick
+        patience = f"{self.parameters.watchdog_s:g} s"
+        self._react("silence", f"watchdog: no word from the host for {patience}", fault("host_silent"))
+
+    def _watch_setpoint(self) -> None:
+        """Stop when the set-point is old; a position set-point is a move that holds."""
         parameters = self.parameters
         oldest_tick = self._motion.tick - parameters.watchdog_ticks
-        if self._fed_tick < oldest_tick:
-            self._react("silence", f"watchdog: no word from the host for {parameters.watchdog_s:g} s")
-        elif (
-            self._setpoint_tick < oldest_tick
-            and self._machine.condition is FOLLOWING
-            and parameters.command_mode != "position"
-        ):
-            self._react("old set-point", f"set-point not refreshed for {parameters.watchdog_s:g} s")
+        if self._setpoint_tick < oldest_tick and parameters.command_mode != "position":
+            reason = f"set-point not refreshed for {parameters.watchdog_s:g} s"
+            self._react("old set-point", reason, fault("setpoint_old"))
 
     def _next_sample(self) -> float | None:
         """Return this tick's command from the buffer, or None after its end or an underrun."""
@@ -276,7 +307,7 @@ class VirtualAxis:
         command = buffer.take()
         if command is None:
             awaited = f"sample {buffer.awaited_sample} of {buffer.n_samples}"
-            self._react("underrun", f"underrun: {awaited} did not come in time")
+            self._react("underrun", f"underrun: {awaited} did not come in time", fault("underrun"))
         return command
 
     def _own_velocity(self) -> float:
@@ -298,8 +329,10 @@ class VirtualAxis:
             self._react("rest")
         return braked_velocity(motion.velocity, parameters)
 
-    def _react(self, cause: Cause, reason: str = "", objection: str = "") -> Outcome:
-        outcome = self._machine.react(cause, self.tick, reason, objection=objection)
+    def _react(
+        self, cause: Cause, reason: str = "", why: Fault = NO_FAULT, *, objection: str = ""
+    ) -> Outcome:
+        outcome = self._machine.react(cause, self.tick, reason, fault=why, objection=objection)
         self._forget_unloaded()
         return outcome
 

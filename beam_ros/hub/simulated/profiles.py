@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from beam_ros.hub.faults import Fault, fault
 from beam_ros.hub.parameters import AxisParameters
 
 ARRIVED = 1e-12
@@ -45,8 +46,8 @@ def profile_velocity(
 
 
 def braked_velocity(velocity: float, parameters: AxisParameters) -> float:
-    """Return the velocity [m/s] for the end of a tick that decelerates at the limit, from ``velocity``."""
-    step = parameters.max_acceleration * parameters.period
+    """Return the velocity [m/s] for the end of a tick of the stop ramp, from ``velocity``."""
+    step = parameters.stop_deceleration * parameters.period
     return 0.0 if abs(velocity) <= step else velocity - math.copysign(step, velocity)
 
 
@@ -78,8 +79,10 @@ def command_towards(setpoint: float, position: float, velocity: float, parameter
     return position + velocity * period
 
 
-def limit_reason(command: float, position: float, velocity: float, parameters: AxisParameters) -> str | None:
-    """Return why the axis must stop instead of following a command, or None.
+def limit_reason(
+    command: float, position: float, velocity: float, parameters: AxisParameters
+) -> tuple[Fault, str] | None:
+    """Return why the axis must stop instead of following a command: the fault and its numbers; or None.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ def limit_reason(command: float, position: float, velocity: float, parameters: A
     """
     period, mode = parameters.period, parameters.command_mode
     if not math.isfinite(command):
-        return f"limit: command {command}"
+        return fault("command_not_finite"), f"limit: command {command}"
     acceleration = 0.0
     if mode == "acceleration":
         acceleration = command
@@ -108,16 +111,17 @@ def limit_reason(command: float, position: float, velocity: float, parameters: A
         position = command
     else:
         if abs(command) > parameters.max_effort * (1 + _SLACK):
-            return f"limit: effort {command:.6g} N beyond {parameters.max_effort:g} N"
+            return fault("effort_limit"), f"limit: effort {command:.6g} N beyond {parameters.max_effort:g} N"
         position += velocity * period
     if abs(acceleration) > parameters.max_acceleration * (1 + _SLACK):
-        return f"limit: acceleration {acceleration:.6g} m/s^2 beyond {parameters.max_acceleration:g} m/s^2"
+        limit = f"{parameters.max_acceleration:g} m/s^2"
+        return fault("acceleration_limit"), f"limit: acceleration {acceleration:.6g} m/s^2 beyond {limit}"
     if abs(velocity) > parameters.max_speed * (1 + _SLACK):
-        return f"limit: speed {velocity:.6g} m/s beyond {parameters.max_speed:g} m/s"
-    braking = velocity * abs(velocity) / (2 * parameters.max_acceleration)
-    slack = parameters.max_acceleration * period * period + _SLACK * parameters.travel
+        return fault("speed_limit"), f"limit: speed {velocity:.6g} m/s beyond {parameters.max_speed:g} m/s"
+    braking = velocity * abs(velocity) / (2 * parameters.stop_deceleration)
+    slack = parameters.stop_deceleration * period * period + _SLACK * parameters.travel
     if max(abs(position), abs(position + braking)) > parameters.position_limit + slack:
-        return (
+        return fault("travel_limit"), (
             f"limit: at {position:.6f} m with {velocity:.3g} m/s the hub can just be stopped within "
             f"+-{parameters.position_limit:g} m"
         )

@@ -14,6 +14,7 @@ from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import (
     ClockSync,
     HostTime,
+    HubCapabilities,
     HubReport,
     HubStatus,
     Outcome,
@@ -22,6 +23,7 @@ from beam_ros.hub.contract import (
     SequenceChunk,
 )
 from beam_ros.hub.errors import SnapshotError
+from beam_ros.hub.faults import fault
 from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.sequences import CommandGate, Guard
@@ -69,6 +71,12 @@ class SimulatedHub:
         self._journal = Journal(["pauses"])
 
     # The Hub protocol ---------------------------------------------------------------------------------
+
+    @property
+    def capabilities(self) -> HubCapabilities:
+        """All that a hub can promise."""
+        mode = self._parameters.command_mode
+        return HubCapabilities("simulated", (mode,), rate=1.0 / self._parameters.period)
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
@@ -133,7 +141,7 @@ class SimulatedHub:
 
     def close(self) -> None:
         """Bring the axis to rest and disable it."""
-        self.axis.emergency_stop("the hub was closed")
+        self.axis.emergency_stop(fault("session_closed"), "the hub was closed")
         while self.axis.activity != "idle":
             self.axis.advance(self.axis.device_ns + self._parameters.batch_ns)
 
@@ -218,4 +226,7 @@ class SimulatedHub:
 
     def _status(self) -> HubStatus:
         axis = self.axis
-        return HubStatus(axis.state, axis.position, axis.velocity, axis.reason, dict(self._journal.counters))
+        counters = dict(self._journal.counters)
+        return HubStatus(
+            axis.state, axis.position, axis.velocity, axis.activity, axis.fault, axis.reason, counters
+        )

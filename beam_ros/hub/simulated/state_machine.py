@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from beam_ros.hub.contract import AxisEventKind, Outcome, RequestKind
+from beam_ros.hub.faults import NO_FAULT, Fault
 from beam_ros.hub.simulated.transitions import IDENTIFIED, TRANSITION_OF, Cause, Condition, Effect
 
 
@@ -33,6 +34,7 @@ class _Happening:
     """A cause with what it brings along."""
 
     tick: int
+    fault: Fault
     reason: str
     request: tuple[int, RequestKind]
 
@@ -49,12 +51,15 @@ class AxisStateMachine:
     ----------
     condition : Condition
         State and activity now.
+    fault : Fault
+        Why the axis was disabled or stands in fault; ``NO_FAULT`` while all is well.
     reason : str
-        Why the axis was disabled or stands in fault; empty while all is well.
+        The same with its numbers; empty while all is well.
     """
 
     def __init__(self, device_effects: Mapping[Effect, Callable[[], None]]) -> None:
         self.condition: Condition = IDENTIFIED
+        self.fault = NO_FAULT
         self.reason = ""
         self._events: list[AxisEvent] = []
         self._completed: list[tuple[int, Outcome]] = []
@@ -67,6 +72,8 @@ class AxisStateMachine:
         cause: Cause,
         tick: int,
         reason: str = "",
+        *,
+        fault: Fault = NO_FAULT,
         request: tuple[int, RequestKind] = (0, "stop"),
         objection: str = "",
     ) -> Outcome:
@@ -80,6 +87,8 @@ class AxisStateMachine:
             When [device ticks].
         reason : str, optional
             Why, for the log and the host.
+        fault : Fault, optional
+            The same as a row of the table of faults.
         request : tuple of int and str, optional
             Number and kind of the request that is the cause.
         objection : str, optional
@@ -90,7 +99,7 @@ class AxisStateMachine:
         if objection and not row.is_refused:
             return Outcome(False, objection)
         answer = row.answer.format(condition=origin, state=origin.state, reason=self.reason)
-        happening = _Happening(tick, reason, request)
+        happening = _Happening(tick, fault, reason, request)
         for effect in row.effects:
             if effect in self._device_effects:
                 self._device_effects[effect]()
@@ -105,7 +114,7 @@ class AxisStateMachine:
 
     def ask(self, tick: int, request_id: int, kind: RequestKind) -> None:
         """Do what the table says of a request; an answer that is given at once is kept for the host."""
-        outcome = self.react(kind, tick, f"{kind} was asked for", (request_id, kind))
+        outcome = self.react(kind, tick, f"{kind} was asked for", request=(request_id, kind))
         if outcome.message:
             self._complete(request_id, outcome)
 
@@ -122,10 +131,10 @@ class AxisStateMachine:
     # Effects ------------------------------------------------------------------------------------------
 
     def _clear_reason(self, _happening: _Happening) -> None:
-        self.reason = ""
+        self.fault, self.reason = NO_FAULT, ""
 
     def _keep_reason(self, happening: _Happening) -> None:
-        self.reason = happening.reason
+        self.fault, self.reason = happening.fault, happening.reason
 
     def _begin_homing(self, happening: _Happening) -> None:
         self._homing_request = happening.request[0]

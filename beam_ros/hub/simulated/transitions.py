@@ -12,9 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from beam_ros.hub.contract import AxisState
-
-Activity = Literal["idle", "homing", "hold", "setpoint", "armed", "sequence", "stopping"]
+from beam_ros.hub.contract import Activity, AxisState
 
 Cause = Literal[
     "enable",
@@ -48,7 +46,7 @@ CAUSES: dict[Cause, str] = {
     "end": "the sequence's last sample was applied",
     "underrun": "a sample is missing at its tick",
     "limit": "the next command exceeds a limit, or the hub could not be stopped within its travel after it",
-    "silence": "no valid frame for the watchdog's time",
+    "silence": "no valid frame for the watchdog's time; once for each silence",
     "old set-point": "not refreshed for the watchdog's time; position set-points do not age",
     "home reached": "the hub rests at home",
     "rest": "the hub has been decelerated to rest",
@@ -199,7 +197,8 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition((RUNNING,), ("end",), HOLDING, ("sequence done",)),
     Transition((RUNNING,), ("underrun",), STOPPING, ("sequence underrun", "reason kept")),
     Transition((RUNNING,), ("limit",), FAULTING, ("sequence aborted", "reason kept")),
-    Transition(_AT_REST, ("emergency stop",)),
+    Transition(_AT_REST, _ALARM),
+    Transition(_STOPPING, ("silence",)),
     Transition((HOMING,), _ALARM, HOMING_STOPS, ("homing failed", "reason kept")),
     Transition(_FREE, _ALARM, STOPPING, ("reason kept",)),
     Transition(_LOADED, _ALARM, STOPPING, ("sequence aborted", "reason kept")),

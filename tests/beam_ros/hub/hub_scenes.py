@@ -11,6 +11,7 @@ import numpy as np
 
 from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
+from beam_ros.hub.faults import fault
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
@@ -140,12 +141,13 @@ class LoopbackRig(Rig):
         parameters: AxisParameters,
         device: SimulatedDevice = DRIFTING,
         device_parameters: AxisParameters | None = None,
+        link: LinkParameters | None = None,
     ) -> None:
         self.parameters = parameters
         self.device = device
         self.device_parameters = device_parameters or parameters
         self.plant = RigidPlant(0.8, parameters.period)
-        self.hub = self.client = HubClient(parameters, LinkParameters())
+        self.hub = self.client = HubClient(parameters, link or LinkParameters())
         self.steady_ns = STEADY_START
         self.reports = []
         self.to_device: Callable[[bytes], bytes] = lambda data: data
@@ -178,7 +180,7 @@ class LoopbackRig(Rig):
             self.client.receive(self.to_host(answer), back)
             self.steady_ns += self.STEP_NS
             if self.client.is_silent(self.steady_ns):
-                self.client.line_lost("silence")
+                self.client.line_lost(fault("controller_silent"), "silence")
                 self.client.line_opened(self.steady_ns)
             if self.is_polled and (k + 1) % 10 == 0:
                 new.append(self.client.poll(self.now))

@@ -14,6 +14,7 @@ from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import DriverRig
 
 PARAMETERS = AxisParameters()
+LIMITS = protocol.AxisLimits.of(PARAMETERS)
 
 
 def talk(firmware, messages, device_ns):
@@ -26,6 +27,7 @@ def in_session() -> EmulatedFirmware:
     firmware = EmulatedFirmware(PARAMETERS, RigidPlant(0.8, 1e-3), SimulatedDevice(), boot_id=5)
     identity, status = talk(firmware, [protocol.Hello()], 0)
     assert (identity.boot_id, status.state) == (5, "identified")
+    assert talk(firmware, [protocol.SetLimits(1, LIMITS)], 0) == [protocol.LimitsReply(1, LIMITS)]
     return firmware
 
 
@@ -39,8 +41,8 @@ def test_the_device_is_silent_until_it_is_greeted_and_says_who_it_is_when_spoken
 
 def test_a_host_of_another_version_is_told_which_one_the_device_speaks():
     firmware = EmulatedFirmware(PARAMETERS, RigidPlant(0.8, 1e-3), SimulatedDevice(), boot_id=5)
-    (identity,) = talk(firmware, [protocol.Hello(2, 3)], 0)
-    assert (identity.version, identity.lowest_version, identity.highest_version) == (0, 1, 1)
+    (identity,) = talk(firmware, [protocol.Hello(3, 4)], 0)
+    assert (identity.version, identity.lowest_version, identity.highest_version) == (0, 2, 2)
 
 
 def test_telemetry_is_pushed_every_twenty_ticks_while_the_host_lives():

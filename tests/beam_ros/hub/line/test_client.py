@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import random
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from tests.beam_ros.hub.hub_scenes import DRIFTING, LoopbackRig, SimulatedRig, chunks_of, rest_to_rest
 
 PARAMETERS = AxisParameters()
@@ -128,7 +129,7 @@ def test_samples_that_never_come_are_an_underrun():
     assert states(reports)[-2:] == ["running", "underrun"]
     assert "sample 750 of 2500" in [s for r in reports for s in r.sequences][-1].reason
     assert reports[-1].status.state == "homed"
-    assert "underrun" in reports[-1].status.fault
+    assert "underrun" in reports[-1].status.reason
     assert rig.firmware.axis.velocity == 0.0
 
 
@@ -308,11 +309,11 @@ def test_a_device_that_is_not_the_one_of_the_rig_file_is_not_used(change, word):
 
 def test_another_protocol_version_is_told_apart_from_silence(monkeypatch):
     rig = LoopbackRig(PARAMETERS)
-    answer = protocol.encode(protocol.Identity(0, 2, 4, 99))
+    answer = protocol.encode(protocol.Identity(0, 3, 4, 99))
     rig.to_host = lambda data: answer if data else b""
     reports = rig.run(0.5)
     (event,) = [e for r in reports for e in r.events]
-    assert "versions 2 to 4" in event.text
+    assert "versions 3 to 4" in event.text
     rig = LoopbackRig(PARAMETERS)
     rig.to_host = lambda data: b""
     reports = rig.run(10.0)
@@ -380,3 +381,145 @@ def test_the_last_words_are_said_while_the_link_is_up():
     assert rig.client.goodbye() == b""
     rig.connect()
     assert rig.client.goodbye() == protocol.encode(protocol.Goodbye())
+
+
+# Limits and the watchdog ------------------------------------------------------------------------------
+
+
+def wide_device() -> AxisParameters:
+    """A device that could do twenty times what the rig file allows."""
+    return PARAMETERS.widened(20.0)
+
+
+def test_a_device_that_could_do_more_obeys_the_rig_file():
+    rig = connected(device_parameters=wide_device())
+    rig.enable()
+    assert rig.firmware.axis.parameters == PARAMETERS
+    # 2 m/s^2 held: the device itself must stop short of its +-50 mm, whatever the host sends.
+    for number in range(1, 201):
+        rig.firmware.exchange(protocol.encode(protocol.Setpoint(number, 2.0)), rig.device_ns(rig.steady_ns))
+        rig.run(0.01)
+    assert rig.firmware.axis.state == "fault"
+    assert rig.firmware.axis.fault.name == "travel_limit"
+    assert 0.045 < abs(rig.firmware.axis.true_position) < 0.05 + 2e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[(name, value) for name in ("travel", "max_speed") for value in (math.nan, math.inf, 0.0, -1.0)],
+        ("travel", 2.0),
+        ("max_effort", 1e3),
+        ("stop_deceleration", 1.0),
+        ("watchdog_ns", 3_600_000_000),
+        ("watchdog_ns", 0),
+        ("max_speed", 0.25),
+    ],
+)
+def test_a_device_that_will_obey_other_limits_is_never_connected(name, value):
+    rig = LoopbackRig(PARAMETERS)
+    wanted = protocol.AxisLimits.of(PARAMETERS)
+    answer = protocol.encode(protocol.LimitsReply(1, dataclasses.replace(wanted, **{name: value})))
+    is_reply = frames_of(protocol.LIMITS_REPLY)
+    rig.to_host = lambda data: b"".join(
+        answer if is_reply(f + b"\0") else f + b"\0" for f in data.split(b"\0") if f
+    )
+    reports = rig.run(3.0)
+    assert {r.status.state for r in reports} == {"disconnected"}
+    assert reports[-1].status.fault.name == "limits_not_obeyed"
+    (event,) = [e for r in reports for e in r.events]
+    assert event.level == "error"
+    assert name in event.text
+    assert not rig.ask("enable").success
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *[
+            {"widest": dataclasses.replace(protocol.AxisLimits.of(PARAMETERS), travel=v)}
+            for v in (math.nan, 0.0)
+        ],
+        {"widest": dataclasses.replace(protocol.AxisLimits.of(PARAMETERS), watchdog_ns=0)},
+        {"buffer_samples": 0},
+        {"batch_ticks": 0},
+    ],
+)
+def test_an_identity_that_no_axis_can_have_is_never_connected(change):
+    rig = LoopbackRig(PARAMETERS)
+
+    def lie(frame: bytes) -> bytes:
+        payload = FrameDecoder().feed(frame)[0]
+        if payload[0] != protocol.IDENTITY:
+            return frame
+        return protocol.encode(dataclasses.replace(protocol.decode(payload), **change))
+
+    rig.to_host = lambda data: b"".join(lie(f + b"\0") for f in data.split(b"\0") if f)
+    reports = rig.run(1.0)
+    assert {r.status.state for r in reports} == {"disconnected"}
+    (event,) = [e for r in reports for e in r.events]
+    assert event.level == "error"
+
+
+def test_a_device_without_limits_does_not_move():
+    rig = LoopbackRig(PARAMETERS)
+    firmware = rig.firmware
+    firmware.exchange(protocol.encode(protocol.Hello()), rig.device_ns(rig.steady_ns))
+    for number, kind in enumerate(("home", "enable"), start=1):
+        answer = firmware.exchange(
+            protocol.encode(protocol.Request(number, kind)), rig.device_ns(rig.steady_ns)
+        )
+        reply = protocol.decode(FrameDecoder().feed(answer)[0])
+        assert (reply.phase, "set them first" in reply.text) == ("failure", True)
+
+
+def test_the_watchdog_is_proved_at_rest_before_the_axis_takes_a_command():
+    rig = LoopbackRig(PARAMETERS)
+    said = []
+    rig.to_device = lambda data: said.append(rig.steady_ns) or data if data else data
+    rig.until(lambda r: r.status.state == "identified")
+    assert max(np.diff(said)) * 1e-9 == pytest.approx(PARAMETERS.watchdog_s, abs=0.05)
+    assert rig.firmware.axis.silences == 1
+    assert rig.reports[-1].status.counters["watchdog_proved"] == 1
+
+
+@pytest.mark.parametrize("watchdog_s", [0.4, 3.0])
+def test_a_watchdog_that_acts_too_late_is_found_out(watchdog_s):
+    # The device says 0.25 s, and keeps another time.
+    rig = LoopbackRig(PARAMETERS)
+    obey = rig.firmware.axis.obey
+    rig.firmware.axis.obey = lambda p: obey(dataclasses.replace(p, watchdog_s=watchdog_s))
+    true_limits = frames_of(protocol.LIMITS_REPLY)
+    answer = protocol.encode(protocol.LimitsReply(1, protocol.AxisLimits.of(PARAMETERS)))
+    rig.to_host = lambda data: b"".join(
+        answer if true_limits(f + b"\0") else f + b"\0" for f in data.split(b"\0") if f
+    )
+    reports = rig.run(4.0)
+    assert {r.status.state for r in reports} == {"disconnected"}
+    assert reports[-1].status.fault.name == "watchdog_unproved"
+    (event,) = [e for r in reports for e in r.events]
+    assert "prove_watchdog" in event.text
+
+
+def test_without_the_proof_the_hub_says_what_it_cannot_promise():
+    rig = LoopbackRig(PARAMETERS, link=LinkParameters(prove_watchdog=False))
+    rig.connect()
+    assert rig.firmware.axis.silences == 0
+    assert rig.reports[-1].status.counters["watchdog_proved"] == 0
+    (shortcoming,) = rig.hub.capabilities.shortcomings
+    assert "watchdog" in shortcoming
+
+
+def test_an_answer_to_a_greeting_that_comes_late_does_not_end_the_session():
+    rig = LoopbackRig(PARAMETERS)
+    held: list[bytes] = []
+
+    def late(data: bytes) -> bytes:
+        # 0.45 s each way and nothing lost: three greetings are under way when the first answer comes.
+        held.append(data)
+        return held.pop(0) if len(held) > 450 else b""
+
+    rig.to_host = late
+    reports = rig.run(6.0)
+    assert reports[-1].status.state == "identified"
+    assert reports[-1].status.counters["connections"] == 1

@@ -87,7 +87,7 @@ def script(rig: Rig) -> list[object]:
 
     load(rig, rest_to_rest(1500))
     rig.until(lambda r: "running" in states([r]))
-    note(rig.ask("stop"), rig.reports[-1].status.state, rig.reports[-1].status.fault)
+    note(rig.ask("stop"), rig.reports[-1].status.state, rig.reports[-1].status.reason)
     note([s for r in rig.reports[-30:] for s in r.sequences][-1], rig.ask("stop"), rig.ask("enable"))
 
     # Away at 1 m/s^2: refused by the axis itself 45 mm later.
@@ -96,14 +96,14 @@ def script(rig: Rig) -> list[object]:
         if rig.run(0.05)[-1].status.state == "fault":
             break
         rig.hub.setpoint(rig.now.unix_ns, 1.0, rig.now)
-    note(rig.reports[-1].status.state, rig.reports[-1].status.fault.split(":")[0])
+    note(rig.reports[-1].status.state, rig.reports[-1].status.reason.split(":")[0])
     rig.run(0.2)
     note(rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state)
     note(rig.ask("enable"))
     note(rig.hub.setpoint(rig.now.unix_ns, -0.2, rig.now))
     rig.until(lambda r: r.status.state != "enabled")
     rig.run(0.1)
-    note(rig.reports[-1].status.state, rig.reports[-1].status.fault, rig.reports[-1].status.velocity)
+    note(rig.reports[-1].status.state, rig.reports[-1].status.reason, rig.reports[-1].status.velocity)
     note(
         [e.text for r in rig.reports for e in r.events if e.text.startswith("axis") and "limit" not in e.text]
     )
@@ -210,7 +210,7 @@ def test_a_frozen_host_finds_the_axis_stopped_by_its_own_watchdog(start):
     assert time.monotonic() - frozen_at > 0.15
     rig.run(0.5)
     assert rig.reports[-1].status.state == "homed"
-    assert "0.25 s" in rig.reports[-1].status.fault
+    assert "0.25 s" in rig.reports[-1].status.reason
 
 
 def test_close_leaves_a_moving_axis_at_rest(start):

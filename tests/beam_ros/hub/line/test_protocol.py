@@ -20,11 +20,11 @@ TICKS = TickBatch(
     np.array([5000, -1, 0]),
     np.array([1.5, -2.25, 0.0], dtype=np.float32),
 )
-IDENTITY = protocol.Identity(
-    1, 1, 3, 0xDEADBEEF, 1_000_000, 20, 512, "velocity", 1e-7, 0.1, 0.5, 10.0, 20.0, 250_000_000, "emulator"
-)
+LIMITS = protocol.AxisLimits(0.1, 0.5, 10.0, 20.0, 8.0, 0.05, 0.5, 0.02, 0.2, 250_000_000)
+IDENTITY = protocol.Identity(2, 1, 3, 0xDEADBEEF, 1_000_000, 20, 512, "velocity", 1e-7, LIMITS, "emulator")
 STATUS = protocol.Status(
-    7, 10**15, "fault", -12, 34, 4, 65535, 9, "underrun", 2**31, 512, "limit: ±50 mm", "it was slow"
+    *(7, 10**15, "fault", "idle", -12, 34, 4, 65534, 10**14),
+    *(4, 65535, 9, "underrun", 2**31, 512, "limit: ±50 mm", "it was slow"),
 )
 MESSAGES = [
     protocol.Hello(1, 4),
@@ -35,12 +35,14 @@ MESSAGES = [
     protocol.Arm(3, 2**63, 4_000_000_000),
     protocol.Samples(3, 500, np.array([1.0, -0.0, 1e-17])),
     protocol.Goodbye(),
+    protocol.SetLimits(4, LIMITS),
     IDENTITY,
     protocol.ClockReply(1, 2**60, 2**60 + 1),
     protocol.RequestReply(12, "failure", "home it first"),
     protocol.ArmReply(3, False, "its start was 0.100 s ago"),
     protocol.Telemetry(TICKS),
     STATUS,
+    protocol.LimitsReply(4, protocol.AxisLimits()),
 ]
 
 
@@ -107,13 +109,13 @@ def test_hello_of_a_later_version_is_understood():
 def test_the_frozen_bytes_of_the_handshake():
     assert protocol.encode_payload(protocol.Hello(1, 1)).hex() == "01" + b"BEAM".hex() + "0101"
     head = protocol.encode_payload(IDENTITY)[:12]
-    assert head.hex() == "81" + b"BEAM".hex() + "010103" + "efbeadde"
+    assert head.hex() == "81" + b"BEAM".hex() + "020103" + "efbeadde"
 
 
 def test_identity_of_another_version_says_which_versions_the_device_speaks():
-    head = protocol.encode_payload(protocol.Identity(0, 2, 3, 77))
-    assert protocol.decode(head) == protocol.Identity(0, 2, 3, 77)
-    assert protocol.decode(head + b"whatever comes with version 3").highest_version == 3
+    head = protocol.encode_payload(protocol.Identity(0, 3, 4, 77))
+    assert protocol.decode(head) == protocol.Identity(0, 3, 4, 77)
+    assert protocol.decode(head + b"whatever comes with version 4").highest_version == 4
 
 
 def test_long_texts_are_cut_at_a_character():

@@ -8,6 +8,7 @@ import pytest
 
 from beam_ros.hub.contract import Outcome
 from beam_ros.hub.errors import SnapshotError
+from beam_ros.hub.faults import fault
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
@@ -356,7 +357,7 @@ def seeded_run(axis, seed):
         elif roll < 0.42:
             answer = axis.arm(axis.device_ns + int(rng.random() * 30_000_001), 200)
         elif roll < 0.44:
-            axis.emergency_stop("by chance")
+            axis.emergency_stop(fault("session_opened"), "by chance")
         if axis.has_sequence and rng.random() < 0.95:
             room = min(200 - axis.n_received, axis.buffer_free, 50)
             start = axis.position if axis.parameters.command_mode == "position" else 0.0

@@ -89,7 +89,7 @@ def test_a_host_that_stops_polling_finds_the_axis_stopped():
     rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now)
     (report,) = rig.run(0.5, step_ns=10**9)
     assert report.status.state == "homed"
-    assert "0.25 s" in report.status.fault
+    assert "0.25 s" in report.status.reason
     assert [e.level for e in report.events] == ["warning"]
     assert len(report.measured) == 25
 

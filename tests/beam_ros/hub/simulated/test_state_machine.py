@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from beam_ros.hub.contract import REQUEST_KINDS, Outcome
+from beam_ros.hub.faults import NO_FAULT, fault
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
@@ -108,7 +111,7 @@ def bring_about(axis: VirtualAxis, cause: Cause) -> Outcome:
     if cause == "arm":
         return axis.arm(axis.device_ns + 50 * TICK, 10)
     if cause == "emergency stop":
-        axis.emergency_stop("someone pulled the plug")
+        axis.emergency_stop(fault("session_closed"), "someone pulled the plug")
     else:
         axis.request(LATER, cause)
     completed = dict(axis.take_completed())
@@ -135,6 +138,7 @@ def test_every_command_does_in_every_condition_what_the_table_says(
     assert [event.kind for event in axis.take_events()] == kinds
     if "reason kept" in row.effects:
         assert axis.reason == "someone pulled the plug"
+        assert axis.fault is fault("session_closed")
     else:
         assert axis.reason == ("" if "reason cleared" in row.effects else reason)
     # Whatever was asked for, the axis stands enabled in a second only if it was, or if it was asked to be.
@@ -153,6 +157,10 @@ def _limit(axis: VirtualAxis) -> None:
         axis.append(400, [20.0] * 100)
 
 
+def _brake_slowly(axis: VirtualAxis) -> None:
+    axis.obey(dataclasses.replace(axis.parameters, stop_deceleration=0.01))
+
+
 NOTICED = {
     # What the device notices by itself: how a host that feeds it, or does not, lets it happen.
     (ARMED, "start"): lambda axis: None,
@@ -166,10 +174,13 @@ NOTICED = {
     (STOPPING, "rest"): lambda axis: None,
     (FAULTING, "rest"): lambda axis: None,
     **{
-        (condition, "silence"): lambda axis: None
-        for condition in (HOMING, HOLDING, FOLLOWING, ARMED, RUNNING)
+        (condition, "silence"): _brake_slowly if condition.activity == "stopping" else lambda axis: None
+        for condition in CONDITIONS
     },
 }
+
+
+FAULT_OF = {"silence": "host_silent", "old set-point": "setpoint_old", "underrun": "underrun"}
 
 
 def test_what_the_device_notices_is_all_here() -> None:
@@ -185,11 +196,14 @@ def test_what_the_device_notices_leads_where_the_table_says(
     row = TRANSITION_OF[pair]
     NOTICED[pair](axis)
     assert run_to_first_cause(axis, monkeypatch, is_fed=cause != "silence") == cause
-    assert axis.condition is row.goal
+    goal = row.goal or condition
+    assert axis.condition is goal
     kinds = [effect.replace(" ", "_") for effect in row.effects if effect.startswith("sequence")]
-    kinds += ["state"] if row.goal.state != condition.state else []
+    kinds += ["state"] if goal.state != condition.state else []
     assert [event.kind for event in axis.take_events()] == kinds
     if "reason kept" in row.effects:
+        assert axis.fault.name == FAULT_OF.get(cause, axis.fault.name)
+        assert axis.fault is not NO_FAULT
         word = {"silence": "watchdog", "old set-point": "set-point not refreshed"}.get(cause, cause)
         assert axis.reason.startswith(word)
     if "zero set" in row.effects:
