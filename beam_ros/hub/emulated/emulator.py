@@ -178,7 +178,7 @@ class EmulatedFirmware:
             buffer_samples=self.axis.device.buffer_samples,
             command_mode=parameters.command_mode,
             encoder_resolution=parameters.encoder_resolution,
-            widest=protocol.AxisLimits.of(parameters),
+            widest=protocol.DeviceLimits.of(parameters),
             name=self._name,
         )
 
@@ -189,7 +189,7 @@ class EmulatedFirmware:
             with contextlib.suppress(HubParameterError):
                 axis.obey(message.limits.narrowed(self._parameters))
                 self._has_limits = True
-        obeyed = protocol.AxisLimits.of(axis.parameters) if self._has_limits else protocol.AxisLimits()
+        obeyed = protocol.DeviceLimits.of(axis.parameters) if self._has_limits else protocol.DeviceLimits()
         self._send(protocol.LimitsReply(message.number, obeyed))
 
     def _on_clock_query(self, query: protocol.ClockQuery) -> None:

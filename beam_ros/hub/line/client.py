@@ -100,7 +100,8 @@ class HubClient:
         if kind in ("stop", "disable"):
             self._setpoints.drop()
             self._stream.abort_unannounced(f"{kind} was asked for")
-        if self._connection.is_up:
+        if self._connection.is_in_session:
+            # What is asked while the connection comes up waits for it; that takes a second.
             return self._requests.begin(kind)
         return self._requests.refuse(kind, self._connection.reason)
 
@@ -195,8 +196,11 @@ class HubClient:
             # A set-point that waited for a frozen host is too old to be sent when it thaws.
             self._setpoints.drop()
             return b""
+        was_in_session = self._connection.is_in_session
         messages = list(self._connection.words(now_ns))
-        if self._connection.is_in_session and not self._connection.must_be_silent:
+        if was_in_session and not self._connection.is_in_session:
+            self._forget_session(self._connection.reason)
+        elif self._connection.is_in_session and not self._connection.must_be_silent:
             messages += self._words(now_ns)
         if messages:
             self._pulse.note_sent(now_ns)
@@ -225,6 +229,8 @@ class HubClient:
             yield protocol.Heartbeat()
 
     def _commands(self, now_ns: int) -> Iterator[protocol.Message]:
+        if not self._connection.is_up:
+            return
         setpoint = self._setpoints.due(now_ns, self._device.setpoint_number if self._device else None)
         if setpoint is not None:
             yield protocol.Setpoint(*setpoint)
@@ -252,6 +258,8 @@ class HubClient:
 
     def _on_limits_reply(self, reply: protocol.LimitsReply, received_ns: int) -> None:
         self._connection.note_limits(reply.limits, received_ns)
+        if not self._connection.is_in_session:
+            self._forget_session(self._connection.reason)
 
     def _on_clock_reply(self, reply: protocol.ClockReply, received_ns: int) -> None:
         self._device_clock.answer(reply.number, reply.received_ns, reply.sent_ns, received_ns, self._clock)
@@ -271,6 +279,9 @@ class HubClient:
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
         self._connection.note_status(status, received_ns)
+        if not self._connection.is_in_session:
+            self._forget_session(self._connection.reason)
+            return
         if before is not None:
             refused = (status.setpoints_refused - before.setpoints_refused) & 0xFFFF
             self._journal.counters["setpoints_refused"] += refused

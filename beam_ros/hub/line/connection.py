@@ -54,7 +54,7 @@ class Connection:
     Attributes
     ----------
     state : str
-        down: no port; greeting: the device has not answered; limits: it is told what to obey; proof: the host is
+        down: no port; greeting: the device has not answered; limits: it is given what to obey; proof: the host is
         silent on purpose; up: in session.
     fault : Fault
         Why it is not up.
@@ -67,7 +67,7 @@ class Connection:
         self.fault: Fault = NO_FAULT
         self.reason = "not connected yet"
         self._parameters = parameters
-        self._wanted = protocol.AxisLimits.of(parameters)
+        self._wanted = protocol.DeviceLimits.of(parameters)
         self._link = link
         self._journal = journal
         self._opened_ns = 0
@@ -191,9 +191,9 @@ class Connection:
         if self.must_be_silent and status.silences != self._proof_silences:
             self._judge(now_ns, (status.silence_tick - self._proof_tick) * self._parameters.period_ns)
 
-    def note_limits(self, obeyed: protocol.AxisLimits, now_ns: int) -> None:
+    def note_limits(self, obeyed: protocol.DeviceLimits, now_ns: int) -> None:
         """Take the device's answer to what it was told to obey."""
-        if self.state != "limits" or obeyed == protocol.AxisLimits():
+        if self.state != "limits" or obeyed == protocol.DeviceLimits():
             return
         objection = _limits_objection(obeyed, self._wanted)
         if objection:
@@ -309,7 +309,7 @@ def _objection(identity: protocol.Identity, parameters: AxisParameters) -> tuple
     ):
         if count < 1:
             return fault("wrong_axis"), f"the controller names {count} {words}: expected at least 1"
-    widest, wanted_limits = vars(identity.widest), vars(protocol.AxisLimits.of(parameters))
+    widest, wanted_limits = vars(identity.widest), vars(protocol.DeviceLimits.of(parameters))
     for name, limit in widest.items():
         if not (math.isfinite(limit) and limit > 0):
             return fault(
@@ -323,7 +323,7 @@ def _objection(identity: protocol.Identity, parameters: AxisParameters) -> tuple
     return None
 
 
-def _limits_objection(obeyed: protocol.AxisLimits, wanted: protocol.AxisLimits) -> str | None:
+def _limits_objection(obeyed: protocol.DeviceLimits, wanted: protocol.DeviceLimits) -> str | None:
     """Return why what a device will obey is not what the rig file says."""
     for field in fields(wanted):
         limit, allowed = getattr(obeyed, field.name), getattr(wanted, field.name)

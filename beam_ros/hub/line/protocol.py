@@ -42,7 +42,7 @@ REPLY_PHASES: tuple[ReplyPhase, ...] = ("pending", "success", "failure")
 
 
 @dataclass(frozen=True)
-class AxisLimits:
+class DeviceLimits:
     """What a device keeps by itself; in ``Identity`` the widest that it can, in a session what it obeys.
 
     Parameters
@@ -73,7 +73,7 @@ class AxisLimits:
     watchdog_ns: int = 0
 
     @classmethod
-    def of(cls, parameters: AxisParameters) -> AxisLimits:
+    def of(cls, parameters: AxisParameters) -> DeviceLimits:
         """Return the limits of the rig file."""
         names = (field.name for field in fields(cls) if field.name != "watchdog_ns")
         return cls(
@@ -89,10 +89,10 @@ class AxisLimits:
         HubParameterError
             No axis can have them.
         """
-        own = vars(AxisLimits.of(widest))
+        own = vars(DeviceLimits.of(widest))
         least = {name: min(wanted, own[name]) for name, wanted in vars(self).items()}
         if any(math.isnan(wanted) for wanted in vars(self).values()):
-            least = vars(AxisLimits())
+            least = vars(DeviceLimits())
         watchdog_s = least.pop("watchdog_ns") * 1e-9
         return replace(widest, watchdog_s=watchdog_s, **least)
 
@@ -159,7 +159,7 @@ class SetLimits:
     """Hands the device what it must obey in this session; answered by ``LimitsReply``."""
 
     number: int
-    limits: AxisLimits
+    limits: DeviceLimits
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class Identity:
         What set-points and samples mean.
     encoder_resolution : float
         One count [m].
-    widest : AxisLimits
+    widest : DeviceLimits
         The widest limits that the device can be given.
     name : str
         For people.
@@ -203,7 +203,7 @@ class Identity:
     buffer_samples: int = 0
     command_mode: CommandMode = "acceleration"
     encoder_resolution: float = 0.0
-    widest: AxisLimits = AxisLimits()
+    widest: DeviceLimits = DeviceLimits()
     name: str = ""
 
 
@@ -239,7 +239,7 @@ class LimitsReply:
     """What the device obeys from now on; all zero where it has no limits yet."""
 
     number: int
-    limits: AxisLimits
+    limits: DeviceLimits
 
 
 @dataclass(frozen=True)
@@ -365,12 +365,12 @@ def _take_text(data: bytes, at: int) -> tuple[str, int]:
 _LIMITS_STRUCT = struct.Struct("<9dI")
 
 
-def _pack_limits(limits: AxisLimits) -> bytes:
+def _pack_limits(limits: DeviceLimits) -> bytes:
     return _LIMITS_STRUCT.pack(*vars(limits).values())
 
 
-def _take_limits(data: bytes, at: int) -> tuple[AxisLimits, int]:
-    return AxisLimits(*_LIMITS_STRUCT.unpack_from(data, at)), at + _LIMITS_STRUCT.size
+def _take_limits(data: bytes, at: int) -> tuple[DeviceLimits, int]:
+    return DeviceLimits(*_LIMITS_STRUCT.unpack_from(data, at)), at + _LIMITS_STRUCT.size
 
 
 def _check_count(what: str, count: int, most: int) -> None:

@@ -14,7 +14,7 @@ from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import DriverRig
 
 PARAMETERS = AxisParameters()
-LIMITS = protocol.AxisLimits.of(PARAMETERS)
+LIMITS = protocol.DeviceLimits.of(PARAMETERS)
 
 
 def talk(firmware, messages, device_ns):

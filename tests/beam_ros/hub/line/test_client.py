@@ -418,7 +418,7 @@ def test_a_device_that_could_do_more_obeys_the_rig_file():
 )
 def test_a_device_that_will_obey_other_limits_is_never_connected(name, value):
     rig = LoopbackRig(PARAMETERS)
-    wanted = protocol.AxisLimits.of(PARAMETERS)
+    wanted = protocol.DeviceLimits.of(PARAMETERS)
     answer = protocol.encode(protocol.LimitsReply(1, dataclasses.replace(wanted, **{name: value})))
     is_reply = frames_of(protocol.LIMITS_REPLY)
     rig.to_host = lambda data: b"".join(
@@ -437,10 +437,10 @@ def test_a_device_that_will_obey_other_limits_is_never_connected(name, value):
     "change",
     [
         *[
-            {"widest": dataclasses.replace(protocol.AxisLimits.of(PARAMETERS), travel=v)}
+            {"widest": dataclasses.replace(protocol.DeviceLimits.of(PARAMETERS), travel=v)}
             for v in (math.nan, 0.0)
         ],
-        {"widest": dataclasses.replace(protocol.AxisLimits.of(PARAMETERS), watchdog_ns=0)},
+        {"widest": dataclasses.replace(protocol.DeviceLimits.of(PARAMETERS), watchdog_ns=0)},
         {"buffer_samples": 0},
         {"batch_ticks": 0},
     ],
@@ -490,7 +490,7 @@ def test_a_watchdog_that_acts_too_late_is_found_out(watchdog_s):
     obey = rig.firmware.axis.obey
     rig.firmware.axis.obey = lambda p: obey(dataclasses.replace(p, watchdog_s=watchdog_s))
     true_limits = frames_of(protocol.LIMITS_REPLY)
-    answer = protocol.encode(protocol.LimitsReply(1, protocol.AxisLimits.of(PARAMETERS)))
+    answer = protocol.encode(protocol.LimitsReply(1, protocol.DeviceLimits.of(PARAMETERS)))
     rig.to_host = lambda data: b"".join(
         answer if true_limits(f + b"\0") else f + b"\0" for f in data.split(b"\0") if f
     )
@@ -523,3 +523,10 @@ def test_an_answer_to_a_greeting_that_comes_late_does_not_end_the_session():
     reports = rig.run(6.0)
     assert reports[-1].status.state == "identified"
     assert reports[-1].status.counters["connections"] == 1
+
+
+def test_what_is_asked_while_the_connection_comes_up_is_done_when_it_is_up():
+    rig = LoopbackRig(PARAMETERS)
+    rig.run(0.1)
+    assert rig.client._connection.state == "proof"
+    assert rig.ask("home").success

@@ -20,7 +20,7 @@ TICKS = TickBatch(
     np.array([5000, -1, 0]),
     np.array([1.5, -2.25, 0.0], dtype=np.float32),
 )
-LIMITS = protocol.AxisLimits(0.1, 0.5, 10.0, 20.0, 8.0, 0.05, 0.5, 0.02, 0.2, 250_000_000)
+LIMITS = protocol.DeviceLimits(0.1, 0.5, 10.0, 20.0, 8.0, 0.05, 0.5, 0.02, 0.2, 250_000_000)
 IDENTITY = protocol.Identity(2, 1, 3, 0xDEADBEEF, 1_000_000, 20, 512, "velocity", 1e-7, LIMITS, "emulator")
 STATUS = protocol.Status(
     *(7, 10**15, "fault", "idle", -12, 34, 4, 65534, 10**14),
@@ -42,7 +42,7 @@ MESSAGES = [
     protocol.ArmReply(3, False, "its start was 0.100 s ago"),
     protocol.Telemetry(TICKS),
     STATUS,
-    protocol.LimitsReply(4, protocol.AxisLimits()),
+    protocol.LimitsReply(4, protocol.DeviceLimits()),
 ]
 
 
