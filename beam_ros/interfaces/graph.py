@@ -306,7 +306,7 @@ NODES: dict[str, Node] = {
             (*_CAMERA, "/diagnostics"),
             (),
             (),
-            (*_BEAM, *_AXIS, *_FILM, *_group("emulator")),
+            (*_BEAM, *_AXIS, *_FILM, *_group("emulator"), *_group("faults")),
             "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
         ),
         Node(

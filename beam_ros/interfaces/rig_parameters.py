@@ -107,6 +107,16 @@ class EmulatorSettings:
 
     port_link: str = setting("path that links to the pseudo-terminal")
     clock_drift_ppm: float = setting("device clock against the host's", "ppm", -1e3, 1e3)
+    line_baud: int = setting("at which bytes travel; 0: as fast as USB", "baud", 0, 12_000_000)
+    fifo: int = setting("bytes that wait in each direction; more are lost", "bytes", 64, 1_000_000)
+
+
+@dataclass(frozen=True)
+class FaultSettings:
+    """What is to go wrong with the emulated axis."""
+
+    schedule: str = setting("file of faults with their times; empty: none")
+    request: str = live("faults that happen now, as {fault: unplug, for: 2.0}")
 
 
 @dataclass(frozen=True)
@@ -254,6 +264,7 @@ class RigParameters:
     axis: AxisSettings
     serial: SerialSettings
     emulator: EmulatorSettings
+    faults: FaultSettings
     camera: CameraSettings
     tracker: TrackerSettings
     simulation: SimulationSettings

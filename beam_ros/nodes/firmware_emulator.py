@@ -8,8 +8,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
 from beam_ros.errors import RigUnavailableError
-from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.injected_faults import read_schedule, read_schedule_file
+from beam_ros.hub.errors import HubParameterError
 from beam_ros.hub.parameters import SimulatedDevice
 from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.shell.large_messages import widen_shared_memory
@@ -30,7 +35,16 @@ class FirmwareEmulator(RigNode):
         plant = beam_on_axis(model, parameters, self.rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
         device = SimulatedDevice(clock_drift_ppm=drift_ppm, clock_start_ns=_POWER_ON_NS)
         self._link: Path | None = None
-        self._controller = EmulatedController(parameters.widened(_HEADROOM), plant, device)
+        self._controller = EmulatedController(
+            parameters.widened(_HEADROOM),
+            plant,
+            device,
+            faults=read_schedule_file(self.rig.faults.schedule),
+            line_baud=self.rig.emulator.line_baud,
+            fifo_bytes=self.rig.emulator.fifo,
+        )
+        self.add_on_set_parameters_callback(self._check_request)
+        self.add_post_set_parameters_callback(self._bring_about_request)
         self._camera = SimulatedCamera(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )
@@ -53,7 +67,22 @@ class FirmwareEmulator(RigNode):
             self._link = link
         self.get_logger().info(f"motion controller on {path or self._controller.port}")
 
+    def _check_request(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse a request for a fault that there is none of."""
+        try:
+            for text in _requests(parameters):
+                read_schedule(text, "faults.request")
+        except HubParameterError as err:
+            return SetParametersResult(successful=False, reason=str(err))
+        return SetParametersResult(successful=True)
+
+    def _bring_about_request(self, parameters: list[Parameter]) -> None:
+        for text in _requests(parameters):
+            self._controller.bring_about(read_schedule(text, "faults.request", self._controller.elapsed))
+
     def _film(self) -> None:
+        for note in self._controller.take_notes():
+            self.get_logger().warning(note)
         self._camera.publish_until(self._controller.reached_ns)
 
     def health(self) -> tuple[str, str, dict[str, object]]:
@@ -73,6 +102,10 @@ class FirmwareEmulator(RigNode):
         ):
             self._link.unlink()
         self._controller.close()
+
+
+def _requests(parameters: list[Parameter]) -> list[str]:
+    return [str(parameter.value) for parameter in parameters if parameter.name == "faults.request"]
 
 
 _HEADROOM = 2.0

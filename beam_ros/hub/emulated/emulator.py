@@ -1,36 +1,24 @@
-"""A motion controller in software: the firmware's behaviour behind a pseudo-terminal.
+"""A motion controller's firmware in software: bytes in, bytes out, device time as an argument.
 
-``EmulatedFirmware`` is the firmware: bytes in, bytes out, device time as an argument. It holds a
-``VirtualAxis`` with a small buffer and answers by the line protocol alone. ``EmulatedController`` gives it a
-clock that drifts, a thread and a pseudo-terminal, so that the driver meets a serial port; for a simulated
-camera it shows its axis with host stamps.
+It holds a ``VirtualAxis`` with a small buffer and answers by the line protocol alone.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
-import select
-import threading
-import time
-import tty
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
-from beam_ros.arrays import StampArray
-from beam_ros.hub.contract import HostTime, Outcome
-from beam_ros.hub.errors import HubConnectionError, HubParameterError, HubProtocolError
+from beam_ros.hub.contract import Outcome
+from beam_ros.hub.errors import HubParameterError, HubProtocolError
 from beam_ros.hub.faults import fault
-from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
-from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.hub.simulated.plant import Plant
 from beam_ros.hub.ticks import TickQueue
 
@@ -39,8 +27,6 @@ PUSH_PATIENCE_NS = 1_000_000_000
 IDENTIFY_INTERVAL_NS = 100_000_000
 """How often at most the device identifies itself to a host without a session [ns of device time]."""
 REMEMBERED_REQUESTS = 16
-MAX_BACKLOG = 65_536
-"""Bytes that wait where the line takes no more [2.7 s of telemetry]."""
 
 _SEQUENCE_STATES: dict[str, protocol.DeviceSequenceState] = {
     "sequence_running": "running",
@@ -65,6 +51,12 @@ class EmulatedFirmware:
         Another one for every start.
     name : str
         What it calls itself.
+
+    Attributes
+    ----------
+    clock_step_ns, clock_wrap_ns : int
+        What a broken clock adds to every time that it names, and the time at which it begins anew, 0 for never
+        [ns]; the axis itself goes on undisturbed.
     """
 
     def __init__(
@@ -96,6 +88,8 @@ class EmulatedFirmware:
         self._sequence_number = 0
         self._sequence_state: protocol.DeviceSequenceState = "none"
         self._sequence_reason = ""
+        self.clock_step_ns = 0
+        self.clock_wrap_ns = 0
         self._handlers: dict[type, Callable[..., None]] = {
             protocol.Hello: self._on_hello,
             protocol.Heartbeat: lambda _: None,
@@ -193,7 +187,16 @@ class EmulatedFirmware:
         self._send(protocol.LimitsReply(message.number, obeyed))
 
     def _on_clock_query(self, query: protocol.ClockQuery) -> None:
-        self._send(protocol.ClockReply(query.number, self._now_ns, self._now_ns))
+        told_ns = self._told_ns(self._now_ns)
+        self._send(protocol.ClockReply(query.number, told_ns, told_ns))
+
+    def _told_ns(self, device_ns: int) -> int:
+        """Return the time [ns] that the device names for one of its own."""
+        told_ns = max(0, device_ns + self.clock_step_ns)
+        return told_ns % self.clock_wrap_ns if self.clock_wrap_ns else told_ns
+
+    def _told_tick(self, tick: int) -> int:
+        return self._told_ns(tick * self._parameters.period_ns) // self._parameters.period_ns
 
     def _on_request(self, request: protocol.Request) -> None:
         known = self._replies.get(request.number)
@@ -227,7 +230,8 @@ class EmulatedFirmware:
 
     def _on_arm(self, arm: protocol.Arm) -> None:
         if self._arm_reply is None or self._arm_reply.number != arm.number:
-            outcome = self.axis.arm(arm.start_ns, arm.n_samples)
+            start_ns = self._now_ns + arm.start_ns - self._told_ns(self._now_ns)
+            outcome = self.axis.arm(start_ns, arm.n_samples)
             self._arm_reply = protocol.ArmReply(arm.number, outcome.success, outcome.message)
             if outcome.success:
                 self._sequence_number = arm.number
@@ -277,7 +281,8 @@ class EmulatedFirmware:
             return
         batches = self._ticks.take_full()
         for ticks in batches:
-            self._send(protocol.Telemetry(ticks))
+            told = dataclasses.replace(ticks, first_tick=self._told_tick(ticks.first_tick))
+            self._send(protocol.Telemetry(told))
         if batches:
             self._send_status()
 
@@ -292,14 +297,14 @@ class EmulatedFirmware:
         self._send(
             protocol.Status(
                 self._boot_id,
-                axis.tick,
+                self._told_tick(axis.tick),
                 axis.state,
                 axis.activity,
                 min(max(position, limits.min), limits.max),
                 min(max(velocity, limits.min), limits.max),
                 axis.fault.number,
                 (axis.silences - self._silences) & 0xFFFF,
-                axis.silence_tick if axis.silences != self._silences else 0,
+                self._told_tick(axis.silence_tick) if axis.silences != self._silences else 0,
                 self._setpoint_number,
                 self._setpoints_refused,
                 self._sequence_number,
@@ -314,206 +319,3 @@ class EmulatedFirmware:
 
 def _phase(outcome: Outcome) -> protocol.ReplyPhase:
     return "success" if outcome.success else "failure"
-
-
-class EmulatedController:
-    """The emulated firmware at work: in real time, on a pseudo-terminal.
-
-    Parameters
-    ----------
-    parameters : AxisParameters
-        The axis, with the widest limits that it can be given.
-    plant : Plant
-        What the hub carries.
-    device : SimulatedDevice, optional
-        The controller's start, buffer and clock.
-    link : path, optional
-        A symbolic link to keep pointing at the pseudo-terminal, which has another name after every ``plug``.
-
-    Raises
-    ------
-    HubConnectionError
-        There is no pseudo-terminal available, or the link cannot be made.
-    """
-
-    def __init__(
-        self,
-        parameters: AxisParameters,
-        plant: Plant,
-        device: SimulatedDevice | None = None,
-        *,
-        link: str | Path | None = None,
-    ) -> None:
-        self._parameters = parameters
-        self._device = device or SimulatedDevice()
-        self._plant = plant
-        self._link = None if link is None else Path(link)
-        self._lock = threading.Lock()
-        self._boots = 1
-        self._firmware = self._boot(self._device)
-        self._rate_ppb = round(self._device.clock_drift_ppm * 1000)
-        self._boot_steady_ns = time.monotonic_ns()
-        self._boot_device_ns = self._device.clock_start_ns
-        self._clock = HostClock(HostTime(self._boot_steady_ns, time.time_ns()))
-        self._master: int | None = None
-        self._slave: int | None = None
-        self._wake_read, self._wake_write = os.pipe()
-        self._backlog = bytearray()
-        self._is_closing = False
-        self._slave_path = ""
-        self.plug()
-        self._thread = threading.Thread(target=self._run, name="emulated-controller", daemon=True)
-        self._thread.start()
-
-    @property
-    def port(self) -> str:
-        """Path under which a driver opens it as a serial port."""
-        return self._slave_path if self._link is None else str(self._link)
-
-    @property
-    def axis(self) -> VirtualAxis:
-        """The emulated axis, for tests and displays."""
-        return self._firmware.axis
-
-    # The camera's side --------------------------------------------------------------------------------
-
-    @property
-    def reached_ns(self) -> int:
-        """The newest stamp [ns, UNIX] that ``snapshots`` can show."""
-        with self._lock:
-            return self._stamp_ns(self._firmware.axis.device_ns)
-
-    def snapshots(self, stamps_ns: Sequence[int] | StampArray) -> Snapshots:
-        """Return hub and beam at exact instants up to ``reached_ns``, at most 4 s ago.
-
-        Parameters
-        ----------
-        stamps_ns : sequence of int
-            Instants [ns, UNIX], by the true map of the emulated clock, which the driver only estimates.
-
-        Raises
-        ------
-        SnapshotError
-            An instant is not reached yet, too long ago, or before the last restart.
-        """
-        with self._lock:
-            return self._firmware.axis.snapshots([self._device_ns_of(int(stamp)) for stamp in stamps_ns])
-
-    # Accidents ----------------------------------------------------------------------------------------
-
-    def unplug(self) -> None:
-        """Pull the cable: the port vanishes, the device lives on."""
-        with self._lock:
-            for descriptor in (self._master, self._slave):
-                if descriptor is not None:
-                    os.close(descriptor)
-            self._master = self._slave = None
-            self._backlog.clear()
-        self._wake()
-
-    def plug(self) -> None:
-        """Put the cable in: a new pseudo-terminal, under the same link."""
-        try:
-            master, slave = os.openpty()
-        except OSError as err:
-            raise HubConnectionError(
-                f"no pseudo-terminal for the emulated controller: {err}; expected a mounted /dev/pts; "
-                "close programs that hold many terminals"
-            ) from err
-        tty.setraw(slave)
-        os.set_blocking(master, False)
-        with self._lock:
-            self._master, self._slave = master, slave
-            self._slave_path = os.ttyname(slave)
-        if self._link is not None:
-            self._point_link()
-        self._wake()
-
-    def restart(self) -> None:
-        """Cut the power for a moment: the firmware forgets everything, the hub stays where it is."""
-        with self._lock:
-            where = self._firmware.axis.true_position
-            self._boots += 1
-            self._firmware = self._boot(dataclasses.replace(self._device, initial_position=where))
-            self._boot_steady_ns = time.monotonic_ns()
-
-    def inject(self, data: bytes) -> None:
-        """Put bytes on the line towards the host, as a disturbance would."""
-        with self._lock:
-            self._write(data)
-
-    def close(self) -> None:
-        """End the emulation and take the port away."""
-        if self._is_closing:
-            return
-        self._is_closing = True
-        self._wake()
-        self._thread.join(timeout=2.0)
-        self.unplug()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
-        if self._link is not None and self._link.is_symlink():
-            self._link.unlink()
-
-    # Inside -------------------------------------------------------------------------------------------
-
-    def _run(self) -> None:
-        pause_s = min(0.005, self._parameters.batch_ns * 0.25e-9)
-        while not self._is_closing:
-            master = self._master
-            watched = [self._wake_read] if master is None else [self._wake_read, master]
-            try:
-                ready, _, _ = select.select(watched, [], [], pause_s)
-            except (OSError, ValueError):
-                # The cable was pulled between the two lines above.
-                continue
-            if self._wake_read in ready:
-                os.read(self._wake_read, 64)
-            with self._lock:
-                data = b""
-                if self._master is not None and self._master in ready:
-                    with contextlib.suppress(OSError):
-                        data = os.read(self._master, 65536)
-                self._write(self._firmware.exchange(data, self._device_ns(time.monotonic_ns())))
-
-    def _write(self, data: bytes) -> None:
-        """Write what the line takes, and keep the rest for later; beyond the backlog it is lost."""
-        if self._master is None:
-            return
-        if len(self._backlog) + len(data) <= MAX_BACKLOG:
-            self._backlog += data
-        if self._backlog:
-            with contextlib.suppress(OSError):
-                del self._backlog[: os.write(self._master, self._backlog)]
-
-    def _wake(self) -> None:
-        with contextlib.suppress(OSError):
-            os.write(self._wake_write, b"!")
-
-    def _boot(self, device: SimulatedDevice) -> EmulatedFirmware:
-        boot_id = (os.getpid() << 12 | self._boots) & 0xFFFFFFFF
-        return EmulatedFirmware(self._parameters, self._plant, device, boot_id=boot_id)
-
-    def _device_ns(self, steady_ns: int) -> int:
-        elapsed_ns = steady_ns - self._boot_steady_ns
-        return self._boot_device_ns + elapsed_ns + elapsed_ns * self._rate_ppb // 1_000_000_000
-
-    def _device_ns_of(self, stamp_ns: int) -> int:
-        return self._device_ns(self._clock.steady_ns(stamp_ns))
-
-    def _stamp_ns(self, device_ns: int) -> int:
-        elapsed_ns = device_ns - self._boot_device_ns
-        steady_ns = self._boot_steady_ns + elapsed_ns * 1_000_000_000 // (1_000_000_000 + self._rate_ppb)
-        return self._clock.stamp_ns(steady_ns)
-
-    def _point_link(self) -> None:
-        assert self._link is not None
-        try:
-            if self._link.is_symlink():
-                self._link.unlink()
-            self._link.symlink_to(self._slave_path)
-        except OSError as err:
-            raise HubConnectionError(
-                f"link {self._link} to the emulated port {self._slave_path}: {err}; expected a writable "
-                "folder and no file of that name; choose another emulator.port_link"
-            ) from err

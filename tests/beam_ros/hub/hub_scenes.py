@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
-from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
+from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.faults import fault
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
@@ -201,9 +202,10 @@ class DriverRig(Rig):
         folder: Path,
         plant: object = None,
         device: SimulatedDevice = DRIFTING,
+        **options: object,
     ) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
-        self.emulator = EmulatedController(parameters, load, device, link=folder / "hub")
+        self.emulator = EmulatedController(parameters, load, device, link=folder / "hub", **options)
         self.hub = DriverHub(parameters, LinkParameters(self.emulator.port))
         self.reports = []
 

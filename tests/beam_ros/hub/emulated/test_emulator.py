@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
+from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice

@@ -17,7 +17,7 @@ import pytest
 
 from beam_model import BeamModel, BeamParameters
 from beam_ros.hub.contract import SequenceChunk
-from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import BeamPlant

@@ -1,0 +1,73 @@
+"""The emulated controller with faults on request, and the real driver on its pseudo-terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from beam_ros.hub.emulated.injected_faults import read_schedule
+from beam_ros.hub.parameters import AxisParameters
+from tests.beam_ros.hub.hub_scenes import DriverRig
+
+VELOCITY = AxisParameters(command_mode="velocity", watchdog_s=0.5)
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rig = DriverRig(VELOCITY, tmp_path)
+    rig.connect()
+    rig.enable()
+    yield rig
+    rig.close()
+
+
+def bring_about(rig, text):
+    rig.emulator.bring_about(read_schedule(text, "test", rig.emulator.elapsed))
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "{fault: unplug, for: 0.4}",
+        "{fault: reset}",
+        "{fault: stall, for: 0.8}",
+        "{fault: drop, share: 0.5, for: 0.8}",
+        "{fault: corrupt, share: 0.5, for: 0.8, direction: to_device}",
+    ],
+)
+def test_a_moving_axis_comes_to_rest_stays_there_and_can_be_used_again(rig, fault):
+    rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now)
+    rig.run(0.1)
+    bring_about(rig, fault)
+    rig.run(1.2)
+    assert rig.emulator.axis.velocity == 0.0
+    assert rig.emulator.axis.state != "enabled"
+    rig.until(lambda r: r.status.state in ("identified", "homed"), 6.0)
+    assert rig.emulator.axis.velocity == 0.0
+    assert rig.emulator.take_notes()[0].startswith("fault: ")
+    rig.enable()
+
+
+def test_a_late_line_is_slow_but_works(rig):
+    bring_about(rig, "{fault: delay, seconds: 0.08}")
+    rig.run(0.3)
+    assert rig.ask("stop").success
+    assert rig.ask("enable").success
+
+
+def test_the_clock_runs_fast_from_then_on(rig):
+    bring_about(rig, "{fault: drift, ppm: 10000}")
+    syncs = [sync for report in rig.run(2.5) for sync in report.clock][2:]
+    elapsed = [syncs[-1].device_ns - syncs[0].device_ns, syncs[-1].host_ns - syncs[0].host_ns]
+    assert elapsed[0] / elapsed[1] == pytest.approx(1.010035, abs=3e-3)
+
+
+def test_a_line_that_is_too_slow_loses_samples_and_nothing_worse(tmp_path):
+    rig = DriverRig(VELOCITY, tmp_path, line_baud=115_200, fifo_bytes=1024)
+    try:
+        rig.until(lambda r: r.status.state == "identified", 10.0)
+        rig.run(1.0)
+        counters = rig.reports[-1].status.counters
+        assert counters["bad_frames"] > 10
+        assert rig.ask("home", 10.0).success
+    finally:
+        rig.close()
