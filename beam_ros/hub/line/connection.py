@@ -114,8 +114,8 @@ class Connection:
         was_in_session, self.state = self.is_in_session, "down"
         self._proof_began_ns = None
         if was_in_session:
-            self.fault, self.reason = cause, reason
-            self._journal.tell("error", reason)
+            self._has_complained = False
+            self._complain(cause, reason)
         elif cause is not fault("controller_silent"):
             # Who never answered is no news when the port is opened anew.
             self._complain(cause, reason)
