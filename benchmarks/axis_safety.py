@@ -1,0 +1,271 @@
+"""How far a hub can get: random command streams with random faults, and where the plant then was.
+
+A device that could do twenty times what the rig file allows is driven through the real client and the real
+protocol, in virtual time; somewhere in every stream something goes wrong: the line, the device's clock or power,
+the host's executor or the whole host; or the host is a foreign one that sends frames without any check. The figure
+is by how much the plant has left the rig's travel, as a share of what the stop ramp needs from the speed limit.
+
+    python -m benchmarks.axis_safety --streams 1000 --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from beam_ros.arrays import FloatArray
+from beam_ros.hub.contract import REQUEST_KINDS, HostTime, SequenceChunk
+from beam_ros.hub.emulated.emulator import EmulatedFirmware
+from beam_ros.hub.emulated.injected_faults import InjectedFault
+from beam_ros.hub.emulated.unruly_line import UnrulyLine
+from beam_ros.hub.faults import fault
+from beam_ros.hub.line import protocol
+from beam_ros.hub.line.client import HubClient
+from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, LinkParameters, SimulatedDevice
+from beam_ros.hub.simulated.plant import RigidPlant
+
+STEP_NS = 1_000_000
+UNIX_NS = 1_700_000_000_000_000_000
+START_NS = 5_000_000_000
+ACCIDENTS = (
+    *("none", "corrupt", "drop", "delay", "stall", "reset", "step", "unplug"),
+    *("executor frozen", "host stopped", "host dead", "foreign host"),
+)
+
+
+@dataclass(frozen=True)
+class Excursion:
+    """What one stream did to the hub.
+
+    Parameters
+    ----------
+    mode, accident : str
+        How it was commanded, and what went wrong.
+    beyond : float
+        By how much the plant left the travel at the worst [m]; negative: never.
+    allowed : float
+        What the stop ramp needs from the speed limit [m].
+    moved : float
+        How far it got from home [share of half the travel].
+    speed : float
+        Greatest speed [share of the limit].
+    is_at_rest : bool
+        Whether it stood at the end, seconds after the host's last word.
+    """
+
+    mode: str
+    accident: str
+    beyond: float
+    allowed: float
+    moved: float
+    speed: float
+    is_at_rest: bool
+
+
+def random_axis(rng: random.Random) -> AxisParameters:
+    """Return the default axis, or as often one that nobody has thought of."""
+    mode = rng.choice(COMMAND_MODES)
+    if rng.random() < 0.5:
+        return AxisParameters(command_mode=mode)
+
+    def between(least: float, most: float) -> float:
+        return math.exp(rng.uniform(math.log(least), math.log(most)))
+
+    speed, acceleration = between(0.05, 2.0), between(0.5, 50.0)
+    return AxisParameters(
+        travel=between(0.02, 2.0),
+        max_speed=speed,
+        max_acceleration=acceleration,
+        stop_deceleration=acceleration * between(0.3, 2.0),
+        encoder_resolution=between(1e-8, 1e-5),
+        command_mode=mode,
+        watchdog_s=between(0.1, 1.0),
+        move_speed=speed * between(0.1, 1.0),
+        move_acceleration=acceleration * between(0.1, 1.0),
+        homing_speed=speed * between(0.1, 1.0),
+        homing_acceleration=acceleration * between(0.1, 1.0),
+    )
+
+
+class Stream:
+    """One rig with one accident.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.rng = rng = random.Random(seed)
+        self.accident = ACCIDENTS[seed % len(ACCIDENTS)]
+        self.axis = random_axis(rng)
+        self.device = SimulatedDevice(
+            initial_position=rng.uniform(-0.4, 0.4) * self.axis.travel, clock_start_ns=777_000_000_000
+        )
+        self.client = HubClient(self.axis, LinkParameters())
+        self.to_device, self.to_host = UnrulyLine(0, 65536, seed), UnrulyLine(0, 65536, seed + 1)
+        self.now_ns = START_NS
+        self.boots = 0
+        self.worst = self.fastest = 0.0
+        self.is_running, self.is_polled, self.is_plugged, self.is_stalled = True, True, True, False
+        self.setpoint_number = 0
+        self.boot(self.device.initial_position)
+        self.client.line_opened(self.now_ns)
+
+    def boot(self, position: float) -> None:
+        """Switch the device on, which could do twenty times what the rig file allows."""
+        self.boots += 1
+        plant = RigidPlant(0.8, self.axis.period)
+        device = replace(self.device, initial_position=position)
+        self.firmware = EmulatedFirmware(self.axis.widened(20.0), plant, device, boot_id=self.boots)
+        self.boot_ns = self.now_ns
+
+    @property
+    def now(self) -> HostTime:
+        """Both clocks of the host."""
+        return HostTime(self.now_ns, self.now_ns - START_NS + UNIX_NS)
+
+    def run(self, seconds: float) -> None:
+        """Let time go on, a millisecond at a time."""
+        for _ in range(round(seconds * 1e9) // STEP_NS):
+            self.now_ns += STEP_NS
+            if self.is_running:
+                self._host()
+            heard = b"" if self.is_stalled else self.to_device.take(self.now_ns)
+            if not self.is_stalled:
+                device_ns = self.device.clock_start_ns + self.now_ns - self.boot_ns
+                said = self.firmware.exchange(heard, device_ns)
+                if self.is_plugged:
+                    self.to_host.put(said, self.now_ns)
+            self.worst = max(self.worst, abs(self.firmware.axis.true_position))
+            self.fastest = max(self.fastest, abs(self.firmware.axis.velocity))
+
+    def _host(self) -> None:
+        client, now_ns = self.client, self.now_ns
+        said = client.transmit(now_ns) + client.clock_query(now_ns)
+        if self.is_plugged:
+            self.to_device.put(said, now_ns)
+        client.receive(self.to_host.take(now_ns), now_ns)
+        if client.is_silent(now_ns):
+            client.line_lost(fault("controller_silent"), "silence")
+            client.line_opened(now_ns)
+        if self.is_polled and now_ns % 10_000_000 == 0:
+            client.poll(self.now)
+
+    def command(self) -> None:
+        """Ask for something, sensible or not."""
+        rng, axis = self.rng, self.axis
+        roll = rng.random()
+        if roll < 0.9:
+            self._setpoint(
+                rng.choice((1.0, 1.0, 1.0, 0.3, 1.2)) * rng.choice((-1, 1, 1)) * axis.command_limit
+            )
+        elif roll < 0.94:
+            self._sequence()
+        elif roll < 0.97:
+            self.client.request(rng.choice(REQUEST_KINDS))
+        else:
+            self.client.request("clear_fault")
+            self.client.request("enable")
+
+    def _setpoint(self, value: float) -> None:
+        if self.accident == "foreign host":
+            self.setpoint_number = self.setpoint_number % 0xFFFF + 1
+            self.to_device.put(protocol.encode(protocol.Setpoint(self.setpoint_number, value)), self.now_ns)
+        else:
+            self.client.setpoint(self.now.unix_ns, value, self.now)
+
+    def _sequence(self) -> None:
+        n = self.rng.randrange(50, 1500)
+        size = self.axis.command_limit * self.rng.choice((0.1, 0.5, 1.0, 1.5))
+        values: FloatArray = size * np.sin(np.pi * np.arange(n) / (n - 1)) ** 4
+        start_ns = self.now.unix_ns + 200_000_000
+        count = -(-n // 500)
+        for k in range(count):
+            part = values[k * 500 : (k + 1) * 500]
+            name = f"s{self.now_ns}"
+            chunk = SequenceChunk(name, k + 1, count, start_ns, self.axis.period_ns, k * 500, part)
+            if self.is_running:
+                self.client.load(chunk, self.now)
+
+    def happen(self) -> None:
+        """Let the accident begin."""
+        rng, kind = self.rng, self.accident
+        if kind in ("corrupt", "drop", "delay"):
+            amount = (
+                {"seconds": rng.uniform(0.01, 0.5)} if kind == "delay" else {"share": rng.uniform(0.001, 0.3)}
+            )
+            disturbance = InjectedFault(kind, 0.0, amounts=amount)
+            for line in (self.to_device, self.to_host):
+                line.begin(disturbance)
+        elif kind == "stall":
+            self.is_stalled = True
+        elif kind == "reset":
+            self.boot(self.firmware.axis.true_position)
+        elif kind == "step":
+            self.firmware.clock_step_ns += round(rng.uniform(-2e9, 2e9))
+        elif kind == "unplug":
+            self.is_plugged = False
+        elif kind == "executor frozen":
+            self.is_polled = False
+        elif kind in ("host stopped", "host dead"):
+            self.is_running = False
+
+    def recover(self) -> None:
+        """Let it end, but for what does not end."""
+        self.is_plugged = self.is_polled = True
+        self.is_stalled = False
+        self.is_running = self.accident != "host dead"
+
+    def play(self) -> Excursion:
+        """Home, enable, command, let the accident happen and pass, and be left alone at the end."""
+        self.run(1.2)
+        self.client.request("home")
+        self.run(0.6 + 2.0 * self.axis.travel / self.axis.homing_speed / 10)
+        self.client.request("enable")
+        for seconds, event in ((1.0, self.happen), (0.6, self.recover), (1.0, None)):
+            for _ in range(round(seconds / 0.02)):
+                if self.is_running and self.is_polled:
+                    self.command()
+                self.run(0.02)
+            if event is not None:
+                event()
+        self.client.request("stop")
+        self.run(2.0 * self.axis.watchdog_s + 2.0 * self.axis.max_speed / self.axis.stop_deceleration)
+        axis = self.axis
+        return Excursion(
+            axis.command_mode,
+            self.accident,
+            self.worst - axis.position_limit,
+            axis.max_speed**2 / (2.0 * axis.stop_deceleration),
+            self.worst / axis.position_limit,
+            self.fastest / axis.max_speed,
+            self.firmware.axis.velocity == 0.0,
+        )
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Play the streams and print what was worst."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--streams", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(argv)
+    results = [Stream(options.seed * 1_000_003 + k).play() for k in range(options.streams)]
+    print("accident          streams  beyond the travel / ramp  speed / limit  reached  at rest")
+    for accident in ACCIDENTS:
+        rows = [r for r in results if r.accident == accident]
+        if rows:
+            worst = max(r.beyond / r.allowed for r in rows)
+            print(
+                f"{accident:16}  {len(rows):7d}  {worst:24.5f}  {max(r.speed for r in rows):13.5f}"
+                f"  {max(r.moved for r in rows):7.3f}  {sum(r.is_at_rest for r in rows)}"
+            )
+
+
+if __name__ == "__main__":
+    main()
