@@ -6,7 +6,9 @@ trip; the part of the round trip beyond the shortest one seen bounds what queuei
 exchange. A robust weighted regression of the last exchanges gives offset and rate.
 
 What all exchanges share, a way out that is longer than the way back, no method can see: it is a constant
-of at most half the shortest round trip, and ends in the latency that identification estimates.
+of at most half the shortest round trip. It is stated apart from the rest, as ``asymmetry_sd_ns``: the rest
+scatters from stamp to stamp and is what a gate can ask for, the constant is the same in all stamps and ends
+in the latency that identification estimates. A stamp's own uncertainty counts both (``stamp_sd_ns``).
 """
 
 from __future__ import annotations
@@ -33,6 +35,12 @@ SLEW_NS = 300_000_000
 MAX_SLEW = 5e-4
 """Greatest change of the map's rate while it does so."""
 MIN_EXCHANGES = 10
+RESOLUTION_NS = 1_000_000
+"""A device may read a clock that advances in steps of so much [ns]."""
+STRANGE_RATE = 1e-2
+"""No clock is further off than this; of a crystal it is a hundred times what its maker promises."""
+STRANGE_CHANGE = 2e-3
+"""The rate of a clock that has been fitted is not further from the fit than this."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,9 @@ class ClockFit:
     offset_ns : float
         Host time at ``device_reference_ns``, from ``host_reference_ns`` on [ns].
     covariance : ndarray, shape (2, 2)
-        Of offset [ns] and rate.
+        Of offset [ns] and rate, as far as the exchanges differ.
+    shortest_rtt_ns : int
+        Shortest round trip [ns]: half of it bounds the constant that all exchanges may share.
     """
 
     device_reference_ns: int
@@ -56,6 +66,12 @@ class ClockFit:
     rate: float
     offset_ns: float
     covariance: FloatArray
+    shortest_rtt_ns: int = 0
+
+    @property
+    def asymmetry_sd_ns(self) -> float:
+        """Standard deviation [ns] of the constant: uniform within half the shortest round trip."""
+        return self.shortest_rtt_ns / math.sqrt(12.0)
 
     def host_ns(self, device_ns: int) -> int:
         """Return the host time [ns] of a device time [ns]."""
@@ -64,10 +80,14 @@ class ClockFit:
         return self.host_reference_ns + elapsed_ns + round(correction)
 
     def standard_deviation_ns(self, device_ns: int) -> float:
-        """Return the standard deviation [ns] of ``host_ns`` at a device time."""
+        """Return the standard deviation [ns] of ``host_ns`` at a device time, without the constant."""
         elapsed_ns = float(device_ns - self.device_reference_ns)
         c = self.covariance
         return math.sqrt(max(0.0, c[0, 0] + 2 * elapsed_ns * c[0, 1] + elapsed_ns**2 * c[1, 1]))
+
+    def stamp_sd_ns(self, device_ns: int) -> float:
+        """Return the standard deviation [ns] of ``host_ns`` at a device time, the constant included."""
+        return math.hypot(self.standard_deviation_ns(device_ns), self.asymmetry_sd_ns)
 
 
 def fit_affine(syncs: Sequence[ClockSync], *, rate_sd: float | None = None) -> ClockFit:
@@ -134,6 +154,7 @@ def fit_affine(syncs: Sequence[ClockSync], *, rate_sd: float | None = None) -> C
         1.0 + float(estimate[1]) / span,
         float(estimate[0]),
         to_rate @ covariance @ to_rate,
+        int(rtt.min()),
     )
 
 
@@ -178,17 +199,48 @@ class ClockMapping:
     def standard_deviation_ns(self, device_ns: int) -> float:
         """Return the standard deviation [ns] of the map at a device time, infinite without an estimate.
 
-        Counts what exchanges leave open and how far the slewed map is from the estimate.
+        Counts what exchanges leave open and how far the slewed map is from the estimate, not the constant
+        that all exchanges share.
         """
         if self._fit is None:
             return math.inf
         lag_ns = self._published_ns(device_ns) - self._fit.host_ns(device_ns)
         return math.hypot(self._fit.standard_deviation_ns(device_ns), lag_ns)
 
+    def stamp_sd_ns(self, device_ns: int) -> float:
+        """Return the standard deviation [ns] of a stamp: that of the map and of the constant together."""
+        if self._fit is None:
+            return math.inf
+        return math.hypot(self.standard_deviation_ns(device_ns), self._fit.asymmetry_sd_ns)
+
+    def possible_ns(self, sent_ns: int, received_ns: int) -> tuple[int, int] | None:
+        """Return least and greatest device time [ns] that an exchange can show, None without an earlier one.
+
+        A device reads its clock between question and answer, in the newest exchange and in this one: that
+        bounds the time between the two readings, whatever the line did.
+        """
+        if not self._exchanges:
+            return None
+        last = self._exchanges[-1]
+        shortest_ns = sent_ns - last.host_ns - last.rtt_ns / 2
+        longest_ns = received_ns - last.host_ns + last.rtt_ns / 2
+        rate, strange = (1.0, STRANGE_RATE) if self._fit is None else (1.0 / self._fit.rate, STRANGE_CHANGE)
+        slack_ns = RESOLUTION_NS + strange * max(abs(shortest_ns), abs(longest_ns))
+        return (
+            last.device_ns + round(shortest_ns * rate - slack_ns),
+            last.device_ns + round(longest_ns * rate + slack_ns),
+        )
+
     def add(self, sent_ns: int, received_ns: int, device_ns: int) -> ClockSync:
-        """Take one exchange: host times of question and answer, and the device's clock in between [ns]."""
+        """Take one exchange: host times of question and answer, and the device's clock in between [ns].
+
+        One that cannot be true beside the newest (``possible_ns``), or that came too late, changes nothing.
+        """
         sync = ClockSync((sent_ns + received_ns) // 2, device_ns, self.epoch, max(0, received_ns - sent_ns))
-        if self._exchanges and device_ns <= self._exchanges[-1].device_ns:
+        possible = self.possible_ns(sent_ns, received_ns)
+        if possible is not None and not (
+            possible[0] <= device_ns <= possible[1] and device_ns > self._exchanges[-1].device_ns
+        ):
             return sync
         self._exchanges.append(sync)
         while self._exchanges[0].device_ns < device_ns - WINDOW_NS:

@@ -167,3 +167,47 @@ def test_an_outlier_pulls_like_two_deviations_and_no_more():
     found = fit_affine(syncs, rate_sd=1e-12)
     at_middle = found.host_ns(syncs[middle].device_ns) - HOST_START
     assert at_middle == pytest.approx(2.0 * FLOOR_NS / n, rel=0.05)
+
+
+def test_what_the_round_trip_cannot_exclude_is_stated_beside_the_rest():
+    # The way back takes 0.3 ms longer, in every exchange: a constant that no fit can see.
+    line = Line(35.0, 9, base_ns=0, queue_ns=10_000.0)
+    syncs = []
+    for sent, received, device in exchanges(line, 60.0):
+        syncs.append(ClockSync((sent + received + 300_000) // 2, device, 1, received - sent + 300_000))
+    fit = fit_affine(syncs)
+    device_ns = line.device_ns(HOST_START + 30 * 10**9)
+    error = fit.host_ns(device_ns) - line.host_ns(device_ns)
+    assert error == pytest.approx(150_000, abs=5_000)
+    assert fit.standard_deviation_ns(device_ns) < 2_000
+    # Uniform within half the shortest round trip.
+    assert fit.asymmetry_sd_ns == pytest.approx(min(sync.rtt_ns for sync in syncs) / np.sqrt(12), rel=1e-12)
+    assert error < 1.96 * fit.stamp_sd_ns(device_ns) < 200_000
+    # The rate, which both ends share, is as well known as before.
+    assert np.sqrt(fit.covariance[1, 1]) < 1e-7
+
+
+@pytest.mark.parametrize("absurd", [1 << 62, DEVICE_START - 10**10, DEVICE_START + 10**10])
+def test_one_absurd_reading_does_not_blind_the_rest(absurd):
+    line = Line(35.0, 6)
+    mapping = ClockMapping(1)
+    rows = exchanges(line, 20.0)
+    for row in rows[:20]:
+        mapping.add(*row)
+    sent, received, _ = rows[20]
+    mapping.add(sent, received, absurd)
+    for row in rows[21:]:
+        mapping.add(*row)
+    device_ns = line.device_ns(HOST_START + 20 * 10**9)
+    assert abs(mapping.host_ns(device_ns) - line.host_ns(device_ns)) < 40_000
+    assert mapping.standard_deviation_ns(device_ns) < 20_000
+
+
+def test_what_an_exchange_can_show_is_bounded_by_the_one_before():
+    mapping = ClockMapping(1)
+    assert mapping.possible_ns(0, 10) is None
+    mapping.add(HOST_START, HOST_START + 200_000, DEVICE_START)
+    least, greatest = mapping.possible_ns(HOST_START + 10**8, HOST_START + 10**8 + 300_000)
+    # 0.1 s later, less one way or more two: 99.8 to 100.3 ms, a millisecond and one per cent.
+    assert least == pytest.approx(DEVICE_START + 97_797_000, abs=5_000)
+    assert greatest == pytest.approx(DEVICE_START + 102_303_000, abs=5_000)
