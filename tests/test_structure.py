@@ -65,7 +65,7 @@ TESTED_IN = (
     ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
     ("beam_ros/excitation", "recipes", "excitation/test_plan"),
     ("beam_ros/hub", "contract host_clock ticks", "hub/simulated/test_simulated_hub"),
-    ("beam_ros/hub/host", "journal pulse requests sample_stamping sequence_stream", "hub/line/test_client"),
+    ("beam_ros/hub/host", "journal pulse requests sequence_stream", "hub/line/test_client"),
     ("beam_ros/hub/line", "connection", "hub/line/test_client"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),

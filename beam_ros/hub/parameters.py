@@ -46,6 +46,9 @@ class AxisParameters:
         What set-points and sequences mean.
     period_ns : int
         The device's tick [ns of device time].
+    max_following_error : float
+        Greatest distance of the hub from where its commands lead it [m], that of the servo's lag; beyond it
+        the host stops the axis.
     watchdog_s : float
         Silence of the host after which an enabled axis stops by itself [s of device time]; also the
         age at which an acceleration, velocity or effort set-point must have been refreshed.
@@ -63,6 +66,7 @@ class AxisParameters:
     encoder_resolution: float = 1e-7
     command_mode: CommandMode = "acceleration"
     period_ns: int = 1_000_000
+    max_following_error: float = 0.002
     watchdog_s: float = 0.25
     move_speed: float = 0.05
     move_acceleration: float = 0.5

@@ -63,6 +63,7 @@ class HubSettings:
     max_acceleration: float = setting("limit of the hub's acceleration", "m/s^2", 0.01, 1e3)
     stop_deceleration: float = setting("of every stop; 0: max_acceleration", "m/s^2", 0.0, 1e3)
     max_effort: float = setting("limit of the force on the hub", "N", 0.01, 1e4)
+    max_following_error: float = setting("from the hub to where its commands lead it", "m", 1e-6, 1.0)
     max_tip_deflection: float = setting("predicted tip deflection that is refused", "m", 1e-5, 1.0)
     encoder_resolution: float = setting("step of the measured position", "m", 1e-12, 0.001)
     command_mode: Literal["acceleration", "velocity", "position", "effort"] = setting(

@@ -184,6 +184,7 @@ class Rig(RigParameters):
             max_acceleration=self.hub.max_acceleration,
             stop_deceleration=self.hub.stop_deceleration or self.hub.max_acceleration,
             max_effort=self.hub.max_effort,
+            max_following_error=self.hub.max_following_error,
             encoder_resolution=self.hub.encoder_resolution,
             command_mode=self.hub.command_mode,
             period_ns=round(self.hub.period * 1e9),

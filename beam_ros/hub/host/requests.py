@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
-from beam_ros.hub.contract import Outcome, RequestKind
+from beam_ros.hub.contract import REQUEST_KINDS, Outcome, RequestKind
+from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.sequences import MAX_AGE_NS
 
 RETRY_NS = 100_000_000
@@ -13,6 +14,10 @@ ASK_AGAIN_NS = 500_000_000
 """A request that was acknowledged is asked for again after this time, and until then every ``RETRY_NS``."""
 ANSWER_NS = 1_000_000_000
 """A request that the device has not acknowledged by then has failed."""
+WAYS_HOME = 6
+"""The way home is no longer than this many travels at homing speed: there, over the switch and back, with leisure."""
+LEISURE_NS = 5_000_000_000
+"""What a device may take beyond the time of the motion that was asked for."""
 REPEAT_NS = 60_000_000
 """A set-point that has not come is sent again after this time."""
 
@@ -27,9 +32,26 @@ class _PendingRequest:
 
 
 class Requests:
-    """The requests that the device has not answered yet."""
+    """The requests that the device has not answered yet.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Say how long the motions take that are asked for.
+    report : callable
+        Takes the name of a fault and what was seen: that the device works on a request for ever.
+    """
+
+    def __init__(self, parameters: AxisParameters, report: Callable[[str, str], None]) -> None:
+        home_s = WAYS_HOME * (
+            parameters.travel / parameters.homing_speed
+            + parameters.homing_speed / parameters.homing_acceleration
+        )
+        ramp_s = parameters.max_speed / parameters.stop_deceleration
+        self._report = report
+        self._patience_ns = {
+            kind: LEISURE_NS + round(1e9 * (home_s if kind == "home" else ramp_s)) for kind in REQUEST_KINDS
+        }
         self._newest_id = 0
         self._closing_id = 0
         self._pending: dict[int, _PendingRequest] = {}
@@ -52,10 +74,18 @@ class Requests:
 
     def refuse(self, kind: RequestKind, reason: str) -> int:
         """Take a request that nobody can be asked for; return its id."""
-        self._newest_id += 1
         message = f"cannot {kind.replace('_', ' ')}: the controller is disconnected: {reason}"
-        self._completed.append((self._newest_id, Outcome(False, message)))
+        return self.answer(Outcome(False, message))
+
+    def answer(self, outcome: Outcome) -> int:
+        """Take a request that the host itself answers; return its id."""
+        self._newest_id += 1
+        self._completed.append((self._newest_id, outcome))
         return self._newest_id
+
+    def has(self, kind: RequestKind) -> bool:
+        """Say whether a request of this kind is not answered yet."""
+        return any(pending.kind == kind for pending in self._pending.values())
 
     def due(self, now_ns: int) -> Iterator[tuple[int, RequestKind]]:
         """Yield number and kind of the requests that are to be sent now; fail those not answered in time."""
@@ -65,7 +95,17 @@ class Requests:
             elif not pending.is_acknowledged and now_ns - pending.first_sent_ns > ANSWER_NS:
                 del self._pending[number]
                 message = f"{pending.kind}: the controller did not answer within {ANSWER_NS * 1e-9:g} s"
-                self._completed.append((pending.request_id, Outcome(False, message)))
+                self._complete(pending, Outcome(False, message))
+                continue
+            elif now_ns - pending.first_sent_ns > self._patience_ns[pending.kind]:
+                del self._pending[number]
+                message = (
+                    f"{pending.kind}: the controller has been working on it for "
+                    f"{(now_ns - pending.first_sent_ns) * 1e-9:.1f} s: expected an end within "
+                    f"{self._patience_ns[pending.kind] * 1e-9:.1f} s"
+                )
+                self._complete(pending, Outcome(False, message))
+                self._report("never_done", message)
                 continue
             elif now_ns - pending.last_sent_ns < (ASK_AGAIN_NS if pending.is_acknowledged else RETRY_NS):
                 continue
@@ -77,11 +117,13 @@ class Requests:
         if number in self._pending:
             self._pending[number].is_acknowledged = True
 
-    def finish(self, number: int, outcome: Outcome) -> None:
-        """Note how a request ended."""
+    def finish(self, number: int, outcome: Outcome) -> RequestKind | None:
+        """Note how a request ended; return what it was, None where nobody waits for it."""
         pending = self._pending.pop(number, None)
-        if pending is not None:
-            self._complete(pending, outcome)
+        if pending is None:
+            return None
+        self._complete(pending, outcome)
+        return pending.kind
 
     def fail_all(self, reason: str) -> None:
         """Fail what is pending, because the device cannot be reached any more."""
@@ -89,6 +131,13 @@ class Requests:
             message = f"{pending.kind}: the controller is disconnected: {reason}"
             self._complete(pending, Outcome(False, message))
         self._pending.clear()
+
+    def withdraw(self, kinds: Collection[RequestKind], reason: str) -> None:
+        """Fail what is pending of some kinds, so that it is not asked for again."""
+        for number, pending in list(self._pending.items()):
+            if pending.kind in kinds:
+                del self._pending[number]
+                self._complete(pending, Outcome(False, f"{pending.kind}: the axis is stopped: {reason}"))
 
     def take_completed(self) -> list[tuple[int, Outcome]]:
         """Return the requests that came to an end since the last call."""

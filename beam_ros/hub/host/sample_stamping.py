@@ -1,11 +1,18 @@
-"""From the device's ticks to stamped batches: the device's clock is asked, mapped, and put on every sample."""
+"""From the device's ticks to stamped batches: the device's clock is asked, mapped, and put on every sample.
+
+What the device says of time is believed where it can be true. One absurd answer or tick is left out and counted;
+where several in a row agree with each other and not with what was known, the clock has jumped: that is reported
+as a fault, and a new map begins.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 from beam_ros.hub.clock_mapping import ClockMapping
 from beam_ros.hub.contract import ClockSync, SampleBatch
+from beam_ros.hub.host.device_counter import WRAPS_NS, DeviceCounter
 from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import AxisParameters
@@ -21,6 +28,21 @@ SETTLING_NS = 500_000_000
 STAMPING_PATIENCE_NS = 2_000_000_000
 """... or from this long after connecting on, if it is not: what is stamped once is only slewed from then on."""
 MAX_OPEN_QUERIES = 100
+AGREEING = 3
+"""So many readings in a row that agree are believed against what was known before."""
+DISAGREEING = 20
+"""So many strange answers, of which no three agree, come from no clock."""
+AHEAD_NS = 20_000_000
+"""Ticks cannot lie further ahead than this: what map and resolution leave open [ns]."""
+CONNECTION_NS = 800_000_000
+"""The first ticks of a connection are not older than this, and than the connection, when they come [ns] ..."""
+LIVE_NS = 100_000_000
+"""Where ticks and clock differ by a wrap, the ticks are taken for as old as this at most [ns]."""
+LATE_NS = 5_000_000_000
+"""... and later ones not older than this, and than what this process slept: buffers hold about 3 s."""
+
+Report = Callable[[str, str], None]
+"""Takes the name of a fault and what was seen."""
 
 
 class DeviceClock:
@@ -30,19 +52,28 @@ class DeviceClock:
     ----------
     max_sd_ns : int
         Standard deviation of the map above which it is not good enough [ns].
+    report : callable
+        Is told that the clock jumped or ran backwards.
 
     Attributes
     ----------
     mapping : ClockMapping
         From device time to steady time, for the device's present start.
     connected_ns : int
-        Steady time of the connection [ns].
+        Steady time of the connection [ns], or of the clock's last jump.
     """
 
-    def __init__(self, max_sd_ns: int) -> None:
+    def __init__(self, max_sd_ns: int, report: Report) -> None:
         self.max_sd_ns = max_sd_ns
         self.mapping = ClockMapping(0)
         self.connected_ns = 0
+        self._report = report
+        self._counter = DeviceCounter()
+        self._n_agreeing = 0
+        self._other = ClockMapping(0)
+        """What the strange answers agree on."""
+        self._n_other = 0
+        self._n_strange = self._n_strange_ever = 0
         self._sent: dict[int, int] = {}
         self._number = 0
         self._last_query_ns = 0
@@ -52,19 +83,26 @@ class DeviceClock:
         """Begin a connection; the map goes on where the device has not restarted."""
         self.connected_ns = now_ns
         self._sent.clear()
+        # In a long pause a narrow counter may have wrapped more often than can be told.
+        self._n_agreeing = self._n_other = self._n_strange = 0
         if is_new_boot:
             self.mapping = ClockMapping(self.mapping.epoch + 1)
+            self._counter = DeviceCounter()
 
     def sd_ns(self, now_ns: int) -> float:
         """Return the standard deviation [ns] of the map now."""
         return self.mapping.standard_deviation_ns(self.mapping.device_ns(now_ns))
+
+    def device_says_ns(self, steady_ns: int) -> int:
+        """Return what the device's own counter reads [ns] at a steady time [ns]."""
+        return self._counter.shown_ns(max(0, self.mapping.device_ns(steady_ns)))
 
     def query(self, now_ns: int) -> int | None:
         """Return the number of a question that is due and leaves now, or None."""
         interval_ns = SLOW_CLOCK_NS
         if now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS:
             interval_ns = FAST_CLOCK_NS
-        elif self.sd_ns(now_ns) > self.max_sd_ns:
+        elif self._n_other or self.sd_ns(now_ns) > self.max_sd_ns:
             interval_ns = URGENT_CLOCK_NS
         if now_ns - self._last_query_ns < interval_ns:
             return None
@@ -94,10 +132,13 @@ class DeviceClock:
         sent_ns = self._sent.pop(number, None)
         if sent_ns is None or clock is None:
             return
-        # The device's own pause is no part of the way.
-        answering_ns = min(max(0, left_ns - came_ns), received_ns - sent_ns)
-        sync = self.mapping.add(sent_ns, received_ns - answering_ns, came_ns)
-        self._syncs.append(dataclasses.replace(sync, host_ns=clock.stamp_ns(sync.host_ns)))
+        # The device's own pause is no part of the way, where it can be true.
+        pause_ns = left_ns - came_ns
+        returned_ns = received_ns - (pause_ns if 0 <= pause_ns <= received_ns - sent_ns else 0)
+        device_ns = self._believe(sent_ns, returned_ns, came_ns)
+        if device_ns is not None:
+            sync = self.mapping.add(sent_ns, returned_ns, device_ns)
+            self._syncs.append(dataclasses.replace(sync, host_ns=clock.stamp_ns(sync.host_ns)))
 
     def take_syncs(self) -> list[ClockSync]:
         """Return the comparisons of the clocks since the last call."""
@@ -106,13 +147,59 @@ class DeviceClock:
 
     def counters(self, now_ns: int) -> dict[str, int]:
         """Return what is known of the clock, for diagnostics."""
-        if not self.mapping.is_usable:
-            return {}
-        return {
-            "clock_sd_ns": round(self.sd_ns(now_ns)),
-            "clock_rtt_ns": self.mapping.shortest_rtt_ns,
-            "clock_drift_ppb": round((1.0 / self.mapping.rate - 1.0) * 1e9),
-        }
+        counters = {"strange_clock_answers": self._n_strange_ever}
+        if self.mapping.is_usable:
+            stamp_sd_ns = self.mapping.stamp_sd_ns(self.mapping.device_ns(now_ns))
+            counters |= {
+                "clock_sd_ns": round(self.sd_ns(now_ns)),
+                "stamp_sd_ns": round(stamp_sd_ns),
+                "clock_rtt_ns": self.mapping.shortest_rtt_ns,
+                "clock_drift_ppb": round((1.0 / self.mapping.rate - 1.0) * 1e9),
+            }
+        return counters
+
+    def _believe(self, sent_ns: int, returned_ns: int, shown_ns: int) -> int | None:
+        """Return the extended device time of an answer, or None where it cannot be true."""
+        possible = self.mapping.possible_ns(sent_ns, returned_ns)
+        if possible is None:
+            device_ns: int | None = self._counter.extended_ns(shown_ns)
+        else:
+            device_ns = self._counter.read(shown_ns, *possible)
+        if device_ns is not None:
+            self._n_agreeing += 1
+            self._n_other = self._n_strange = 0
+            return device_ns
+        assert possible is not None
+        self._n_strange += 1
+        self._n_strange_ever += 1
+        expected = self._other.possible_ns(sent_ns, returned_ns)
+        if not self._n_other or expected is None or not expected[0] <= shown_ns <= expected[1]:
+            self._other = ClockMapping(self.mapping.epoch + 1)
+            self._n_other = 0
+        self._other.add(sent_ns, returned_ns, shown_ns)
+        self._n_other += 1
+        if self._n_other >= AGREEING:
+            self._jump(shown_ns, possible, returned_ns)
+        elif self._n_strange >= DISAGREEING:
+            self._n_strange = 0
+            self._report("clock_jumped", f"{DISAGREEING} answers of the clock do not fit together")
+        return None
+
+    def _jump(self, shown_ns: int, possible: tuple[int, int], now_ns: int) -> None:
+        """Begin again with what the last answers agree on."""
+        if self._n_agreeing >= AGREEING:
+            name = "clock_backwards" if self._counter.extended_ns(shown_ns) < possible[0] else "clock_jumped"
+            wanted_ns = sum(possible) // 2
+            self._report(
+                name,
+                f"the clock shows {shown_ns * 1e-9:.6f} s where {wanted_ns * 1e-9:.6f} s +- "
+                f"{(possible[1] - possible[0]) / 2e6:.1f} ms was expected",
+            )
+        self.mapping = self._other
+        self._counter = DeviceCounter()
+        self._n_agreeing = self._n_other
+        self._n_other = self._n_strange = 0
+        self.connected_ns = now_ns
 
 
 class SampleStamping:
@@ -126,56 +213,151 @@ class SampleStamping:
         Maps the ticks.
     journal : Journal
         Counts what was lost or could not be stamped.
+    report : callable
+        Is told that the ticks jumped or ran backwards.
     """
 
-    def __init__(self, parameters: AxisParameters, device_clock: DeviceClock, journal: Journal) -> None:
+    def __init__(
+        self, parameters: AxisParameters, device_clock: DeviceClock, journal: Journal, report: Report
+    ) -> None:
         self._parameters = parameters
         self._device_clock = device_clock
         self._journal = journal
-        self._is_stamping = False
-        self._expected_tick: int | None = None
+        self._report = report
+        self._stamping_epoch: int | None = None
+        self._counter = self._new_counter()
+        self._expected_ns: int | None = None
+        self._received_ns = self._fresh_ns = 0
+        self._placed_epoch: int | None = None
+        self._n_agreeing = 0
+        self._other_ns: int | None = None
+        self._n_other = 0
         self._last_stamp_ns = 0
         self._batches: list[tuple[SampleBatch, SampleBatch]] = []
 
     def connect(self, *, is_new_boot: bool) -> None:
         """Begin a connection."""
-        self._expected_tick = None
+        self._expected_ns = self._placed_epoch = None
+        self._n_agreeing = self._n_other = 0
         if is_new_boot:
-            self._is_stamping = False
+            self._counter = self._new_counter()
 
-    def add(self, ticks: TickBatch, received_ns: int, clock: HostClock | None) -> None:
-        """Take ticks that came at steady time ``received_ns``; old ones are dropped, a gap stays a gap."""
+    def add(self, ticks: TickBatch, received_ns: int, clock: HostClock | None) -> int | None:
+        """Take ticks that came at steady time ``received_ns``; old ones are dropped, a gap stays a gap.
+
+        Returns
+        -------
+        int or None
+            Ticks that were lost before these; None where these cannot be true and are left out.
+        """
         counters = self._journal.counters
-        if self._expected_tick is not None:
-            lost = ticks.first_tick - self._expected_tick
-            if lost < 0:
-                return
-            if lost:
-                counters["lost_ticks"] += lost
-                self._journal.tell("warning", f"{lost} ticks of the hub's samples were lost on the line")
-        self._expected_tick = ticks.first_tick + len(ticks)
-        device_ns = ticks.first_tick * self._parameters.period_ns
+        period_ns = self._parameters.period_ns
+        length_ns = len(ticks) * period_ns
+        device_ns = self._believe(ticks.first_tick * period_ns, length_ns, received_ns)
+        if device_ns is None:
+            counters["strange_ticks"] += len(ticks)
+            return None
+        lost = 0
+        if self._expected_ns is not None:
+            lost = max(0, round((device_ns - self._expected_ns) / period_ns))
+        if lost:
+            counters["lost_ticks"] += lost
+            self._journal.tell("warning", f"{lost} ticks of the hub's samples were lost on the line")
+        self._expected_ns = device_ns + length_ns
+        self._received_ns = received_ns
+        mapping = self._device_clock.mapping
+        if not mapping.is_usable or device_ns > mapping.device_ns(received_ns) - LATE_NS:
+            self._fresh_ns = received_ns
         stamp_ns = 0
         if clock is not None and self._may_stamp(device_ns, received_ns):
-            stamp_ns = clock.stamp_ns(self._device_clock.mapping.host_ns(device_ns))
+            stamp_ns = clock.stamp_ns(mapping.host_ns(device_ns))
         if stamp_ns <= self._last_stamp_ns:
             counters["unstamped_batches"] += 1
-            return
+            return lost
         self._last_stamp_ns = stamp_ns
-        epoch = self._device_clock.mapping.epoch
-        self._batches.append(sample_batches(ticks, stamp_ns, epoch, self._parameters))
+        self._batches.append(sample_batches(ticks, stamp_ns, mapping.epoch, self._parameters))
+        return lost
 
     def take_batches(self) -> list[tuple[SampleBatch, SampleBatch]]:
         """Return what was applied and measured since the last call, batch by batch."""
         batches, self._batches = self._batches, []
         return batches
 
+    def _new_counter(self) -> DeviceCounter:
+        return DeviceCounter((*WRAPS_NS, self._parameters.period_ns << 32))
+
+    def _believe(self, shown_ns: int, length_ns: int, received_ns: int) -> int | None:
+        """Return the extended device time of a batch, or None where it cannot be true."""
+        mapping = self._device_clock.mapping
+        if mapping.is_usable and self._placed_epoch != mapping.epoch:
+            # From now on the clock says where ticks can lie.
+            self._placed_epoch = mapping.epoch
+            self._expected_ns = None
+        is_first = self._expected_ns is None
+        possible = self._possible_ns(length_ns, received_ns)
+        if possible is None:
+            device_ns: int | None = self._counter.extended_ns(shown_ns)
+        else:
+            device_ns = self._counter.read(shown_ns, *possible)
+            if device_ns is None and is_first:
+                recent_ns = possible[1] - LIVE_NS
+                device_ns = self._counter.read(shown_ns, recent_ns, possible[1], may_be_ahead=True)
+        if device_ns is not None:
+            self._n_agreeing += 1
+            self._n_other = 0
+            return device_ns
+        self._n_other = self._n_other + 1 if shown_ns == self._other_ns else 1
+        self._other_ns = shown_ns + length_ns
+        return self._jumped_ns(shown_ns, length_ns, received_ns) if self._n_other >= AGREEING else None
+
+    def _possible_ns(self, length_ns: int, received_ns: int) -> tuple[int, int] | None:
+        """Return between what device times [ns] a batch must begin that came now, None where all is possible."""
+        by_clock = self._by_clock_ns(length_ns, received_ns)
+        if self._expected_ns is None:
+            return by_clock
+        least_ns = self._expected_ns - self._parameters.period_ns + 1
+        if by_clock is None:
+            return least_ns, self._expected_ns + received_ns - self._received_ns + AHEAD_NS
+        return max(least_ns, by_clock[0]), by_clock[1]
+
+    def _by_clock_ns(self, length_ns: int, received_ns: int) -> tuple[int, int] | None:
+        """Return the same by the map of the clock alone."""
+        mapping = self._device_clock.mapping
+        if not mapping.is_usable:
+            return None
+        newest_ns = mapping.device_ns(received_ns) + AHEAD_NS - length_ns
+        if self._expected_ns is None:
+            return newest_ns - CONNECTION_NS - (received_ns - self._device_clock.connected_ns), newest_ns
+        return newest_ns - LATE_NS - (received_ns - self._fresh_ns), newest_ns
+
+    def _jumped_ns(self, shown_ns: int, length_ns: int, received_ns: int) -> int | None:
+        """Report that the ticks jumped, and go on with them where the clock agrees."""
+        device_ns = self._counter.extended_ns(shown_ns)
+        by_clock = self._by_clock_ns(length_ns, received_ns)
+        is_possible = by_clock is None or by_clock[0] <= device_ns <= by_clock[1]
+        if self._n_agreeing >= AGREEING or not is_possible:
+            expected_ns = self._expected_ns
+            if expected_ns is None:
+                expected_ns = self._device_clock.mapping.device_ns(received_ns) - length_ns
+            period_ns = self._parameters.period_ns
+            self._report(
+                "clock_backwards" if device_ns < expected_ns else "clock_jumped",
+                f"the samples are of tick {shown_ns // period_ns}: expected about {expected_ns // period_ns}, "
+                "tick k at k periods of the clock",
+            )
+        if not is_possible:
+            return None
+        self._n_other = 0
+        self._expected_ns = None
+        return device_ns
+
     def _may_stamp(self, device_ns: int, received_ns: int) -> bool:
-        if not self._is_stamping:
-            mapping = self._device_clock.mapping
+        mapping = self._device_clock.mapping
+        if self._stamping_epoch != mapping.epoch:
             sd_ns = mapping.standard_deviation_ns(device_ns)
             age_ns = received_ns - self._device_clock.connected_ns
-            self._is_stamping = (age_ns > SETTLING_NS and sd_ns < self._device_clock.max_sd_ns / 2) or (
-                age_ns > STAMPING_PATIENCE_NS and mapping.is_usable
-            )
-        return self._is_stamping
+            is_settled = age_ns > SETTLING_NS and sd_ns < self._device_clock.max_sd_ns / 2
+            if not is_settled and not (age_ns > STAMPING_PATIENCE_NS and mapping.is_usable):
+                return False
+            self._stamping_epoch = mapping.epoch
+        return True

@@ -85,8 +85,7 @@ class SequenceStream:
         if transfer.start_device_ns is None:
             sd_ns, limit_ns = self._device_clock.sd_ns(now_ns), self._device_clock.max_sd_ns
             if sd_ns < limit_ns:
-                start_ns = self._device_clock.mapping.device_ns(transfer.start_steady_ns)
-                transfer.start_device_ns = max(0, start_ns)
+                transfer.start_device_ns = self._device_clock.device_says_ns(transfer.start_steady_ns)
             elif now_ns > transfer.start_steady_ns - LAST_ARM_NS:
                 self._end_early(
                     "refused",

@@ -30,6 +30,7 @@ from beam_ros.hub.host.pulse import HostPulse
 from beam_ros.hub.host.requests import Requests, SetpointRepeater
 from beam_ros.hub.host.sample_stamping import DeviceClock, SampleStamping
 from beam_ros.hub.host.sequence_stream import SequenceStream
+from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.connection import Connection
@@ -41,6 +42,7 @@ COUNTERS = (
     "bad_frames",
     "unknown_messages",
     "lost_ticks",
+    "strange_ticks",
     "unstamped_batches",
     "connections",
     "watchdog_proved",
@@ -69,11 +71,14 @@ class HubClient:
         self._journal = Journal(COUNTERS)
         self._pulse = HostPulse()
         self._connection = Connection(parameters, link, self._journal)
-        self._requests = Requests()
+        self._supervisor = Supervisor(parameters, self._journal)
+        self._requests = Requests(parameters, self._supervisor.report)
         self._setpoints = SetpointRepeater()
-        self._device_clock = DeviceClock(link.max_clock_sd_ns)
+        self._device_clock = DeviceClock(link.max_clock_sd_ns, self._supervisor.report)
         self._stream = SequenceStream(self._gate, self._device_clock, self._journal)
-        self._stamping = SampleStamping(parameters, self._device_clock, self._journal)
+        self._stamping = SampleStamping(
+            parameters, self._device_clock, self._journal, self._supervisor.report
+        )
         self._clock: HostClock | None = None
         self._device: protocol.Status | None = None
         self._told_state: AxisState | None = None
@@ -100,10 +105,11 @@ class HubClient:
         if kind in ("stop", "disable"):
             self._setpoints.drop()
             self._stream.abort_unannounced(f"{kind} was asked for")
-        if self._connection.is_in_session:
-            # What is asked while the connection comes up waits for it; that takes a second.
-            return self._requests.begin(kind)
-        return self._requests.refuse(kind, self._connection.reason)
+        if not self._connection.is_in_session:
+            return self._requests.refuse(kind, self._connection.reason)
+        answer = self._supervisor.answer(kind, self._device.state if self._device else "disconnected")
+        # What is asked while the connection comes up waits for it; that takes a second.
+        return self._requests.begin(kind) if answer is None else self._requests.answer(answer)
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
@@ -182,6 +188,8 @@ class HubClient:
                 counters["unknown_messages"] += 1
                 if counters["unknown_messages"] == 1:
                     self._journal.tell("warning", str(err))
+                if payload[:1] == bytes((protocol.STATUS,)) and self._connection.is_in_session:
+                    self._supervisor.report("status_unreadable", str(err))
                 continue
             handler = _HANDLERS.get(type(message))
             if handler is not None and (
@@ -189,10 +197,12 @@ class HubClient:
             ):
                 self._connection.hear(received_ns)
                 handler(self, message, received_ns)
+                if self._connection.is_in_session:
+                    self._supervisor.hear(_WATCHED.get(type(message), "other"))
 
     def transmit(self, now_ns: int) -> bytes:
         """Return what is to be sent now, at steady time ``now_ns``; nothing where the host is not alive."""
-        if not self._pulse.may_speak(now_ns, is_line_open=self._connection.state != "down"):
+        if not self._pulse.may_speak(now_ns, is_line_open=self._is_line_open(now_ns)):
             # A set-point that waited for a frozen host is too old to be sent when it thaws.
             self._setpoints.drop()
             return b""
@@ -242,6 +252,19 @@ class HubClient:
         for samples in self._stream.samples(now_ns):
             yield protocol.Samples(*samples)
 
+    def _is_line_open(self, now_ns: int) -> bool:
+        """Say whether there is a line to speak on; see to it first that an axis with a fault stops."""
+        supervisor = self._supervisor
+        supervisor.look(now_ns)
+        if not self._connection.is_up:
+            return self._connection.state != "down"
+        if supervisor.is_stop_due(now_ns):
+            self._setpoints.drop()
+            self._stream.lose(supervisor.reason)
+            self._requests.withdraw(("enable", "home"), supervisor.reason)
+            self._requests.begin("stop")
+        return not supervisor.must_be_silent(now_ns)
+
     # What is heard ------------------------------------------------------------------------------------
 
     def _on_identity(self, identity: protocol.Identity, received_ns: int) -> None:
@@ -255,6 +278,7 @@ class HubClient:
         elif news == "new":
             self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
+            self._supervisor.connect()
 
     def _on_limits_reply(self, reply: protocol.LimitsReply, received_ns: int) -> None:
         self._connection.note_limits(reply.limits, received_ns)
@@ -268,16 +292,20 @@ class HubClient:
         if reply.phase == "pending":
             self._requests.acknowledge(reply.number)
         else:
-            self._requests.finish(reply.number, Outcome(reply.phase == "success", reply.text))
+            kind = self._requests.finish(reply.number, Outcome(reply.phase == "success", reply.text))
+            if reply.phase == "success":
+                self._supervisor.note_done(kind)
 
     def _on_arm_reply(self, reply: protocol.ArmReply, received_ns: int) -> None:
         self._stream.note_answer(reply.number, reply.is_accepted, reply.text, received_ns)
 
     def _on_telemetry(self, telemetry: protocol.Telemetry, received_ns: int) -> None:
-        self._stamping.add(telemetry.ticks, received_ns, self._clock)
+        lost = self._stamping.add(telemetry.ticks, received_ns, self._clock)
+        self._supervisor.note_ticks(telemetry.ticks, lost, is_homing=self._requests.has("home"))
 
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
+        self._supervisor.note_status(status.state, status.activity, status.tick)
         self._connection.note_status(status, received_ns)
         if not self._connection.is_in_session:
             self._forget_session(self._connection.reason)
@@ -321,7 +349,7 @@ class HubClient:
             connection = self._connection
             return HubStatus(fault=connection.fault, reason=connection.reason, counters=counters)
         resolution = self._parameters.encoder_resolution
-        return HubStatus(
+        status = HubStatus(
             device.state,
             device.position_count * resolution,
             device.velocity_count * resolution / self._parameters.period,
@@ -330,6 +358,7 @@ class HubClient:
             device.reason,
             counters,
         )
+        return self._supervisor.seen(status)
 
 
 _HANDLERS: dict[type, Callable[..., None]] = {
@@ -341,3 +370,5 @@ _HANDLERS: dict[type, Callable[..., None]] = {
     protocol.Status: HubClient._on_status,
     protocol.LimitsReply: HubClient._on_limits_reply,
 }
+_WATCHED = {protocol.Telemetry: "telemetry", protocol.Status: "status"}
+"""Messages without which nobody knows how the axis is."""
