@@ -12,6 +12,7 @@ for a newer one, or say in one line why it cannot.
 """
 
 import argparse
+import glob
 import hashlib
 import json
 import os
@@ -30,6 +31,7 @@ OLDEST_GLIBC = (2, 28)
 EXTRAS = ("rig", "ros", "dask", "test", "dev", "docs")
 STAMP = "beam-setup.json"
 LOG = "setup.log"
+LONGEST_FIRST_LINE = 255  # that Linux reads of a script
 OFFLINE = "`python3 bootstrap.py --extras none` sets up what needs no ROS (beam model, simulate, identify)"
 
 PROBE = r"""
@@ -237,6 +239,28 @@ class Setup:
             environment,
             "asking the package index",
         )
+        self.hold_signals_back()
+
+    def hold_signals_back(self) -> None:
+        """Let the suite's commands start with SIGINT and SIGTERM blocked, which they let in once they can take them.
+
+        Python has its own handler long before a script's first line: a Ctrl-C in the first tenth of a second would
+        end in a traceback of the interpreter's start.
+        """
+        if self.is_windows or "'" in self.venv_python:
+            return
+        words = ["/usr/bin/env", "-S", "--block-signal=INT --block-signal=TERM"]
+        line = "#!{} '{}'\n".format(" ".join(words), self.venv_python).encode()
+        if len(line) > LONGEST_FIRST_LINE or subprocess.call([*words, "true"], stderr=subprocess.DEVNULL):
+            return  # or an env older than 2019
+        for path in filter(os.path.isfile, glob.glob(os.path.join(glob.escape(self.scripts), "*"))):
+            with open(path, "rb") as stream:
+                script = stream.read(4096)
+                if not (script.startswith(b"#!") and b"from beam_ros.process.executables import" in script):
+                    continue
+                body = script[script.index(b"\n") + 1 :] + stream.read()
+            with open(path, "wb") as stream:
+                stream.write(line + body)
 
     def run(self, command: list, environment: dict, activity: str) -> None:
         """Run a step with its output in the log and its progress on the terminal."""

@@ -1,5 +1,7 @@
 """Name, version, requirements and executables of the suite, for pip and for colcon."""
 
+import subprocess
+import sys
 from glob import glob
 from pathlib import Path
 
@@ -58,6 +60,11 @@ EXECUTABLES = [
     "firmware_emulator",
 ]
 
+# colcon's scripts start with signals blocked, as those of bootstrap.py do, and the suite lets them in; pip makes its
+# own first lines.
+BLOCKED = ["/usr/bin/env", "-S", "--block-signal=INT --block-signal=TERM"]
+CAN_BLOCK = sys.platform == "linux" and not subprocess.call([*BLOCKED, "true"], stderr=subprocess.DEVNULL)
+
 setup(
     name=PACKAGE,
     version="0.1.0",
@@ -91,6 +98,7 @@ setup(
         (f"share/{PACKAGE}/launch", glob("launch/*.launch.py")),
         (f"share/{PACKAGE}/config", glob(f"{PACKAGE}/config/*.yaml") + glob(f"{PACKAGE}/config/*.xml")),
     ],
+    options={"build_scripts": {"executable": f"{' '.join(BLOCKED)} {sys.executable}"}} if CAN_BLOCK else {},
     zip_safe=False,
     install_requires=[
         "numpy>=1.26",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import uuid
 from importlib import resources
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from launch_ros.actions import Node
 
 from beam_ros.interfaces.graph import NODES, RigKind, emulated_port, nodes_of_rig
 from beam_ros.rig.rig import Rig
+from beam_ros.rig.time_keeping import check_time_of_rig, follows_clock
 from launch import LaunchContext, LaunchDescription
 
 PACKAGED_RIG = str(resources.files("beam_ros") / "config" / "rig.yaml")
@@ -41,10 +43,11 @@ def _nodes(context: LaunchContext) -> list[Node]:
         LaunchConfiguration(name).perform(context) for name in ("rig", "params_file", "namespace")
     )
     kind, values = RigKind(rig), Rig.from_file(Path(params_file))
+    check_time_of_rig(kind, values)
     parameters: list[str | dict[str, object]] = [params_file]
     if kind is RigKind.EMULATED:
-        parameters.append(emulated_port(str(Path(tempfile.mkdtemp(prefix="beam-rig-")) / "controller")))
-    follows_clock = values.simulation.real_time_factor != 1.0
+        # The emulator makes the link of this name, and takes it away when it ends.
+        parameters.append(emulated_port(str(Path(tempfile.gettempdir()) / f"beam-rig-{uuid.uuid4().hex}")))
     has_images = kind is not RigKind.SIMULATED or values.simulation.images
     return [
         Node(
@@ -52,7 +55,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
             executable=executable,
             name=NODES[executable].name,
             namespace=namespace,
-            parameters=[*parameters, {"use_sim_time": follows_clock and executable != "simulator"}],
+            parameters=[*parameters, {"use_sim_time": follows_clock(executable, values)}],
             output="screen",
         )
         for executable in nodes_of_rig(kind, with_camera_images=has_images)

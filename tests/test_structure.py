@@ -82,6 +82,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "firmware_emulator hub_driver simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
     ("beam_ros/process", "executables folders progress", "cli/test_main"),
+    ("beam_ros/process", "interruption", "nodes/test_endings"),
     ("beam_ros/shell", "axis_links", "nodes/test_contract"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
     ("beam_ros/shell", "hub_topics", "nodes/test_contract"),

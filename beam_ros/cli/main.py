@@ -15,6 +15,8 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from beam_ros.errors import faults_of_the_user, suggestion
+from beam_ros.process.executables import INTERRUPTED
+from beam_ros.process.interruption import interrupt, signals_taken
 
 LIVE: dict[str, str] = {
     "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
@@ -41,7 +43,7 @@ OFFLINE: dict[str, str] = {
 
 VERBS = {**LIVE, **OFFLINE}
 
-OK, FAULT_OF_THE_USER, INTERRUPTED = 0, 2, 130
+OK, FAULT_OF_THE_USER = 0, 2
 
 
 class _Parser(argparse.ArgumentParser):
@@ -122,17 +124,19 @@ def main(argv: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return FAULT_OF_THE_USER
+    faults = faults_of_the_user()
     try:
         parsed = _verb_parser(verb).parse_args(rest)
-        return int(parsed.run(parsed))
+        with signals_taken(interrupt):
+            return int(parsed.run(parsed))
     except SystemExit as exit_request:
         return int(exit_request.code or 0)
-    except faults_of_the_user() as err:
-        print(f"beam {verb}: {err}", file=sys.stderr)
-        return FAULT_OF_THE_USER
     except KeyboardInterrupt:
         print(f"beam {verb}: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except faults as err:
+        print(f"beam {verb}: {err}", file=sys.stderr)
+        return FAULT_OF_THE_USER
     except BrokenPipeError:
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

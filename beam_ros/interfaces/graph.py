@@ -297,7 +297,7 @@ NODES: dict[str, Node] = {
             _HUB_PUBLISHES,
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_BEAM, *_AXIS, *_GUARD, *_group("axis"), *_group("serial")),
+            (*_BEAM, *_AXIS, *_GUARD, *_group("axis"), *_group("serial"), "simulation.real_time_factor"),
             "the motion controller behind a serial port or another axis link",
         ),
         Node(
@@ -306,7 +306,7 @@ NODES: dict[str, Node] = {
             (*_CAMERA, "/diagnostics"),
             (),
             (),
-            (*_BEAM, *_AXIS, *_FILM, *_group("emulator"), *_group("faults")),
+            (*_BEAM, *_AXIS, *_FILM, *_group("emulator"), *_group("faults"), "simulation.real_time_factor"),
             "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
         ),
         Node(

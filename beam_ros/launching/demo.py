@@ -18,14 +18,13 @@ from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
     PrivateDomain,
-    interrupted_by_sigterm,
     node_arguments,
-    refuse_made_up_time,
     stay_on_this_machine,
 )
 from beam_ros.process.folders import make_folder
 from beam_ros.process.progress import Progress
 from beam_ros.rig.rig import Rig
+from beam_ros.rig.time_keeping import check_time_of_rig
 
 _START_TIMEOUT_S = 30.0
 _IDENTIFY_TIMEOUT_S = 90.0
@@ -52,13 +51,12 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
     RigUnavailableError
         A node fell, did not answer or refused.
     """
-    refuse_made_up_time(rig, kind)
+    check_time_of_rig(kind, rig)
     plan = plan_excitation(rig)
     factor = rig.simulation.real_time_factor
     length_s = (rig.excitation.start_delay + plan.sampled.duration_s) / factor
     make_folder(folder)
     with ExitStack() as stack:
-        stack.enter_context(interrupted_by_sigterm())
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="beam-rig-")))
         domain = PrivateDomain()
         stack.callback(domain.release)

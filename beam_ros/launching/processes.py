@@ -7,7 +7,6 @@ kernel ends the nodes when the command itself is killed.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import fcntl
 import os
@@ -15,15 +14,17 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, MutableMapping, Sequence
+from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from beam_ros.errors import RigUnavailableError, UsageError, suggestion
-from beam_ros.interfaces.graph import NODES, RigKind
+from beam_ros.errors import RigUnavailableError, suggestion
+from beam_ros.interfaces.graph import NODES
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
+from beam_ros.process.interruption import hold_signals_back, signals_taken
 from beam_ros.rig.rig import Rig
+from beam_ros.rig.time_keeping import follows_clock
 
 _C_LIBRARY = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
@@ -67,7 +68,7 @@ def stay_on_this_machine(environ: MutableMapping[str, str], domain: int, log_fol
 class PrivateDomain:
     """A ROS domain that no other command of this suite uses at the same time on this machine.
 
-    The claim is a locked file, which the kernel releases however the process ends.
+    The claim is a locked file, which the kernel releases however the process ends; ``release`` also takes it away.
 
     Raises
     ------
@@ -80,10 +81,12 @@ class PrivateDomain:
         first = os.getpid() % 101
         for step in range(101):
             self.number = (first + step) % 101 + 1
-            path = folder / f"beam-rig-domain-{self.number}.lock"
+            self._path = folder / f"beam-rig-domain-{self.number}.lock"
             try:
-                self._file = path.open("w")
+                self._file = self._path.open("w")
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(self._file.fileno()).st_ino != self._path.stat().st_ino:
+                    continue  # Taken away by its last owner between these lines; somebody else may have a new one.
             except OSError:
                 continue
             return
@@ -94,23 +97,8 @@ class PrivateDomain:
 
     def release(self) -> None:
         """Give the domain back."""
+        self._path.unlink(missing_ok=True)
         self._file.close()
-
-
-def refuse_made_up_time(rig: Rig, kind: RigKind) -> None:
-    """Raise where something else than the simulator should run in simulated time.
-
-    Raises
-    ------
-    UsageError
-        The real-time factor is not 1 and the rig is not the simulated one.
-    """
-    factor = rig.simulation.real_time_factor
-    if factor != 1.0 and kind is not RigKind.SIMULATED:
-        raise UsageError(
-            f"simulation.real_time_factor is {factor:g} with the {kind.value} rig: expected 1, because a device and "
-            "its serial line keep real time; use --rig simulated"
-        )
 
 
 def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "") -> tuple[str, ...]:
@@ -127,45 +115,18 @@ def node_arguments(executable: str, rig: Rig, rig_file: Path, namespace: str = "
     -------
     tuple of str -- where simulated time does not run in real time, everybody but the simulator follows ``/clock``
     """
-    factor = rig.simulation.real_time_factor
     words = ["--ros-args", "--params-file", str(rig_file)]
     if namespace:
         words += ["-r", f"__ns:=/{namespace.strip('/')}"]
-    if executable != "simulator" and factor != 1.0:
+    if follows_clock(executable, rig):
         words += ["-p", "use_sim_time:=true"]
     return tuple(words)
-
-
-@contextlib.contextmanager
-def interrupted_by_sigterm() -> Iterator[None]:
-    """Within this block SIGTERM interrupts as Ctrl-C does, so that both end the nodes in order."""
-
-    def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-
-
-@contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Within this block, which takes seconds at most, SIGINT and SIGTERM are ignored."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    previous = [signal.signal(number, signal.SIG_IGN) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, previous, strict=True):
-            signal.signal(number, handler)
 
 
 def _prepare_child() -> None:
     """In the child before exec: end with the parent, and hold signals back until Python can take them."""
     _C_LIBRARY.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    hold_signals_back()
 
 
 @dataclass
@@ -250,8 +211,8 @@ class NodeGroup:
             )
 
     def end(self) -> dict[str, int]:
-        """End every node, the last started first, and return their exit statuses."""
-        with uninterrupted():
+        """End every node, the last started first, and return their exit statuses; takes seconds at most."""
+        with signals_taken(signal.SIG_IGN):
             return self._end()
 
     def _end(self) -> dict[str, int]:

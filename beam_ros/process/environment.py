@@ -12,6 +12,7 @@ Only the standard library is imported here, and nothing else before ``enter`` ha
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,6 +63,8 @@ def enter() -> None:
         clean[RESTART_GUARD] = str(os.getpid())
         sys.stdout.flush()
         sys.stderr.flush()
+        # They wait until the new interpreter can take them (beam_ros/process/interruption.py).
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], clean)
     clean.pop(RESTART_GUARD, None)
     for name in set(os.environ) - set(clean):

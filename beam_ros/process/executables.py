@@ -8,15 +8,13 @@ status 2.
 from __future__ import annotations
 
 import importlib
-import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import partial
-from types import FrameType
 
 from beam_ros.process import environment
+from beam_ros.process.interruption import end_with, take_signals
 
 MODULES = {
     "beam": "beam_ros.cli.main",
@@ -30,6 +28,9 @@ MODULES = {
     "firmware_emulator": "beam_ros.nodes.firmware_emulator",
 }
 """Executables and the modules whose ``main`` they run; all but ``beam`` are nodes."""
+
+INTERRUPTED = 130
+"""Exit status of a command that Ctrl-C ended; a node ends with 0."""
 
 _PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
     "cv2": ("opencv-python-headless", "python3-opencv"),
@@ -72,12 +73,13 @@ def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
     int -- exit status; 2 with one line on stderr when a package it needs is missing
     """
     is_node = name != "beam"
+    # Until the module has something to stop; then it says itself what a signal does.
+    take_signals(end_with(0 if is_node else INTERRUPTED))
     try:
-        with _interruption_ends_with(0 if is_node else 130):
-            environment.enter()
-            if is_node:
-                importlib.import_module("rclpy")
-            module = importlib.import_module(MODULES[name])
+        environment.enter()
+        if is_node:
+            importlib.import_module("rclpy")
+        module = importlib.import_module(MODULES[name])
         status: int = module.main(None if arguments is None else list(arguments))
     except ImportError as error:
         refusal = _refusal(error)
@@ -85,30 +87,9 @@ def run_executable(name: str, arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"{name}: {refusal}", file=sys.stderr)  # noqa: T201 - no logger exists without rclpy
         return 2
-    return status
-
-
-@contextmanager
-def _interruption_ends_with(status: int) -> Iterator[None]:
-    """End the process at once on a signal: while modules are imported there is nothing to stop yet.
-
-    A parent may have blocked the signals so that none meets an interpreter that only starts; they are let in.
-    """
-
-    def leave(_signal: int, _frame: FrameType | None) -> None:
-        os._exit(status)
-
-    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number, handler in previous.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, leave)
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, previous)
-    try:
-        yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        take_signals(signal.SIG_IGN)  # The interpreter puts itself away, which takes a moment.
+    return status
 
 
 def _refusal(error: ImportError) -> str | None:

@@ -17,6 +17,7 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -35,6 +36,7 @@ from beam_ros.interfaces.parameter_files import parameter_sections
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.messages import RosTypes
 from beam_ros.rig.rig import Rig
+from beam_ros.rig.time_keeping import NO_CLOCK, check_time
 
 FAULT_OF_THE_USER = 2
 _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
@@ -85,6 +87,8 @@ class RigNode(Node):  # type: ignore[misc]
     ------
     ParameterFileError
         A parameter given to the node is unknown or has a wrong type, word or range.
+    UsageError
+        The node cannot keep the time that it is given.
     """
 
     def __init__(self, executable: str) -> None:
@@ -92,10 +96,12 @@ class RigNode(Node):  # type: ignore[misc]
         super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True)
         self.types = RosTypes()
         self.rig = self._declare_parameters()
+        check_time(executable, self.rig, uses_sim_time=self._uses_sim_time())
         self.add_pre_set_parameters_callback(self._in_their_types)
         self.add_on_set_parameters_callback(self._check_new_values)
         self._diagnostics = self.offer("/diagnostics")
-        self.create_timer(1.0, self._publish_diagnostics)
+        # On the steady clock, so that a node is heard also while the time that it follows stands still.
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _declare_parameters(self) -> Rig:
         given = {
@@ -128,8 +134,11 @@ class RigNode(Node):  # type: ignore[misc]
     def _check_new_values(self, parameters: list[RosParameter]) -> SetParametersResult:
         try:
             new = {p.name: _plain(p.value) for p in parameters if p.name in RIG_PARAMETERS}
-            self.rig = self.rig.with_values(new)
-        except ParameterFileError as err:
+            rig = self.rig.with_values(new)
+            asked = [p.value for p in parameters if p.name == "use_sim_time"]
+            check_time(self.row.executable, rig, uses_sim_time=any(asked) if asked else self._uses_sim_time())
+            self.rig = rig
+        except (ParameterFileError, UsageError) as err:
             return SetParametersResult(successful=False, reason=str(err))
         return SetParametersResult(successful=True)
 
@@ -184,8 +193,14 @@ class RigNode(Node):  # type: ignore[misc]
     def close(self) -> None:
         """Release what the node holds; called once, also after a failure."""
 
+    def _uses_sim_time(self) -> bool:
+        return bool(self.get_parameter("use_sim_time").value)
+
     def _publish_diagnostics(self) -> None:
         level, sentence, counters = self.health()
+        if self._uses_sim_time() and self.now_ns() == 0:
+            level, sentence = "ERROR", NO_CLOCK
+            self.get_logger().warning(NO_CLOCK, throttle_duration_sec=10.0)
         name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.row.executable}"
         status = messages.Health(name, level, sentence, self.row.name, counters)
         self._diagnostics.publish(messages.diagnostics(self.types, self.now_ns(), [status]))

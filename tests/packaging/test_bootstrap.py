@@ -278,6 +278,25 @@ def test_a_folder_that_the_set_up_did_not_make_is_left_as_it_is(clone: Path) -> 
     assert (clone / ".venv" / "thesis.tex").read_text() == "years of work"
 
 
+def test_the_suites_commands_start_with_signals_held_back_and_others_as_pip_made_them(
+    bootstrap: ModuleType, clone: Path
+) -> None:
+    """The folder's name has a blank."""
+    bin_folder = make_ready(bootstrap, clone)
+    code = "import signal; print(sorted(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, []))))"
+    own = f"#!/usr/bin/python3\nif 0:\n    from beam_ros.process.executables import beam\n{code}\n"
+    (bin_folder / "beam").write_text(own)
+    (bin_folder / "other").write_text(other := f"#!{sys.executable}\n{code}\n")
+    (bin_folder / "beam").chmod(0o755)
+    if subprocess.call(["/usr/bin/env", "--block-signal=INT", "true"], stderr=subprocess.DEVNULL):
+        pytest.skip("this machine's env cannot block signals: expected GNU coreutils 8.31 or later")
+    for _ in range(2):
+        bootstrap.Setup(bootstrap.parse([])).hold_signals_back()
+        ended = subprocess.run([bin_folder / "beam"], capture_output=True, text=True, timeout=30, check=False)
+        assert (ended.stdout, ended.stderr) == ("[2, 15]\n", "")
+    assert (bin_folder / "other").read_text() == other
+
+
 def test_an_interrupted_set_up_says_so_and_leaves_no_process(clone: Path) -> None:
     # A package index that accepts the connection and never answers keeps pip and its own children waiting.
     mark = uuid.uuid4().hex

@@ -71,6 +71,8 @@ def test_ros2_finds_the_package_its_files_and_its_executables(workspace: Path) -
         assert (prefix / path).is_file(), path
     executables = [path for path in (prefix / "lib" / "beam_ros").iterdir() if os.access(path, os.X_OK)]
     assert {path.name for path in executables} == set(MODULES)
+    if subprocess.call(["/usr/bin/env", "--block-signal=INT", "true"], stderr=subprocess.DEVNULL) == 0:
+        assert all("--block-signal=INT" in path.read_text().partition("\n")[0] for path in executables)
 
 
 def test_the_command_that_runs_is_the_workspaces_own(workspace: Path) -> None:

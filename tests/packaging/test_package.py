@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import runpy
 import sys
+import tempfile
 import types
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import NODES, RigKind, nodes_of_rig
 from beam_ros.process.executables import MODULES
 from tests.packaging.conftest import ROOT
@@ -96,9 +98,9 @@ def test_every_module_is_found_by_setuptools_and_typed(setup_arguments: dict[str
             assert dotted in setup_arguments["packages"], f"{path} has no __init__.py beside it"
 
 
-@pytest.mark.parametrize("rig", list(RigKind))
-def test_the_launch_file_starts_the_rig_of_the_table(rig: RigKind, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ROS packages `launch` and `launch_ros` have no wheels: stand-ins record what they are given."""
+@pytest.fixture
+def launch_actions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What the launch file declares; stand-ins record it, since `launch` and `launch_ros` have no wheels."""
 
     class Recorder:
         def __init__(self, *values: Any, **named: Any) -> None:
@@ -121,12 +123,41 @@ def test_the_launch_file_starts_the_rig_of_the_table(rig: RigKind, monkeypatch: 
         monkeypatch.setitem(sys.modules, name, module)
 
     launch_file = runpy.run_path(str(ROOT / "launch" / "rig.launch.py"))
-    actions = launch_file["generate_launch_description"]().values[0]
-    arguments = {action.values[0]: action.named for action in actions if action.values}
+    actions: list[Any] = launch_file["generate_launch_description"]().values[0]
+    return actions
+
+
+def launched(actions: list[Any], **given: str) -> list[Any]:
+    """The nodes that the launch file starts with some arguments."""
+    declared = {action.values[0]: action.named["default_value"] for action in actions if action.values}
+    nodes: list[Any] = actions[-1].named["function"]({**declared, **given})
+    return nodes
+
+
+@pytest.mark.parametrize("rig", list(RigKind))
+def test_the_launch_file_starts_the_rig_of_the_table(
+    rig: RigKind, launch_actions: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    arguments = {action.values[0]: action.named for action in launch_actions if action.values}
     assert arguments["rig"]["choices"] == ["simulated", "emulated", "real"]
     assert Path(arguments["params_file"]["default_value"]).exists()
 
-    context = {name: str(named["default_value"]) for name, named in arguments.items()} | {"rig": rig.value}
-    nodes = actions[-1].named["function"](context)
+    nodes = launched(launch_actions, rig=rig.value)
     assert tuple(node.named["executable"] for node in nodes) == nodes_of_rig(rig)
     assert [node.named["name"] for node in nodes] == [NODES[name].name for name in nodes_of_rig(rig)]
+    assert not any(node.named["parameters"][-1]["use_sim_time"] for node in nodes)
+    assert list(tmp_path.iterdir()) == [], "what launching makes itself, nobody takes away"
+
+
+def test_the_launch_file_lets_only_the_simulated_rig_run_in_another_time(
+    launch_actions: list[Any], tmp_path: Path
+) -> None:
+    slow = tmp_path / "slow.yaml"
+    slow.write_text("/**: {ros__parameters: {simulation: {real_time_factor: 0.5}}}")
+    nodes = launched(launch_actions, rig="simulated", params_file=str(slow))
+    follow = {node.named["executable"]: node.named["parameters"][-1]["use_sim_time"] for node in nodes}
+    assert follow == {"simulator": False, "vision_tracker": True, "excitation_generator": True}
+    for rig in ("emulated", "real"):
+        with pytest.raises(UsageError, match=r"real_time_factor is 0\.5 .* expected 1"):
+            launched(launch_actions, rig=rig, params_file=str(slow))

@@ -10,6 +10,8 @@ import argparse
 from beam_ros.cli.options import one_of
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import SERVICES, SET_BOOL
+from beam_ros.process.executables import INTERRUPTED
+from beam_ros.process.interruption import end_with, signals_taken
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"{arguments.service}: expected {expected} after it; `beam call --help` lists the services"
         )
-    from beam_ros.launching.client import RigClient
+    with signals_taken(end_with(INTERRUPTED)):
+        from beam_ros.launching.client import RigClient
 
     value = arguments.value == "true" if takes_value else None
     with RigClient(namespace=arguments.namespace) as client:

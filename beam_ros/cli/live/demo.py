@@ -14,6 +14,8 @@ from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.interfaces.graph import RigKind
+from beam_ros.process.executables import INTERRUPTED
+from beam_ros.process.interruption import end_with, signals_taken
 from beam_ros.process.strict_json import strict_json
 
 
@@ -37,8 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig = read_rig(arguments)
     folder = run_folder(arguments.out, f"demo-{arguments.rig}")
-    from beam_ros.launching.demo import conduct_demo
-    from beam_ros.offline.identification import format_files, format_table
+    with signals_taken(end_with(INTERRUPTED)):
+        from beam_ros.launching.demo import conduct_demo
+        from beam_ros.offline.identification import format_files, format_table
 
     started = time.monotonic()
     result = conduct_demo(rig, RigKind(arguments.rig), folder, record_images=arguments.images)

@@ -17,11 +17,12 @@ from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.processes import (
     NodeGroup,
-    interrupted_by_sigterm,
     node_arguments,
-    refuse_made_up_time,
 )
+from beam_ros.process.executables import INTERRUPTED
 from beam_ros.process.folders import make_folder
+from beam_ros.process.interruption import end_with, signals_taken
+from beam_ros.rig.time_keeping import check_time_of_rig
 
 _WATCH_S = 0.2
 _START_TIMEOUT_S = 40.0
@@ -52,11 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
             "--rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"
         )
-    refuse_made_up_time(rig, kind)
-    from beam_ros.launching.client import RigClient
+    check_time_of_rig(kind, rig)
+    with signals_taken(end_with(INTERRUPTED)):
+        from beam_ros.launching.client import RigClient
 
     with (
-        interrupted_by_sigterm(),
         tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch,
         RigClient(namespace=arguments.namespace) as client,
     ):

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, also twice, end every node with status 0, no traceback and nothing left behind."""
+"""SIGINT and SIGTERM, at any time and also twice, end every node with status 0, no traceback and nothing left."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 from beam_ros.interfaces.graph import NODES
 from beam_ros.offline.simulation import simulate
+from beam_ros.process.executables import command
 from beam_ros.rig.rig import Rig
 
 pytestmark = pytest.mark.ros
@@ -52,3 +53,30 @@ def test_a_signal_ends_every_node_cleanly_also_when_it_comes_twice(
         assert node.wait(10.0) == 0, f"{name}: {node.output()}"
         assert "Traceback" not in node.output(), node.output()
         assert "Error" not in node.output(), node.output()
+
+
+@pytest.mark.parametrize("delay_s", [0.01, 0.05, 0.15, 0.35, 0.6, 1.0])
+def test_ctrl_c_in_the_first_second_ends_every_command_without_a_traceback(
+    executables: Any, tmp_path: Path, delay_s: float
+) -> None:
+    """All at once, so that each meets the signal somewhere else in its start."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    held_back = ("env", "--block-signal=INT")  # as the first line of the installed scripts says
+    commands = {name: ("--ros-args", *_parameters(name, tmp_path)) for name in NODES}
+    commands |= {"up": ("up", "--rig", "emulated"), "demo": ("demo", "--out", "run")}
+    running = {}
+    for name, words in commands.items():
+        executable = name if name in NODES else "beam"
+        environment = {"TMPDIR": str(scratch)}
+        program = [*held_back, *command(executable)]
+        running[name] = executables.start(executable, *words, environment=environment, program=program)
+    time.sleep(delay_s)
+    for started in running.values():
+        started.send_signal(signal.SIGINT)
+    for name, started in running.items():
+        expected = 0 if name in NODES else 130
+        # What needs a bag that is not there may have said so already.
+        assert started.wait(20.0) in (expected, 2), (name, started.output())
+        assert "Traceback" not in started.output(), (name, started.output())
+    assert list(scratch.iterdir()) == []

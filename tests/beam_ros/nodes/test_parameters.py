@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from beam_ros.interfaces.graph import NODES
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
+from beam_ros.rig.time_keeping import NO_CLOCK
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -150,3 +153,33 @@ def test_a_video_that_is_none_is_one_line_and_status_2(executables, tmp_path, na
     assert sum("vision_tracker:" in line for line in node.output().splitlines()) == 1, node.output()
     assert str(path) in node.output()
     assert "Traceback" not in node.output()
+
+
+@pytest.mark.parametrize(
+    ("executable", "parameter"),
+    [
+        ("hub_driver", "simulation.real_time_factor:=0.5"),
+        ("firmware_emulator", "use_sim_time:=true"),
+        ("simulator", "use_sim_time:=true"),
+    ],
+)
+def test_a_node_that_cannot_keep_its_time_does_not_start(
+    executables: Any, executable: str, parameter: str
+) -> None:
+    refused = executables.run("beam", "run", executable, "--ros-args", "-p", parameter)
+    assert refused.process.returncode == 2
+    (line,) = refused.output().strip().splitlines()
+    assert f"{parameter.partition(':=')[0]} is" in line
+    assert "expected" in line
+
+
+def test_a_node_without_the_clock_that_it_follows_says_so(executables: Any, graph: Any) -> None:
+    seen: list[tuple[str, str]] = []
+
+    def note(message: Any) -> None:
+        seen.extend((status.level, status.message) for status in message.status)
+
+    graph.listen("/diagnostics", note)
+    tracker = executables.start("vision_tracker", "--ros-args", "-p", "use_sim_time:=true")
+    graph.wait(lambda: any(text == NO_CLOCK for _, text in seen), "a complaint in the diagnostics", 20.0)
+    assert NO_CLOCK in tracker.wait_for("nobody publishes /clock")
