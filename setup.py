@@ -91,12 +91,15 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=["beam_*"]),
-    package_data={"": ["py.typed", "*.pyi"], PACKAGE: ["config/*.yaml", "config/*.xml"]},
+    package_data={"": ["py.typed", "*.pyi"], PACKAGE: ["config/*.yaml", "config/*.xml", "config/*.rules"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", glob("launch/*.launch.py")),
-        (f"share/{PACKAGE}/config", glob(f"{PACKAGE}/config/*.yaml") + glob(f"{PACKAGE}/config/*.xml")),
+        (
+            f"share/{PACKAGE}/config",
+            [path for path in glob(f"{PACKAGE}/config/*.*") if not path.endswith(".py")],
+        ),
     ],
     options={"build_scripts": {"executable": f"{' '.join(BLOCKED)} {sys.executable}"}} if CAN_BLOCK else {},
     zip_safe=False,

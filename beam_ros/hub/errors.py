@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from beam_ros.errors import RigError, RigUnavailableError
+from beam_ros.hub.faults import Fault, fault
 
 
 class HubError(RigError):
@@ -18,7 +19,23 @@ class HubProtocolError(HubError, OSError):
 
 
 class HubConnectionError(HubError, RigUnavailableError):
-    """A port that cannot be opened, or a device behind it that cannot be used."""
+    """A port that cannot be opened, or a device behind it that cannot be used.
+
+    Parameters
+    ----------
+    message : str
+        What, where, expected, remedy.
+    cause : Fault
+        The row of the table.
+    """
+
+    def __init__(self, message: str, cause: Fault = fault("port_unavailable")) -> None:  # noqa: B008 - a constant
+        super().__init__(message)
+        self.fault = cause
+
+
+class PortDeniedError(HubConnectionError):
+    """A port that is there and may not be used: somebody else has it, or the user has no right to it."""
 
 
 class SnapshotError(HubError, ValueError):

@@ -161,9 +161,11 @@ class LinkParameters:
     Parameters
     ----------
     serial_port : str
-        Its port, such as ``/dev/ttyACM0``.
+        Its port, such as ``/dev/ttyACM0`` or ``socket://host:4000``.
     serial_baud : int
         Bits per second on that port.
+    patience_s : float
+        A port that is not there at the start is no fault before this time [s].
     max_clock_sd_ns : int
         Standard deviation of the clock map above which no sequence starts [ns].
     prove_watchdog : bool
@@ -172,6 +174,7 @@ class LinkParameters:
 
     serial_port: str = ""
     serial_baud: int = 921_600
+    patience_s: float = 0.0
     max_clock_sd_ns: int = 50_000
     prove_watchdog: bool = True
 

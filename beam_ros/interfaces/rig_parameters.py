@@ -97,9 +97,9 @@ class AxisSettings:
 class SerialSettings:
     """The line to the motion controller."""
 
-    port: str = setting("device of the motion controller")
+    port: str = setting("device or URL of the motion controller")
     baud: int = setting("line speed", "baud", 1200, 12_000_000)
-    patience: float = setting("wait so long for the port to appear", "s", 0.0, 60.0)
+    patience: float = setting("a port that is not there is no fault before", "s", 0.0, 60.0)
 
 
 @dataclass(frozen=True)

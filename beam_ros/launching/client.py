@@ -40,6 +40,7 @@ class RigClient:
     sequence : dict -- newest ``hub/sequence_state``
     recorded : dict -- messages that the recorder has, by topic
     hub_counters : dict or None -- the hub's newest values on ``/diagnostics``
+    hub_trouble : str -- the hub's newest sentence there, where it reports an error
     """
 
     def __init__(self, check: Callable[[], None] = lambda: None, *, namespace: str = "") -> None:
@@ -53,6 +54,7 @@ class RigClient:
         self.sequence: dict[str, Any] = {}
         self._on_result: Callable[[dict[str, Any]], None] = lambda result: None
         self.hub_counters: dict[str, object] | None = None
+        self.hub_trouble = ""
         self.recorded: dict[str, int] = {}
         self._listen("beam/displacement", self._on_displacement)
         self._listen("hub/state", self._on_hub_state)
@@ -87,6 +89,7 @@ class RigClient:
         for status in messages.read_diagnostics(message):
             if status.hardware_id == "hub":
                 self.hub_counters = dict(status.values)
+                self.hub_trouble = status.message if status.level == "ERROR" else ""
 
     @staticmethod
     def reach() -> str:

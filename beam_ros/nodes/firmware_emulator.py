@@ -6,12 +6,10 @@ Hub data leaves it over the serial line alone; on the graph it is only the camer
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from beam_ros.errors import RigUnavailableError
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.injected_faults import read_schedule, read_schedule_file
 from beam_ros.hub.errors import HubParameterError
@@ -34,11 +32,11 @@ class FirmwareEmulator(RigNode):
         drift_ppm = self.rig.emulator.clock_drift_ppm
         plant = beam_on_axis(model, parameters, self.rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
         device = SimulatedDevice(clock_drift_ppm=drift_ppm, clock_start_ns=_POWER_ON_NS)
-        self._link: Path | None = None
         self._controller = EmulatedController(
             parameters.widened(_HEADROOM),
             plant,
             device,
+            link=self.rig.emulator.port_link or None,
             faults=read_schedule_file(self.rig.faults.schedule),
             line_baud=self.rig.emulator.line_baud,
             fifo_bytes=self.rig.emulator.fifo,
@@ -48,24 +46,8 @@ class FirmwareEmulator(RigNode):
         self._camera = SimulatedCamera(
             self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
         )
-        self._link_port()
+        self.get_logger().info(f"motion controller on {self._controller.port}")
         self.create_timer(_FILM_S, self._film)
-
-    def _link_port(self) -> None:
-        path = self.rig.emulator.port_link
-        if path:
-            link = Path(path)
-            if link.is_symlink():
-                link.unlink()
-            try:
-                link.symlink_to(self._controller.port)
-            except OSError as err:
-                raise RigUnavailableError(
-                    f"emulator.port_link {link}: cannot be made ({err.strerror}); give a path in an existing "
-                    "folder where no file stands"
-                ) from err
-            self._link = link
-        self.get_logger().info(f"motion controller on {path or self._controller.port}")
 
     def _check_request(self, parameters: list[Parameter]) -> SetParametersResult:
         """Refuse a request for a fault that there is none of."""
@@ -95,12 +77,6 @@ class FirmwareEmulator(RigNode):
 
     def close(self) -> None:
         """Switch the controller off."""
-        if (
-            self._link is not None
-            and self._link.is_symlink()
-            and os.readlink(self._link) == self._controller.port
-        ):
-            self._link.unlink()
         self._controller.close()
 
 

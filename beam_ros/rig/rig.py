@@ -199,7 +199,12 @@ class Rig(RigParameters):
         """How the real axis is reached."""
         from beam_ros.hub.parameters import LinkParameters
 
-        return LinkParameters(self.serial.port, self.serial.baud, prove_watchdog=self.axis.prove_watchdog)
+        return LinkParameters(
+            self.serial.port,
+            self.serial.baud,
+            self.serial.patience,
+            prove_watchdog=self.axis.prove_watchdog,
+        )
 
     def camera_parameters(self) -> CameraParameters:
         """The camera and what it sees."""

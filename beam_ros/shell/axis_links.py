@@ -8,11 +8,7 @@ streamed, samples that are stamped) lies in ``beam_ros.hub.host``.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from pathlib import Path
-
-import rclpy
 
 from beam_ident.plug_ins import find_kind
 from beam_ros.errors import ParameterFileError, RigUnavailableError
@@ -23,15 +19,9 @@ from beam_ros.rig.rig import Rig
 
 AxisLink = Callable[[Rig, Guard], Hub]
 
-_LOOK_AGAIN_S = 0.05
-
 
 def beam_link(rig: Rig, guard: Guard) -> Hub:
-    """Open the suite's own protocol on a serial port, which may take ``serial.patience`` to appear."""
-    port = Path(rig.serial.port)
-    end = time.monotonic() + rig.serial.patience
-    while not port.exists() and time.monotonic() < end and rclpy.ok():
-        time.sleep(_LOOK_AGAIN_S)
+    """Open the suite's own protocol on a port, which may take ``serial.patience`` to appear."""
     return DriverHub(rig.axis_parameters(), rig.link_parameters(), guard=guard)
 
 

@@ -26,6 +26,8 @@ from beam_ros.rig.time_keeping import check_time_of_rig
 
 _WATCH_S = 0.2
 _START_TIMEOUT_S = 40.0
+_CONNECT_S = 5.0
+"""A real axis that is there is connected by then [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,13 +73,22 @@ def run(arguments: argparse.Namespace) -> int:
             client.check = nodes.check
             for executable in executables:
                 nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
+            # A real axis may be plugged in later: the rig stays up, and says what it waits for.
+            patience_ends = time.monotonic() + rig.serial.patience + _CONNECT_S
             client.wait(
-                lambda: not math.isnan(client.hub_position),
-                _START_TIMEOUT_S,
+                lambda: (
+                    not math.isnan(client.hub_position)
+                    or (
+                        kind is RigKind.REAL and bool(client.hub_trouble) and time.monotonic() > patience_ends
+                    )
+                ),
+                _START_TIMEOUT_S + rig.serial.patience,
                 "the hub published no state",
                 f"look at the nodes' logs in {logs}",
             )
             print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")
+            if client.hub_trouble:
+                print(f"hub {client.hub_trouble}")
             print(f"{client.reach()}; Ctrl-C ends it", flush=True)
             try:
                 while True:

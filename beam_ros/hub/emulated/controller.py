@@ -132,6 +132,9 @@ class EmulatedController:
 
     def unplug(self) -> None:
         """Pull the cable: the port vanishes, the device lives on."""
+        # The terminal's number may be somebody else's at once, and the link another emulator's already.
+        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._slave_path:
+            self._link.unlink()
         with self._lock:
             for descriptor in (self._master, self._slave):
                 if descriptor is not None:
@@ -200,8 +203,6 @@ class EmulatedController:
         self.unplug()
         os.close(self._wake_read)
         os.close(self._wake_write)
-        if self._link is not None and self._link.is_symlink():
-            self._link.unlink()
 
     # Inside -------------------------------------------------------------------------------------------
 

@@ -287,6 +287,7 @@ class HubClient:
 
     def _on_clock_reply(self, reply: protocol.ClockReply, received_ns: int) -> None:
         self._device_clock.answer(reply.number, reply.received_ns, reply.sent_ns, received_ns, self._clock)
+        self._connection.round_trip_ns = self._device_clock.mapping.shortest_rtt_ns
 
     def _on_request_reply(self, reply: protocol.RequestReply, _received_ns: int) -> None:
         if reply.phase == "pending":

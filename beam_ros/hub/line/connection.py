@@ -60,12 +60,15 @@ class Connection:
         Why it is not up.
     reason : str
         The same with its numbers.
+    round_trip_ns : int
+        What the line itself takes for a word and its answer, as far as is known [ns].
     """
 
     def __init__(self, parameters: AxisParameters, link: LinkParameters, journal: Journal) -> None:
         self.state: ConnectionState = "down"
         self.fault: Fault = NO_FAULT
         self.reason = "not connected yet"
+        self.round_trip_ns = 0
         self._parameters = parameters
         self._wanted = protocol.DeviceLimits.of(parameters)
         self._link = link
@@ -77,7 +80,7 @@ class Connection:
         self._n_unanswered = 0
         self._boot_id: int | None = None
         self._name = ""
-        self._has_complained = False
+        self._told: Fault = NO_FAULT
         self._is_at_rest = False
         self._rested_ns: int | None = None
         self._last_set_ns: int | None = None
@@ -113,10 +116,7 @@ class Connection:
         """Take note that there is no line or no session any more."""
         was_in_session, self.state = self.is_in_session, "down"
         self._proof_began_ns = None
-        if was_in_session:
-            self._has_complained = False
-            self._complain(cause, reason)
-        elif cause is not fault("controller_silent"):
+        if was_in_session or cause is not fault("controller_silent"):
             # Who never answered is no news when the port is opened anew.
             self._complain(cause, reason)
 
@@ -208,7 +208,7 @@ class Connection:
     @property
     def _proof_patience_ns(self) -> int:
         """How long a device is given that does not notice the silence."""
-        return 2 * self._wanted.watchdog_ns + PROOF_SLACK_NS
+        return 2 * self._wanted.watchdog_ns + PROOF_SLACK_NS + self.round_trip_ns
 
     def _prove(self, now_ns: int) -> Iterator[protocol.Message]:
         """Say a last word and be silent, or give a trial up that the device let pass."""
@@ -223,7 +223,10 @@ class Connection:
     def _judge(self, now_ns: int, elapsed_ns: int) -> None:
         """Compare the silence that the device noticed with its watchdog's time."""
         self._proof_began_ns = None
-        allowed_ns = self._wanted.watchdog_ns + 2 * self._parameters.batch_ns + PROOF_SLACK_NS
+        # Between the newest tick that the host knew and the last word's arrival lies the line's round trip.
+        allowed_ns = (
+            self._wanted.watchdog_ns + 2 * self._parameters.batch_ns + PROOF_SLACK_NS + self.round_trip_ns
+        )
         if 0 <= elapsed_ns <= allowed_ns:
             self._journal.counters["watchdog_proved"] = 1
             self._establish()
@@ -241,7 +244,7 @@ class Connection:
 
     def _establish(self) -> None:
         self.state, self.fault, self.reason = "up", NO_FAULT, ""
-        self._has_complained = False
+        self._told = NO_FAULT
         self._journal.counters["connections"] += 1
         self._journal.tell("info", f"connected: {self._name} on {self._link.serial_port}")
 
@@ -275,10 +278,10 @@ class Connection:
         self._complain(cause, f"{reason}; {cause.remedy}")
 
     def _complain(self, cause: Fault, text: str) -> None:
-        """Say once what is wrong with the connection."""
+        """Say what is wrong with the connection, once until it is something else."""
         self.fault, self.reason = cause, text
-        if not self._has_complained:
-            self._has_complained = True
+        if cause is not self._told:
+            self._told = cause
             self._journal.tell("error", text)
 
 

@@ -13,7 +13,7 @@ from beam_ros.hub.contract import (
     RequestKind,
     SequenceChunk,
 )
-from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.errors import HubConnectionError, PortDeniedError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.transport import SerialTransport
@@ -23,6 +23,8 @@ from beam_ros.hub.sequences import Guard
 RECONNECT_S = 0.3
 READ_S = 0.005
 """Longest wait for bytes [s]; commands end it early."""
+FLOOD_BYTES, FLOOD_BYTES_PER_TICK = 100_000, 240
+"""More than this in a second is a flood: what waits after a pause, and ten times what telemetry needs."""
 CLOSE_S = 1.0
 """Longest wait for the axis to have stopped on closing [s]; at 10 m/s^2 it stops from 0.5 m/s in 0.05 s."""
 
@@ -42,19 +44,20 @@ class DriverHub:
     Raises
     ------
     HubConnectionError
-        The port is not there, not permitted or in use. Later losses are not raised: the state is then
-        ``disconnected``, and the port is tried again until it comes back.
+        The port is not named, or its URL is of an unknown kind. A port that is missing, denied or lost is not raised:
+        the state is then ``disconnected``, and the port is tried again until it comes back.
     """
 
     def __init__(
         self, parameters: AxisParameters, link: LinkParameters, *, guard: Guard | None = None
     ) -> None:
+        most_bytes = FLOOD_BYTES + FLOOD_BYTES_PER_TICK * 1_000_000_000 // parameters.period_ns
         self._client = HubClient(parameters, link, guard)
-        self._transport = SerialTransport(link.serial_port, link.serial_baud)
+        self._transport = SerialTransport(link.serial_port, link.serial_baud, most_bytes)
         self._lock = threading.Lock()
         self._ending = threading.Event()
-        self._transport.open()
-        self._client.line_opened(time.monotonic_ns())
+        self._patient_until = time.monotonic() + link.patience_s
+        self._was_open = False
         self._thread = threading.Thread(target=self._run, name="hub-serial", daemon=True)
         self._thread.start()
 
@@ -105,26 +108,43 @@ class DriverHub:
         self._thread.join(timeout=2.0)
 
     def _run(self) -> None:
-        """Keep the line alive: the only place where the port is opened again."""
+        """Keep the line alive: the only place where the port is opened."""
         while not self._ending.is_set():
             try:
                 if not self._transport.is_open:
-                    self._transport.open()
-                    with self._lock:
-                        self._client.line_opened(time.monotonic_ns())
+                    self._open()
                 self._talk()
             except HubConnectionError as err:
-                self._transport.close()
-                with self._lock:
-                    self._client.line_lost(fault("port_lost"), str(err))
-                self._ending.wait(RECONNECT_S)
+                self._give_up(err)
+            except Exception as err:  # noqa: BLE001 - whatever it is, the axis must not lose its host for good
+                text = f"the line was closed after {type(err).__name__}: {err}; expected no such error; report it"
+                self._give_up(HubConnectionError(text, fault("port_lost")))
         try:
             if self._transport.is_open:
-                self._transport.write(self._client.goodbye())
+                with self._lock:
+                    words = self._client.goodbye()
+                self._transport.write(words)
         except HubConnectionError:
             return  # Nobody to say it to; the device's watchdog knows what to do.
         finally:
-            self._transport.close()
+            self._transport.dispose()
+
+    def _open(self) -> None:
+        self._transport.open()
+        self._was_open = True
+        with self._lock:
+            self._client.line_opened(time.monotonic_ns())
+
+    def _give_up(self, err: HubConnectionError) -> None:
+        """Close the port, say why where that is news, and wait before it is tried again."""
+        is_missing = err.fault is fault("port_unavailable") and not isinstance(err, PortDeniedError)
+        # A port that was lost and is not back yet is no second fault, one that is waited for not yet the first.
+        is_news = not is_missing or not (self._was_open or time.monotonic() < self._patient_until)
+        self._transport.close()
+        if is_news:
+            with self._lock:
+                self._client.line_lost(err.fault, str(err))
+        self._ending.wait(RECONNECT_S)
 
     def _talk(self) -> None:
         with self._lock:
@@ -139,5 +159,6 @@ class DriverHub:
             is_silent = self._client.is_silent(time.monotonic_ns())
         if is_silent:
             raise HubConnectionError(
-                "the controller fell silent: expected samples every few milliseconds; check its power and cable"
+                "the controller fell silent: expected samples every few milliseconds; check its power and cable",
+                fault("controller_silent"),
             )

@@ -1,31 +1,70 @@
-"""Bytes over a serial port, and what can be wrong with the port."""
+"""Bytes over a port, and what can be wrong with it.
+
+A port is whatever pyserial can open: the path of a device, or a URL such as ``socket://host:4000`` or
+``rfc2217://host:4000``. Drivers, kernels and pyserial's handlers raise many kinds of exceptions when a cable is
+pulled (``termios.error`` is no ``OSError``, a vanished descriptor gives a ``TypeError``); all of them leave this
+module as a ``HubConnectionError`` with a row of the table of faults.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import io
+import os
+import select
+import socket
 import time
+from pathlib import Path
 from typing import Any
 
-from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.errors import HubConnectionError, PortDeniedError
+from beam_ros.hub.faults import fault
 
 WRITE_TIMEOUT_S = 0.25
+BLOCKING_READ_S = 0.005
+"""Longest wait in a port that has no descriptor to wait on [s]; nothing ends it early."""
+MOST_AT_ONCE = 16_384
+"""Bytes of one read."""
+WINDOW_NS = 1_000_000_000
+"""Bytes are counted over this time."""
 
 
 class SerialTransport:
-    """A serial port that is open or closed; every fault is a ``HubConnectionError``.
+    """A port that is open or closed; every fault is a ``HubConnectionError``.
 
     Parameters
     ----------
     port : str
-        Path or name of the port.
+        Path or URL of the port.
     baud : int
         Bits per second.
+    most_bytes : int
+        More than this in a second is a flood.
+
+    Raises
+    ------
+    HubConnectionError
+        The port is not named, or its URL is of a kind that pyserial does not know: waiting would not help.
     """
 
-    def __init__(self, port: str, baud: int) -> None:
+    def __init__(self, port: str, baud: int, most_bytes: int) -> None:
         self._port = port
         self._baud = baud
+        self._most_bytes = most_bytes
         self._serial: Any = None
+        self._descriptor: int | None = None
+        self._counted_since_ns = 0
+        self._n_counted = 0
+        if not port:
+            raise HubConnectionError(
+                'serial.port is "": expected the port of the motion controller'
+                f"{_present_ports()}; set serial.port in the rig file"
+            )
+        self._unopened()
+        self._waker, self._woken = socket.socketpair()
+        for end in (self._waker, self._woken):
+            end.setblocking(False)
 
     @property
     def is_open(self) -> bool:
@@ -38,35 +77,39 @@ class SerialTransport:
         Raises
         ------
         HubConnectionError
-            The port is not named, not there, not permitted or in use.
+            The port is not there; ``PortDeniedError`` where it is there, and not permitted or in use.
         """
-        if not self._port:
-            raise HubConnectionError(
-                'serial.port is "": expected the port of the motion controller'
-                f"{_present_ports()}; set serial.port in the rig file"
-            )
-        import serial  # Only a real axis needs pyserial.
-
+        port = self._unopened()
         try:
-            self._serial = serial.Serial(
-                self._port, self._baud, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True
-            )
-            self._serial.reset_input_buffer()
-        except (OSError, ValueError) as err:
+            port.open()
+            self._serial = port
+            self._descriptor = _descriptor_of(port)
+            if self._descriptor is None:
+                port.timeout = BLOCKING_READ_S
+            else:
+                # RFC 2217, which has no descriptor, refuses a time-out of writing.
+                port.timeout, port.write_timeout = 0, WRITE_TIMEOUT_S
+            port.reset_input_buffer()
+        except Exception as err:
             self.close()
-            raise HubConnectionError(self._explain(err)) from err
+            raise self._unavailable(err) from err
+        self._counted_since_ns = self._n_counted = 0
 
     def close(self) -> None:
         """Close the port, whatever state it is in."""
-        port, self._serial = self._serial, None
+        port, self._serial, self._descriptor = self._serial, None, None
         if port is not None:
-            try:
+            with contextlib.suppress(Exception):  # It is gone already, which is what was wanted.
                 port.close()
-            except OSError:
-                return  # It is gone already, which is what was wanted.
+
+    def dispose(self) -> None:
+        """Close the port for good."""
+        self.close()
+        self._waker.close()
+        self._woken.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
+        """Send bytes; takes ``WRITE_TIMEOUT_S`` at the most.
 
         Raises
         ------
@@ -76,7 +119,7 @@ class SerialTransport:
         if data:
             try:
                 self._serial.write(data)
-            except OSError as err:
+            except Exception as err:
                 raise self._lost(err) from err
 
     def read(self, timeout_s: float) -> tuple[bytes, int]:
@@ -90,50 +133,118 @@ class SerialTransport:
         Raises
         ------
         HubConnectionError
-            The port vanished.
+            The port vanished, or more bytes come than an axis can say.
         """
         try:
-            self._serial.timeout = timeout_s
-            data = self._serial.read(1)
-            arrived_ns = time.monotonic_ns()
-            waiting = self._serial.in_waiting if data else 0
-            if waiting:
-                data += self._serial.read(waiting)
-        except (OSError, TypeError) as err:
+            if self._descriptor is None:
+                data = self._serial.read(1)
+                arrived_ns = time.monotonic_ns()
+                if data:
+                    data += self._serial.read(min(self._serial.in_waiting, MOST_AT_ONCE))
+            else:
+                watched: list[Any] = [self._descriptor, self._woken]
+                ready, _, _ = select.select(watched, [], [], timeout_s)
+                arrived_ns = time.monotonic_ns()
+                if self._woken in ready:
+                    self._woken.recv(MOST_AT_ONCE)
+                data = self._serial.read(MOST_AT_ONCE) if self._descriptor in ready else b""
+        except Exception as err:
             raise self._lost(err) from err
-        return data, arrived_ns
+        self._count(len(data), arrived_ns)
+        return bytes(data), arrived_ns
 
     def wake(self) -> None:
         """End a wait in ``read``; may be called from another thread."""
-        port = self._serial
-        if port is not None:
-            try:
-                port.cancel_read()
-            except (OSError, AttributeError, TypeError):
-                return  # Closed meanwhile: nobody waits.
+        with contextlib.suppress(OSError):  # Woken often enough already, or closed for good: nobody waits.
+            self._waker.send(b"!")
+
+    def _unopened(self) -> Any:
+        import serial  # Only a real axis needs pyserial.
+
+        try:
+            return serial.serial_for_url(self._port, self._baud, do_not_open=True, exclusive=True)
+        except Exception as err:
+            raise HubConnectionError(
+                f"serial.port is {self._port!r}: {err}; expected a device such as /dev/serial/by-id/... or a URL "
+                "such as socket://host:4000 or rfc2217://host:4000; correct it in the rig file"
+            ) from err
+
+    def _count(self, n_bytes: int, now_ns: int) -> None:
+        """Give the port up where more comes than an axis can say; else the host would do nothing but listen."""
+        if now_ns - self._counted_since_ns > WINDOW_NS:
+            self._counted_since_ns, self._n_counted = now_ns, 0
+        self._n_counted += n_bytes
+        if self._n_counted > self._most_bytes:
+            cause = fault("line_flooded")
+            raise HubConnectionError(
+                f"serial port {self._port} brought {self._n_counted} bytes within a second: expected at most "
+                f"{self._most_bytes}; {cause.remedy}",
+                cause,
+            )
 
     def _lost(self, err: Exception) -> HubConnectionError:
+        text = str(err) or type(err).__name__
         return HubConnectionError(
-            f"serial port {self._port} was lost: {err}; expected a connected controller; check cable and power"
+            f"serial port {self._port} was lost: {text}; expected a connected controller; check cable and power",
+            fault("port_lost"),
         )
 
-    def _explain(self, err: Exception) -> str:
-        number = getattr(err, "errno", None)
+    def _unavailable(self, err: Exception) -> HubConnectionError:
+        kind = HubConnectionError
         expected, remedy = "a serial port", f"check serial.port and serial.baud ({self._baud})"
-        if number == errno.ENOENT:
-            expected, remedy = (
-                f"an existing port{_present_ports()}",
-                "connect the controller or correct serial.port",
-            )
-        elif number == errno.EACCES:
-            expected, remedy = "permission to use it", "add yourself to the group `dialout` and log in again"
+        number = _number_of(err)
+        if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
+            expected = f"an existing port{_present_ports()}"
+            remedy = "connect the controller or correct serial.port"
+        elif number in (errno.EACCES, errno.EPERM):
+            kind, expected, remedy = PortDeniedError, "permission to use it", _permission(self._port)
         elif number in (errno.EBUSY, errno.EAGAIN):
-            expected, remedy = "a port that no other program uses", "close the other program"
-        return f"serial port {self._port} cannot be opened: {err}; expected {expected}; {remedy}"
+            kind, expected, remedy = (
+                PortDeniedError,
+                "a port that no other program uses",
+                "close the other program",
+            )
+        elif number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
+            expected, remedy = "a serial server that listens there", "start it, or correct serial.port"
+        text = str(err) or type(err).__name__
+        return kind(f"serial port {self._port} cannot be opened: {text}; expected {expected}; {remedy}")
+
+
+def _descriptor_of(port: Any) -> int | None:
+    """Return what the system can wait on for a port's bytes, where there is such a thing."""
+    try:
+        return int(port.fileno())
+    except (AttributeError, io.UnsupportedOperation):
+        return None
+
+
+def _number_of(err: BaseException | None) -> int | None:
+    """Return the system's number of an error, which pyserial may have wrapped."""
+    while err is not None:
+        number = getattr(err, "errno", None)
+        if isinstance(number, int):
+            return number
+        err = err.__cause__ or err.__context__
+    return None
+
+
+def _permission(port: str) -> str:
+    """Say how to be allowed to use a port: by its group, or by a rule where it has none for people."""
+    import grp  # Not on Windows, where nobody is denied a port in this way.
+
+    try:
+        group = grp.getgrgid(os.stat(port).st_gid).gr_name
+    except (OSError, KeyError):
+        group = "dialout"
+    if group == "root":
+        return "it belongs to root alone: install the udev rule of docs/serial-port.md and plug it in again"
+    return f"run `sudo usermod -aG {group} $USER` and log in again, or see docs/serial-port.md"
 
 
 def _present_ports() -> str:
     from serial.tools import list_ports
 
+    lasting = {os.path.realpath(link): str(link) for link in Path("/dev/serial/by-id").glob("*")}
     names = sorted(port.device for port in list_ports.comports())
-    return f" (present: {', '.join(names)})" if names else " (none is present)"
+    told = [f"{name} = {lasting[name]}" if name in lasting else name for name in names]
+    return f" (present: {', '.join(told)})" if told else " (none is present)"

@@ -193,20 +193,11 @@ class LoopbackRig(Rig):
         self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 20_000)
 
 
-class DriverRig(Rig):
-    """The driver with the emulated controller on a pseudo-terminal, in real time."""
+class PortRig(Rig):
+    """The driver on a port, in real time."""
 
-    def __init__(
-        self,
-        parameters: AxisParameters,
-        folder: Path,
-        plant: object = None,
-        device: SimulatedDevice = DRIFTING,
-        **options: object,
-    ) -> None:
-        load = plant or RigidPlant(0.8, parameters.period)
-        self.emulator = EmulatedController(parameters, load, device, link=folder / "hub", **options)
-        self.hub = DriverHub(parameters, LinkParameters(self.emulator.port))
+    def __init__(self, parameters: AxisParameters, link: LinkParameters) -> None:
+        self.hub = DriverHub(parameters, link)
         self.reports = []
 
     @property
@@ -225,6 +216,22 @@ class DriverRig(Rig):
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")
         self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 25_000)
+
+
+class DriverRig(PortRig):
+    """The driver with the emulated controller on a pseudo-terminal."""
+
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        folder: Path,
+        plant: object = None,
+        device: SimulatedDevice = DRIFTING,
+        **options: object,
+    ) -> None:
+        load = plant or RigidPlant(0.8, parameters.period)
+        self.emulator = EmulatedController(parameters, load, device, link=folder / "hub", **options)
+        super().__init__(parameters, LinkParameters(self.emulator.port))
 
     def close(self) -> None:
         self.hub.close()

@@ -33,3 +33,15 @@ def test_a_rig_is_kept_up_its_services_answer_as_the_hub_does_and_no_second_one_
     assert up.wait(20.0) == 0
     assert "Traceback" not in up.output()
     assert (tmp_path / "runs" / folders[0] / "logs" / "simulator.log").exists()
+
+
+def test_a_real_rig_without_its_controller_stays_up_and_says_what_it_waits_for(
+    executables, tmp_path: Path
+) -> None:
+    port = tmp_path / "controller"
+    up = executables.start("beam", "up", "--rig", "real", "-p", f"serial.port:={port}", timeout_s=90.0)
+    output = up.wait_for("Ctrl-C ends it", 40.0)
+    assert f"hub disconnected: serial port {port} cannot be opened" in output
+    up.send_signal(signal.SIGINT)
+    assert up.wait(20.0) == 0
+    assert "Traceback" not in up.output()

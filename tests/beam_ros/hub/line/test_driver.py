@@ -18,10 +18,13 @@ import pytest
 from beam_model import BeamModel, BeamParameters
 from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.line.driver import DriverHub
+from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
-from beam_ros.hub.simulated.plant import BeamPlant
-from tests.beam_ros.hub.hub_scenes import DriverRig, Rig, SimulatedRig, chunks_of, rest_to_rest
+from beam_ros.hub.simulated.plant import BeamPlant, RigidPlant
+from tests.beam_ros.hub.hub_scenes import DriverRig, PortRig, Rig, SimulatedRig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.line.relay import SerialServer
 
 ROOT = Path(__file__).parents[4]
 ACCELERATION = AxisParameters()
@@ -286,28 +289,246 @@ def _beam() -> BeamModel:
     return BeamModel(BeamParameters.from_section(0.3, 0.025, 0.0005, 7850.0, 200e9, hub_mass=0.8))
 
 
-def test_a_missing_port_is_one_clear_error():
-    with pytest.raises(OSError, match="/dev/no-such-port") as caught:
-        DriverHub(ACCELERATION, LinkParameters("/dev/no-such-port"))
+@pytest.fixture
+def driver():
+    hubs = []
+
+    def start_driver(port: str, **options: object) -> Rig:
+        rig = PortRig(ACCELERATION, LinkParameters(port, **options))
+        hubs.append(rig.hub)
+        return rig
+
+    yield start_driver
+    for hub in hubs:
+        hub.close()
+
+
+@pytest.fixture
+def emulator(tmp_path):
+    controller = EmulatedController(ACCELERATION, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
+    yield controller
+    controller.close()
+
+
+def connected(report) -> bool:
+    return report.status.state != "disconnected"
+
+
+def told(rig: Rig) -> list[str]:
+    return [event.text for report in rig.reports for event in report.events]
+
+
+@pytest.mark.parametrize(
+    ("port", "words"), [("", "set serial.port"), ("sokcet://there:1", "socket://host:4000")]
+)
+def test_a_port_that_can_never_be_one_is_refused_at_once(port, words):
+    with pytest.raises(HubConnectionError) as caught:
+        DriverHub(ACCELERATION, LinkParameters(port))
     text = str(caught.value)
-    assert "expected an existing port" in text
-    assert "correct serial.port" in text
+    assert words in text
+    assert "expected" in text
     assert "\n" not in text
 
 
-def test_an_unnamed_port_is_one_clear_error():
-    with pytest.raises(OSError, match=r"set serial\.port"):
-        DriverHub(ACCELERATION, LinkParameters())
+def test_a_port_that_is_missing_at_the_start_is_a_fault_and_is_used_when_it_comes(driver, tmp_path):
+    rig = driver(str(tmp_path / "hub"))
+    reports = rig.until(lambda r: r.status.fault.name == "port_unavailable")
+    reports += rig.run(0.8)
+    assert reports[-1].status.state == "disconnected"
+    (text,) = told(rig)
+    assert str(tmp_path / "hub") in text
+    assert "expected an existing port" in text
+    assert "correct serial.port" in text
+    assert rig.ask("enable").message.endswith(text)
+    emulator = EmulatedController(ACCELERATION, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
+    try:
+        reports = rig.until(connected)
+        assert reports[-1].status.reason == ""
+    finally:
+        emulator.close()
 
 
-def test_a_file_is_no_port(tmp_path):
+def test_a_missing_port_is_no_fault_while_it_is_waited_for(driver, tmp_path):
+    rig = driver(str(tmp_path / "hub"), patience_s=0.7)
+    assert {r.status.fault.name for r in rig.run(0.6)} == {"none"}
+    rig.until(lambda r: r.status.fault.name == "port_unavailable")
+    assert len(told(rig)) == 1
+
+
+def test_what_is_no_port_or_belongs_to_another_program_is_told_and_tried_again(start, driver, tmp_path):
     (tmp_path / "file").write_text("not a port")
-    with pytest.raises(OSError, match="cannot be opened"):
-        DriverHub(ACCELERATION, LinkParameters(str(tmp_path / "file")))
+    rig = driver(str(tmp_path / "file"))
+    rig.until(lambda r: "cannot be opened" in r.status.reason)
+    first = start(ACCELERATION)
+    second = driver(first.emulator.port)
+    second.until(lambda r: "no other program" in r.status.reason)
+    assert second.reports[-1].status.fault.name == "port_unavailable"
+    assert first.run(0.1)[-1].status.state == "identified"
+    first.hub.close()
+    second.until(connected)
 
 
-def test_a_port_in_use_is_not_shared(start):
-    rig = start(ACCELERATION)
-    with pytest.raises(OSError, match="no other program"):
-        DriverHub(ACCELERATION, LinkParameters(rig.emulator.port))
-    assert rig.run(0.1)[-1].status.state == "identified"
+def test_another_trouble_of_the_same_port_is_told_too(driver, tmp_path):
+    """A port that is missing first, and then nobody answers on it."""
+    rig = driver(str(tmp_path / "hub"))
+    rig.until(lambda r: r.status.fault.name == "port_unavailable")
+    master, slave = os.openpty()
+    try:
+        (tmp_path / "hub").symlink_to(os.ttyname(slave))
+        rig.until(lambda r: "nobody answers" in r.status.reason)
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert ["cannot be opened" in text for text in told(rig)] == [True, False]
+
+
+@pytest.mark.filterwarnings("ignore:set.* is deprecated")  # pyserial's, in its RFC 2217
+@pytest.mark.parametrize("kind", ["plain", "rfc2217", "spy"])
+def test_any_url_of_pyserial_is_a_port(driver, emulator, tmp_path, kind):
+    server = None
+    url = f"spy://{emulator.port}?file={tmp_path / 'log'}"
+    if kind != "spy":
+        server = SerialServer(emulator.port, speaks_rfc2217=kind == "rfc2217")
+        url = server.url
+    try:
+        rig = driver(url)
+        rig.until(connected, 15.0)
+        rig.until(lambda r: bool(r.measured))
+        rig.enable()
+        load(rig, rest_to_rest(600), lead_ns=600_000_000)
+        rig.until(lambda r: "done" in states([r]))
+        rig.run(0.2)
+        counters = rig.reports[-1].status.counters
+        assert counters["lost_ticks"] == counters["bad_frames"] == 0
+        if server is not None:
+            server.close()
+            rig.until(lambda r: r.status.state == "disconnected")
+            assert rig.reports[-1].status.fault.name in ("port_lost", "controller_silent")
+    finally:
+        if server is not None:
+            server.close()
+
+
+def test_a_port_that_only_hears_itself_has_nobody_who_answers(driver):
+    rig = driver("loop://")
+    rig.until(lambda r: "nobody answers" in r.status.reason)
+    assert rig.reports[-1].status.fault.name == "no_answer"
+
+
+@pytest.mark.parametrize("delay_s", [0.06, 0.15, 0.4])
+def test_a_greeting_that_is_answered_late_is_answered_all_the_same(driver, emulator, delay_s):
+    """The host greets every 0.2 s: it has greeted up to four times before the first answer comes."""
+    server = SerialServer(emulator.port, delay_s=delay_s)
+    try:
+        rig = driver(server.url)
+        rig.until(connected, 8.0)
+        reports = rig.run(1.5)
+        assert all(map(connected, reports))
+        assert reports[-1].status.counters["connections"] == 1
+        assert rig.ask("home").success
+    finally:
+        server.close()
+
+
+def test_a_flood_neither_starves_the_executor_nor_ends_the_driver(driver):
+    server = SerialServer("", noise_seed=4)
+    try:
+        rig = driver(server.url)
+        slowest = 0.0
+        end = time.monotonic() + 2.5
+        while time.monotonic() < end:
+            begin = time.monotonic()
+            rig.reports.append(rig.hub.poll(rig.now))
+            slowest = max(slowest, time.monotonic() - begin)
+            time.sleep(0.01)
+        assert slowest < 0.1
+        assert "line_flooded" in {r.status.fault.name for r in rig.reports}
+        (text,) = told(rig)
+        assert "expected at most 340000" in text
+        # Between two trials the driver rests: at most the limit and what the system holds back, every 0.3 s.
+        assert server.brought < 60_000_000
+        assert {thread.name for thread in threading.enumerate()} >= {"hub-serial"}
+    finally:
+        server.close()
+
+
+def test_whatever_a_vanishing_port_raises_is_a_connection_error(emulator):
+    """Plugged and unplugged at random times while it is opened, read and written without a pause."""
+    rng = random.Random(8)
+    is_over = threading.Event()
+
+    def flap() -> None:
+        while not is_over.is_set():
+            time.sleep(rng.random() * 2e-3)
+            emulator.unplug()
+            emulator.plug()
+
+    flapping = threading.Thread(target=flap, daemon=True)
+    flapping.start()
+    transport = SerialTransport(emulator.port, 921_600, 10**9)
+    kinds = {"open": 0, "use": 0}
+    end = time.monotonic() + 3.0
+    try:
+        while time.monotonic() < end:
+            try:
+                transport.open()
+                kinds["open"] += 1
+                for _ in range(rng.randint(1, 20)):
+                    transport.write(b"hello")
+                    transport.read(1e-4)
+            except HubConnectionError:
+                kinds["use"] += 1
+            transport.close()
+    finally:
+        is_over.set()
+        flapping.join()
+        transport.dispose()
+    assert min(kinds.values()) > 20, kinds
+
+
+def _unplug_again_and_again(rig: DriverRig, cycles: int) -> None:
+    def resources() -> tuple[int, int]:
+        return len(os.listdir("/proc/self/fd")), threading.active_count()
+
+    before = resources()
+    for cycle in range(cycles):
+        rig.emulator.unplug()
+        rig.until(lambda r: r.status.state == "disconnected")
+        assert rig.reports[-1].status.fault.name == "port_lost"
+        rig.emulator.plug()
+        rig.until(connected)
+        assert rig.reports[-1].status.counters["connections"] == cycle + 2
+        rig.reports.clear()
+    assert resources() == before
+
+
+def test_a_port_that_is_unplugged_again_and_again_comes_back_every_time(start):
+    _unplug_again_and_again(start(PATIENT), 4)
+
+
+@pytest.mark.verify
+def test_fifty_replugs_leave_nothing_behind(start):
+    _unplug_again_and_again(start(PATIENT), 50)
+
+
+def _flap(rig: DriverRig, seconds: float) -> None:
+    """Plug and unplug at random times, 2 ms to 2 s apart, and look whether the driver then is alive and back."""
+    rng = random.Random(11)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        rig.emulator.unplug()
+        rig.run(10 ** rng.uniform(-2.7, 0.3))
+        rig.emulator.plug()
+        rig.run(10 ** rng.uniform(-2.7, 0.3))
+        rig.reports[:-1] = []
+    rig.until(lambda r: connected(r) and bool(r.measured), 10.0)
+    rig.enable()
+
+
+def test_a_flapping_port_finds_the_driver_alive(start):
+    _flap(start(PATIENT), 6.0)
+
+
+@pytest.mark.verify
+def test_ten_minutes_of_a_flapping_port_find_the_driver_alive(start):
+    _flap(start(PATIENT), 600.0)
