@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 import pytest
@@ -74,11 +75,18 @@ def test_a_wrong_parameter_ends_the_node_with_one_line(executables, tmp_path, wo
     assert expected in node.output()
 
 
-def test_a_missing_serial_port_is_one_line_and_status_2(executables) -> None:
-    node = executables.run("hub_driver", "--ros-args", "-p", "serial.port:=/dev/ttyNOWHERE0", timeout_s=20.0)
+def test_a_serial_port_without_a_name_is_one_line_and_status_2(executables) -> None:
+    node = executables.run("hub_driver", timeout_s=30.0)
     assert node.process.returncode == 2
     assert len(node.output().strip().splitlines()) == 1, node.output()
-    assert "/dev/ttyNOWHERE0" in node.output()
+    assert 'serial.port is ""' in node.output()
+
+
+def test_a_serial_port_that_is_missing_is_waited_for(executables) -> None:
+    node = executables.start("hub_driver", "--ros-args", "-p", "serial.port:=/dev/ttyNOWHERE0")
+    assert "expected an existing port" in node.wait_for("/dev/ttyNOWHERE0 cannot be opened", 30.0)
+    node.send_signal(signal.SIGINT)
+    assert node.wait() == 0
 
 
 def test_parameters_carry_descriptions_and_refuse_what_the_table_refuses(executables, graph) -> None:

@@ -294,7 +294,7 @@ def driver():
     hubs = []
 
     def start_driver(port: str, **options: object) -> Rig:
-        rig = PortRig(ACCELERATION, LinkParameters(port, **options))
+        rig = PortRig(PATIENT, LinkParameters(port, **options))
         hubs.append(rig.hub)
         return rig
 
@@ -305,7 +305,7 @@ def driver():
 
 @pytest.fixture
 def emulator(tmp_path):
-    controller = EmulatedController(ACCELERATION, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
+    controller = EmulatedController(PATIENT, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
     yield controller
     controller.close()
 
@@ -340,7 +340,7 @@ def test_a_port_that_is_missing_at_the_start_is_a_fault_and_is_used_when_it_come
     assert "expected an existing port" in text
     assert "correct serial.port" in text
     assert rig.ask("enable").message.endswith(text)
-    emulator = EmulatedController(ACCELERATION, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
+    emulator = EmulatedController(PATIENT, RigidPlant(0.8, 1e-3), DEVICE, link=tmp_path / "hub")
     try:
         reports = rig.until(connected)
         assert reports[-1].status.reason == ""
@@ -359,7 +359,7 @@ def test_what_is_no_port_or_belongs_to_another_program_is_told_and_tried_again(s
     (tmp_path / "file").write_text("not a port")
     rig = driver(str(tmp_path / "file"))
     rig.until(lambda r: "cannot be opened" in r.status.reason)
-    first = start(ACCELERATION)
+    first = start(PATIENT)
     second = driver(first.emulator.port)
     second.until(lambda r: "no other program" in r.status.reason)
     assert second.reports[-1].status.fault.name == "port_unavailable"
