@@ -93,7 +93,7 @@ TESTED_IN = (
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),
     (
         "beam_ros/vision/tracking",
-        "appearance marker_state rivals spot_search spots",
+        "appearance marker_state spot_search",
         "vision/tracking/test_tracker",
     ),
 )

@@ -47,8 +47,9 @@ def associated(
         nearest = min(free, key=lambda spot: abs(spot.u - predicted), default=None)
         if nearest is not None and abs(nearest.u - predicted) <= reach:
             free.remove(nearest)
-            elapsed = max(1, frame - track.frame)
-            continued.append(Track(nearest.u, (nearest.u - track.u) / elapsed, frame))
+            elapsed = frame - track.frame
+            velocity = (nearest.u - track.u) / elapsed if elapsed > 0 else track.velocity
+            continued.append(Track(nearest.u, velocity, frame))
         else:
             continued.append(track)
     return continued, free

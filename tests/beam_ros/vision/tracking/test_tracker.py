@@ -126,9 +126,11 @@ def test_the_error_does_not_follow_the_sub_pixel_phase_at_full_length():
     assert np.abs(bias).max() <= 0.0003 + 3 * sd
 
 
-def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_visible_one():
+@pytest.mark.parametrize("top", [0.285, 0.225 + 23 / 1500])
+def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_visible_one(top):
     camera = packaged_camera()
-    renderer, tracker = make(camera)
+    # The upper one is far from the hidden one, or its disc begins 17 px above.
+    renderer, tracker = SceneRenderer(camera, (*HEIGHTS[:2], top)), MarkerTracker(packaged_tracker(), 3)
     rng = np.random.default_rng(13)
     for k in range(80):
         x = 0.006 * np.sin(0.28 * k + np.arange(3.0))

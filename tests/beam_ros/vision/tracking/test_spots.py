@@ -1,0 +1,44 @@
+"""A disc of whole pixels, whose centre and light are known exactly, measured where it is not looked for exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.tracking.appearance import Light
+from beam_ros.vision.tracking.spots import SpotMeter
+from tests.beam_ros.vision.packaged_rig import packaged_tracker
+
+LEVEL, SPECK, DISC = 30, 1, 100
+
+
+@pytest.mark.parametrize("polarity", ["bright", "dark"])
+@pytest.mark.parametrize(("u", "v"), [(60, 50), (60, 10), (89, 50)])  # the last two are near an edge
+def test_what_noise_leaves_everywhere_pulls_no_spot(polarity, u, v):
+    rows, columns = np.mgrid[:100, :100]
+    is_disc = (columns - u) ** 2 + (rows - v) ** 2 <= 36
+    light = Light(packaged_tracker(polarity=polarity), 20.0, 110.0, 2.0)
+    light.level, light.speck = float(LEVEL), float(SPECK)
+    image = (LEVEL + SPECK + DISC * is_disc).astype(np.uint8)
+    if polarity == "dark":
+        light.level, image = 255.0 - LEVEL, 255 - image
+    meter = SpotMeter(packaged_tracker(polarity=polarity))
+    for column, row in ((u, v), (u + 1.4, v - 1.3), (u - 1.2, v + 1.4)):
+        spot, reason = meter.measure(image, column, row, light)
+        assert reason == "ok"
+        assert (spot.u, spot.v) == pytest.approx((u, v), abs=1e-9)
+        assert spot.mass == pytest.approx(DISC * np.count_nonzero(is_disc), rel=1e-12)
+
+
+@pytest.mark.parametrize(("u", "v"), [(7.5, 50.5), (91.5, 50.5), (50.5, 7.5), (50.5, 91.5)])
+def test_a_spot_counts_up_to_a_pixel_from_the_edge(u, v):
+    rows, columns = np.mgrid[:100, :100]
+    meter, light = SpotMeter(packaged_tracker()), Light(packaged_tracker(), 20.0, 110.0, 0.0)
+
+    def reason(u, v):
+        is_disc = (columns - u) ** 2 + (rows - v) ** 2 <= 36
+        return meter.measure((20 + 110 * is_disc).astype(np.uint8), u, v, light)[1]
+
+    outwards = np.sign([u - 50.5, v - 50.5])
+    assert reason(u, v) == "ok"
+    assert reason(u + outwards[0], v + outwards[1]) == "border"
