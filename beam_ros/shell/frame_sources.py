@@ -152,7 +152,6 @@ class CameraReader(FrameSource):
         self._camera = camera
         self._stamp = node.rig.camera.stamp
         self._said = ""
-        self._before = 0
         self.silence = f"no frames from {camera.name}"
         wake = node.create_guard_condition(self._on_wake)
         self._loop = CaptureLoop(camera, node.rig.tracker.retry_period, wake.trigger)
@@ -201,7 +200,7 @@ class CameraReader(FrameSource):
                     f"{means}",
                 )
             )
-        overruns, self._before = self._loop.overruns - self._before, self._loop.overruns
+        overruns = self._loop.take_overruns()
         if overruns:
             found.append(
                 Complaint("WARN", f"{overruns} frames were not taken in time: give the computer less to do")

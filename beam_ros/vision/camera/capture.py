@@ -49,17 +49,16 @@ class CaptureLoop:
     Attributes
     ----------
     state : CaptureState -- the newest one
-    overruns : int -- frames that nobody took in time
     stamp_means : str or None -- the instant that the newest stamp is, where the camera knows
     """
 
     def __init__(self, camera: CameraSource, retry_s: float, notify: Callable[[], None]) -> None:
         self.state = CaptureState("opening")
-        self.overruns = 0
         self.stamp_means: StampMeaning | None = None
         self._camera = camera
         self._retry_s = retry_s
         self._notify = notify
+        self._overruns = self._overruns_before = 0
         self._waiting: deque[CapturedFrame] = deque(maxlen=_HELD_FRAMES)
         self._stop = threading.Event()
         # A device that hangs must not keep the process from ending.
@@ -83,6 +82,12 @@ class CaptureLoop:
             except IndexError:
                 return
             yield frame
+
+    def take_overruns(self) -> int:
+        """Return how many frames nobody took in time since the last call."""
+        overruns = self._overruns  # the thread goes on counting
+        fresh, self._overruns_before = overruns - self._overruns_before, overruns
+        return fresh
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -122,7 +127,7 @@ class CaptureLoop:
                     self._stop.wait(0.002)  # a file can wait, where a camera cannot
             count += 1
             self.stamp_means = frame.stamp_means
-            self.overruns += len(self._waiting) == _HELD_FRAMES
+            self._overruns += len(self._waiting) == _HELD_FRAMES
             self._waiting.append(frame)
             self._notify()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from queue import SimpleQueue
 
 import cv2
 import numpy as np
@@ -89,6 +90,53 @@ class _Flickering(CameraSource):
     def close(self) -> None: ...
 
 
+class _Bursts(CameraSource):
+    """A camera that gives a burst of frames as soon as it is asked for one."""
+
+    name = "bursts"
+
+    def __init__(self) -> None:
+        self.sizes: SimpleQueue[int] = SimpleQueue()
+        self.is_over = threading.Event()
+        self._left = self._count = 0
+
+    def open(self) -> None: ...
+
+    def read(self) -> CapturedFrame | None:
+        if self._left == 0:
+            self.is_over.set()
+            self._left = self.sizes.get()
+        if self._left == 0:
+            return None
+        self._left -= 1
+        self._count += 1
+        return CapturedFrame(self._count * SECOND, np.zeros((4, 4), np.uint8))
+
+    def close(self) -> None: ...
+
+    def burst(self, size: int) -> None:
+        self.is_over.clear()
+        self.sizes.put(size)
+        assert self.is_over.wait(10.0)
+
+
+def test_frames_that_nobody_took_in_time_are_counted_once_and_the_newest_sixteen_kept() -> None:
+    camera = _Bursts()
+    loop = CaptureLoop(camera, 0.02, lambda: None)
+    loop.start()
+    assert camera.is_over.wait(10.0)
+    camera.burst(16)
+    assert loop.take_overruns() == 0
+    camera.burst(5)
+    assert loop.take_overruns() == 5
+    assert [frame.stamp_ns // SECOND for frame in loop.take()] == list(range(6, 22))
+    assert loop.take_overruns() == 0
+    camera.burst(18)
+    assert loop.take_overruns() == 2
+    camera.sizes.put(0)
+    loop.close()
+
+
 @pytest.mark.parametrize("fault", [cv2.error("(-215:Assertion failed) !ssize.empty()"), ValueError("odd")])
 def test_a_failure_that_nobody_thought_of_is_reported_and_the_thread_goes_on(fault: Exception) -> None:
     run = _Run(_Flickering(fault), retry_s=0.05)
@@ -117,4 +165,4 @@ def test_a_file_waits_for_whoever_takes_its_frames(video: Path) -> None:
     run = _Run(VideoPlayback(video, 5000.0))
     time.sleep(0.1)
     run.until(lambda: run.loop.state.phase == "ended" and len(run.frames) == N_FRAMES)
-    assert run.loop.overruns == 0
+    assert run.loop.take_overruns() == 0
