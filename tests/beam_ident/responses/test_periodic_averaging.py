@@ -115,6 +115,54 @@ def test_what_is_not_periodic_is_refused_with_the_remedy():
         periodic_response(TimeRecord(record.inputs, (output, other)), LINE_PERIOD_S)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_of_a_measured_input_only_what_stands_out_of_the_noise_beside_it_counts(unit):
+    record = siso_record()
+    drive = record.inputs[0]
+    times = drive.times_s - record.outputs[0].times_s[0]
+    rng = np.random.default_rng(2)
+    # White noise, and a hundred times more of it from 30 Hz on; of each period anew, so that it does not leak.
+    loud = np.fft.rfft(rng.standard_normal((len(times) // 1000, 1000)))
+    loud[:, :300] = 0.0
+    noise = 1e-3 * (rng.standard_normal(len(times)) + 100.0 * np.fft.irfft(loud).ravel())
+    # Two sines that nobody names, of a hundred times the power of white noise in their lines (four periods of a
+    # thousand ticks): one far from the loud noise, one 3 Hz below it.
+    unnamed = np.array([102, 270])
+    amplitude = 1e-3 * 10.0 * 2.0 / np.sqrt(4 * 1000)
+    sines = amplitude * np.sin(2 * np.pi / LINE_PERIOD_S * np.multiply.outer(times, unnamed))
+    values = unit * (drive.values + noise + np.sum(sines, axis=1))
+    seen = dataclasses.replace(drive, values=values)
+    found = periodic_response(TimeRecord((seen,), record.outputs), LINE_PERIOD_S, LINES_HZ)
+    spectrum = dict(zip(found.bins.tolist(), found.input_spectrum / unit, strict=True))
+    # The noise of an amplitude is a tenth of it: four standard deviations.
+    assert np.max(np.abs([spectrum[k] + 1j * amplitude for k in unnamed])) < 0.4 * amplitude
+    named = np.round(LINES_HZ * LINE_PERIOD_S).astype(int).tolist()
+    assert np.min(np.abs([spectrum[k] for k in named])) > 0.08  # 1 / sqrt(112), and the loud noise
+    others = [abs(spectrum[k]) for k in spectrum if k not in {*named, *unnamed.tolist()}]
+    assert np.max(others) < 1e-12
+
+
+def test_a_line_counts_beyond_fifteen_times_the_power_of_forty_freedoms_of_noise():
+    record = siso_record(n_periods=2)
+    drive = record.inputs[0]
+    periods = drive.values.reshape(-1, 1000).copy()  # of which the output has the third and the fourth
+    angles = 2.0 * np.pi * np.arange(1000) / 1000
+    # Noise that is known: what one period has more and the next one less. An impulse of 1 is 1 in every line, so
+    # that the mean of two periods has the variance 1; line 300 has that of forty lines, the freedom of two periods.
+    noise = np.sqrt(40.0) / 500.0 * np.sin(300 * angles)
+    noise[0] += 1.0
+    periods[2] += noise
+    periods[3] -= noise
+    power = {150: 14.9, 160: 15.1, 286: 29.0, 288: 31.0, 322: 29.0}  # 322 is too far from line 300
+    for line, times_noise in power.items():
+        periods += np.sqrt(times_noise) / 500.0 * np.sin(line * angles)
+    seen = dataclasses.replace(drive, values=periods.ravel())
+    found = periodic_response(TimeRecord((seen,), record.outputs), LINE_PERIOD_S, LINES_HZ)
+    spectrum = dict(zip(found.bins.tolist(), 500.0 * np.abs(found.input_spectrum), strict=True))
+    kept = {line: spectrum[line] ** 2 for line in (*power, 300) if spectrum[line] > 1e-9}
+    assert kept == pytest.approx({line: power[line] for line in (160, 288, 322)})
+
+
 @pytest.mark.parametrize("width", [1, 3, 4, 9, 12])
 def test_a_moving_mean_is_centred_and_whole_at_the_ends(width):
     values = np.random.default_rng(0).standard_normal((12, 2))
