@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError, InputSignal, OutputSignal, Prior
+from beam_ident import EstimationError, InputSignal, OutputSignal, Prior, TimeRecord
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
 from beam_ident.transfer_function_estimation.state_variable_filter import stable_coefficients
@@ -99,6 +99,20 @@ def test_samples_count_where_every_input_is_known():
         "y", "", np.array([-0.5, 0.0, 5.0, 9.99, 10.5]), np.array([1.0, 2, np.nan, 4, 5]), 0.01
     )
     np.testing.assert_array_equal(usable_samples(output, list(DRIVES)), [False, False, False, True, False])
+
+
+@pytest.mark.parametrize(("delay", "earliest_s"), [(Prior(0.2), 0.22), (Prior(0.2, 0.05), 0.02)])
+def test_samples_whose_exposure_reaches_into_an_unknown_past_do_not_count(delay, earliest_s):
+    # The input is known from 0 s on and comes 0.2 s late; every stamp is exposed 20 ms before and after.
+    # A delay that is still to be found costs nothing yet: the estimator leaves samples out once it has found it.
+    output = OutputSignal("y", "", earliest_s + np.array([-0.019, -0.001, 0.001, 0.5]), np.arange(4.0), 0.04)
+    record = TimeRecord((DRIVES[0],), (output,))
+
+    def stamps(is_past_unknown):
+        return RecordShare.of(record, "y", ["held"], [1], [0], [delay], 0, is_past_unknown).times
+
+    np.testing.assert_array_equal(stamps(True), output.times_s[2:])
+    np.testing.assert_array_equal(stamps(False), output.times_s[output.times_s > 0.02])
 
 
 def test_too_few_samples_are_refused_with_their_number():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+from collections import deque
 
 import numpy as np
 import pytest
@@ -45,6 +46,18 @@ def filtered(keep):
 
     def line(data: bytes) -> bytes:
         return b"".join(f + b"\0" for f in data.split(b"\0") if f and keep(f + b"\0"))
+
+    return line
+
+
+def late(kind, steps):
+    """Return a line on which messages of a type come so many steps of 1 ms late."""
+    is_late, under_way = frames_of(kind), deque([b""] * steps)
+
+    def line(data: bytes) -> bytes:
+        frames = [f + b"\0" for f in data.split(b"\0") if f]
+        under_way.append(b"".join(f for f in frames if is_late(f)))
+        return b"".join(f for f in frames if not is_late(f)) + under_way.popleft()
 
     return line
 
@@ -113,6 +126,26 @@ def test_lost_samples_are_sent_again():
     reports = rig.run(4.0)
     assert states(reports)[-1] == "done"
     assert reports[-1].status.counters["resent_samples"] > 0
+    applied = np.concatenate([b.accelerations for r in reports for b in r.applied])
+    first = np.flatnonzero(applied == values[1])[0] - 1
+    assert np.array_equal(applied[first : first + 2500], values)
+
+
+@pytest.mark.parametrize(("late_ms", "is_resent"), [(40, False), (80, True)])
+def test_samples_are_sent_again_when_none_was_acknowledged_for_60_ms_and_not_before(late_ms, is_resent):
+    rig = connected()
+    rig.enable()
+    rig.to_host = late(protocol.STATUS, late_ms)
+    sent = FrameDecoder()
+    payloads = []
+    rig.to_device = lambda data: payloads.extend(sent.feed(data)) or data
+    values = rest_to_rest(2500)
+    load(rig, values, 500_000_000)
+    reports = rig.run(4.0)
+    assert states(reports)[-1] == "done"
+    samples = [len(m.values) for m in map(protocol.decode, payloads) if isinstance(m, protocol.Samples)]
+    assert (sum(samples) > 2500) == is_resent
+    assert reports[-1].status.counters["resent_samples"] == sum(samples) - 2500
     applied = np.concatenate([b.accelerations for r in reports for b in r.applied])
     first = np.flatnonzero(applied == values[1])[0] - 1
     assert np.array_equal(applied[first : first + 2500], values)
