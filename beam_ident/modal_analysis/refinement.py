@@ -302,7 +302,7 @@ def _result(
         shape = normalised(left[:, 0])[:, 0]
         shapes[:, mode] = shape
         participation[:, mode] = np.conj(shape) @ of_pairs[:, :, mode] / float(np.sum(np.abs(shape) ** 2))
-        rank_one[mode] = size[0] ** 2 / max(float(np.sum(size**2)), 1e-300)
+        rank_one[mode] = size[0] ** 2 / np.sum(size**2)
     fixed = coefficients[:, :n_fixed]
     zeros = np.zeros((m, k))
     (total,) = problem.modelled(fit)

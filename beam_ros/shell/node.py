@@ -278,9 +278,8 @@ def _initialise(arguments: list[str]) -> None:
         if not surplus:
             rclpy.init(args=arguments)
     except Exception as err:
-        reason = str(err).splitlines()[0] if str(err) else type(err).__name__
         raise RigError(
-            f"ROS refuses the arguments {' '.join(arguments[1:])}: {reason}; expected "
+            f"ROS refuses the arguments {' '.join(arguments[1:])}: {err}; expected "
             "--ros-args [-p name:=value] [--params-file FILE] [-r from:=to]"
         ) from err
     if surplus:
