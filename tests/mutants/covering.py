@@ -1,4 +1,4 @@
-"""Which tests can notice a mutation: those that run its line, and those beside its module."""
+"""Which tests can notice a mutation: those that run its line; where that runs at import, the module's own as well."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import coverage
 
 from tests.mutants.mutations import Mutation, Position, span
+from tests.test_structure import ROOT, in_table, own_tests
 
 Lines = set[int]
 
@@ -35,18 +36,20 @@ class CoverageMap:
 
         Returns
         -------
-        dict of str to float -- duration [s] of each test, in the order in which they should run: quick files
-            first, and no more than `budget_s` in all
+        dict of str to float -- duration [s] of each test, in the order in which they should run: the module's own
+            file and then quick files first, and no more than `budget_s` in all
         """
         source = (self._root / mutation.path).read_text()
         chosen: set[str] = set()
         for context in self._contexts(mutation, source):
             chosen |= self._tests_of(context)
+        own = _own_file(mutation.path)
         in_file: dict[str, float] = {}
         for test in chosen:
             in_file[_file(test)] = in_file.get(_file(test), 0.0) + self.durations_s[test]
         kept: dict[str, float] = {}
-        for test in sorted(chosen, key=lambda t: (in_file[_file(t)], _file(t), self.durations_s[t])):
+        order = {test: (_file(test) != own, in_file[_file(test)], _file(test)) for test in chosen}
+        for test in sorted(chosen, key=lambda t: (*order[t], self.durations_s[t])):
             if not kept or sum(kept.values()) + self.durations_s[test] <= budget_s:
                 kept[test] = self.durations_s[test]
         return kept
@@ -62,10 +65,10 @@ class CoverageMap:
                 if found:
                     return found
             return set()
-        # Run once, at import: whoever uses the name that the statement gives can notice.
+        # Run once, at import: whoever uses the name that the statement gives can notice, and who reads the module.
         name = _name_given(tree, mutation.position[0])
         used = re.compile(rf"\b{re.escape(name)}\b")
-        contexts: set[str] = set()
+        contexts = {_own_file(mutation.path)}
         for path in sorted(self._data.measured_files()):
             if not (self._root / path).is_file():  # it left after the measurement
                 continue
@@ -93,6 +96,13 @@ class CoverageMap:
 
     def _is_cached(self, file: str) -> bool:
         return re.search(r"^@(functools\.)?(lru_)?cache", (self._root / file).read_text(), re.M) is not None
+
+
+def _own_file(path: str) -> str:
+    """File of the tests of a module, in the mirrored tree or by the table."""
+    module = Path(path).with_suffix("")
+    file = in_table().get(module, own_tests(module))
+    return file.relative_to(ROOT).as_posix()
 
 
 def _file(test: str) -> str:
