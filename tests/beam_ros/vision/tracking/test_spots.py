@@ -42,3 +42,18 @@ def test_a_spot_counts_up_to_a_pixel_from_the_edge(u, v):
     outwards = np.sign([u - 50.5, v - 50.5])
     assert reason(u, v) == "ok"
     assert reason(u + outwards[0], v + outwards[1]) == "border"
+
+
+def test_light_that_only_grows_is_followed_through_four_regions_and_no_further():
+    # Seen through any region of 29 pixels, exp(x / 20) has its centre of gravity by the same way to the right.
+    image = np.tile(np.rint(100.0 * np.exp(np.arange(100) / 20.0)).astype(np.uint16), (100, 1))
+    ways = np.arange(-14, 15)
+    way = float(np.average(ways, weights=np.exp(ways / 20.0)))
+    light = Light(packaged_tracker(), 0.0, 1.0, 0.0)
+    light.level = 0.0
+    spot, _ = SpotMeter(packaged_tracker()).measure(image, 20.0, 50.0, light)
+    start = 20
+    for _ in range(3):
+        start = round(start + way)
+    assert spot.region[0] == start - 14
+    assert (spot.u, spot.v) == pytest.approx((start + way, 50.0), abs=0.02)  # of rounding the grey levels
