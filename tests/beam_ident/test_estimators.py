@@ -121,6 +121,21 @@ def test_degrees_are_chosen_where_none_are_given(name: str) -> None:
     assert found.converged
 
 
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_an_offset_and_a_drift_of_the_outputs_move_no_pole(name: str) -> None:
+    record = result_cases.record()
+    drifting = tuple(
+        OutputSignal(own.name, own.unit, own.times_s, own.values + np.std(own.values) * (10.0 + own.times_s))
+        for own in record.outputs
+    )
+    found = run_estimator(name, TimeRecord(record.inputs, drifting), EstimatorSettings("receptance", 1))
+    for model in getattr(found, "models", None) or (getattr(found, "model", found),):
+        natural_frequencies, damping_ratios, *_ = model.modes()
+        assert natural_frequencies[0] == pytest.approx(20.0, rel=1e-3)
+        # The lines of the local polynomials are 0.1 Hz apart, a sixth of the half-power band.
+        assert damping_ratios[0] == pytest.approx(0.1, rel=0.05 if name == "local_polynomial" else 0.005)
+
+
 def test_common_poles_stand_at_the_delay_that_the_outputs_show() -> None:
     record = result_cases.record()
     late = tuple(

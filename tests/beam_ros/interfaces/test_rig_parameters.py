@@ -70,6 +70,29 @@ def test_parameters_that_do_not_go_together_are_refused(change: dict[str, object
         Rig.from_file().with_values(change)
 
 
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [  # of a hub with 100 mm of travel, 0.5 m/s and 10 m/s^2
+        ("hub.homing_speed", 0.5),
+        ("excitation.acceleration", 10.0),
+        ("excitation.max_displacement", 0.05),
+        ("excitation.step_size", 0.05),
+        ("excitation.step_size", -0.05),
+        ("excitation.max_velocity", 0.5),
+        ("excitation.speed", 0.5),
+        ("excitation.waypoints", -0.05),
+    ],
+)
+def test_what_the_hub_cannot_do_is_refused_where_it_is_asked_for(name: str, limit: float) -> None:
+    def value(size: float) -> object:
+        return [0.01, size, 0.0] if name == "excitation.waypoints" else size
+
+    rig = Rig.from_file().with_values({"hub.travel": 0.1, "hub.max_speed": 0.5, "hub.max_acceleration": 10.0})
+    rig.with_values({name: value(limit)})
+    with pytest.raises(ParameterFileError, match=f"{name} is .*: expected at most {abs(limit):g} "):
+        rig.with_values({name: value(1.001 * limit)})
+
+
 _ANYTHING = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
     lambda inner: st.lists(inner, max_size=4),
