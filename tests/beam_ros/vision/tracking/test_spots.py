@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.tracking.appearance import Light
+from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.spots import SpotMeter
 from tests.beam_ros.vision.packaged_rig import packaged_tracker
 
@@ -57,3 +57,38 @@ def test_light_that_only_grows_is_followed_through_four_regions_and_no_further()
         start = round(start + way)
     assert spot.region[0] == start - 14
     assert (spot.u, spot.v) == pytest.approx((start + way, 50.0), abs=0.02)  # of rounding the grey levels
+
+
+def test_what_is_darker_than_four_deviations_of_the_noise_pulls_no_more_than_that():
+    rows, columns = np.mgrid[:100, :100]
+    image = (20 + 110 * ((columns - 50) ** 2 + (rows - 50) ** 2 <= 36)).astype(np.uint8)
+    light = Light(packaged_tracker(), 20.0, 110.0, 2.0)
+    meter = SpotMeter(packaged_tracker())
+    spot, _ = meter.measure(image, 50.0, 50.0, light)
+    appearance = Appearance(spot.area, spot.variance_u, spot.variance_v, 0.0, 0.0, 50.0)
+
+    def centre(grey: int) -> float:
+        image[48:53, 57:60] = grey
+        return meter.centre(image, spot, light, appearance)[0]
+
+    assert centre(20) == pytest.approx(50.0, abs=1e-6)
+    assert centre(13) < centre(20)
+    assert centre(12) < centre(13)
+    assert centre(0) == centre(12)
+
+
+@pytest.mark.parametrize("refinement", ["disc_model", "radial_symmetry"])
+def test_a_smeared_disc_is_refined_over_its_whole_length(refinement):
+    rows, columns = np.mgrid[:100, :100]
+    light = Light(packaged_tracker(), 20.0, 110.0, 0.5)
+
+    def seen(ways: np.ndarray) -> np.ndarray:
+        discs = [(columns - 50 - way) ** 2 + (rows - 50) ** 2 <= 36 for way in ways]
+        return np.rint(20 + 110 * np.mean(discs, axis=0)).astype(np.uint8)
+
+    still, image = seen(np.zeros(1)), seen(np.linspace(-4.0, 4.0, 33))
+    meter = SpotMeter(packaged_tracker(refinement=refinement))
+    own, _ = meter.measure(still, 50.0, 50.0, light)
+    appearance = Appearance(own.area, own.variance_u, own.variance_v, 0.0, 0.0, 50.0)
+    spot, _ = meter.measure(image, 50.0, 50.0, light)
+    assert meter.refine(image, spot, light, appearance)[:2] == pytest.approx((50.0, 50.0), abs=1e-3)
