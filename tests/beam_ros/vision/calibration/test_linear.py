@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,6 +77,24 @@ def test_the_line_scatters_as_its_covariance_says():
     assert zeros.mean() == pytest.approx(320.0, abs=4 * zeros.std() / np.sqrt(600))
     assert stated == pytest.approx([slopes.std(), zeros.std()], rel=0.15)
     assert np.mean([fit.chi_squared for fit in fits]) == pytest.approx(22, rel=0.05)
+
+
+def test_points_that_scatter_more_than_they_say_widen_every_standard_deviation():
+    rng = np.random.default_rng(8)
+    fits = [
+        fit_line(
+            [replace(p, reference_sd_m=p.reference_sd_m / 3, u_sd_px=p.u_sd_px / 3) for p in points(rng)]
+        )
+        for _ in range(400)
+    ]
+    for value, stated in (
+        ([fit.slope for fit in fits], [fit.covariance[0, 0] for fit in fits]),
+        ([fit.intercept for fit in fits], [fit.covariance[1, 1] for fit in fits]),
+        ([fit.curvature for fit in fits], [fit.curvature_sd**2 for fit in fits]),
+        ([fit.hysteresis_px for fit in fits], [fit.hysteresis_sd_px**2 for fit in fits]),
+    ):
+        # A deviation is known to 3.5 % from 400.
+        assert np.sqrt(np.mean(stated)) == pytest.approx(np.std(value), rel=0.15)
 
 
 def test_errors_on_the_reference_do_not_flatten_the_line():
