@@ -124,7 +124,8 @@ class HubNode(RigNode):
             self._clock_sync.publish(messages.clock_sync(self.types, sync))
         for sequence in report.sequences:
             self._sequence_state.publish(messages.sequence_state(self.types, sequence))
-        if report.measured:
+        # Samples of an axis that cannot be believed are recorded, but nobody is told that the hub is there.
+        if report.measured and not report.status.fault.is_of_host:
             self._state.publish(messages.hub_state(self.types, _newest_sample(report.measured[-1])))
         for number, outcome in report.completed:
             if number in self._waiting:

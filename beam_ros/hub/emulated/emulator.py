@@ -230,8 +230,11 @@ class EmulatedFirmware:
 
     def _on_arm(self, arm: protocol.Arm) -> None:
         if self._arm_reply is None or self._arm_reply.number != arm.number:
-            start_ns = self._now_ns + arm.start_ns - self._told_ns(self._now_ns)
-            outcome = self.axis.arm(start_ns, arm.n_samples)
+            ahead_ns = arm.start_ns - self._told_ns(self._now_ns)
+            if self.clock_wrap_ns:
+                # The nearest time of that name.
+                ahead_ns = (ahead_ns + self.clock_wrap_ns // 2) % self.clock_wrap_ns - self.clock_wrap_ns // 2
+            outcome = self.axis.arm(self._now_ns + ahead_ns, arm.n_samples)
             self._arm_reply = protocol.ArmReply(arm.number, outcome.success, outcome.message)
             if outcome.success:
                 self._sequence_number = arm.number

@@ -33,7 +33,6 @@ class DeviceCounter:
         self.width_ns: int | None = None
         self._wraps_ns = tuple(wraps_ns)
         self._offset_ns = 0
-        self._greatest_ns = 0
 
     def extended_ns(self, shown_ns: int) -> int:
         """Return what a reading [ns] means if the counter has not wrapped since the last one."""
@@ -63,19 +62,19 @@ class DeviceCounter:
             The extended time [ns]; None where no number of wraps makes it possible.
         """
         plain_ns = self.extended_ns(shown_ns)
-        if not least_ns <= plain_ns <= greatest_ns:
-            n_wraps_of = {
-                width_ns: (greatest_ns - plain_ns) // width_ns
-                for width_ns in (self._wraps_ns if self.width_ns is None else (self.width_ns,))
-                if (greatest_ns - least_ns) * CERTAIN < width_ns
-            }
-            for width_ns, n_wraps in n_wraps_of.items():
-                is_narrow = n_wraps > 0 and max(shown_ns, self._greatest_ns) < width_ns
-                if (is_narrow or may_be_ahead) and plain_ns + n_wraps * width_ns >= least_ns:
-                    self.width_ns = width_ns if is_narrow else self.width_ns
-                    self._offset_ns += n_wraps * width_ns
-                    break
-            else:
-                return None
-        self._greatest_ns = max(self._greatest_ns, shown_ns)
-        return self.extended_ns(shown_ns)
+        if least_ns <= plain_ns <= greatest_ns:
+            return plain_ns
+        for width_ns in self._wraps_ns if self.width_ns is None else (self.width_ns,):
+            n_wraps = (greatest_ns - plain_ns) // width_ns
+            is_certain = (greatest_ns - least_ns) * CERTAIN < width_ns
+            is_wrap = n_wraps > 0 and shown_ns < width_ns
+            if is_certain and (is_wrap or may_be_ahead) and plain_ns + n_wraps * width_ns >= least_ns:
+                if is_wrap:
+                    self.width_ns = width_ns
+                self._offset_ns += n_wraps * width_ns
+                return self.extended_ns(shown_ns)
+        return None
+
+    def shift(self, by_ns: int) -> None:
+        """Let all readings from the last one on mean a time that is later by so much [ns]."""
+        self._offset_ns += by_ns

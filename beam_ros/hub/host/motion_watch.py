@@ -27,7 +27,9 @@ SPEED_S = 0.1
 ANCHOR_TICKS = 8
 """Ticks that it takes to see where the hub is and how it moves."""
 SHORTEST_S, LONGEST_S = 0.05, 2.0
-"""Time in which the path is pulled towards the measured one: as long as it has been followed, within these [s]."""
+"""Time constant with which the path is pulled towards the measured one [s] ..."""
+MEMORY = 0.4
+"""... which grows with the time for which it has been followed by this share: as a fit of all of it would do."""
 
 
 class MotionWatch:
@@ -169,7 +171,7 @@ class _Path:
         path, velocities = self._lead(applied, self._position, self._velocity)
         errors = measured - path[:-1]
         mean, duration = float(np.mean(errors)), len(applied) * self._period
-        share = min(0.4, duration / min(max(self._followed, SHORTEST_S), LONGEST_S))
+        share = min(0.4, duration / min(max(MEMORY * self._followed, SHORTEST_S), LONGEST_S))
         self._followed += duration
         self._position = path[-1] + share * mean * (1 if self._mode == "velocity" else 2)
         self._velocity = velocities + share**2 / duration * mean

@@ -259,7 +259,7 @@ class SampleStamping:
             return None
         lost = 0
         if self._expected_ns is not None:
-            lost = max(0, round((device_ns - self._expected_ns) / period_ns))
+            lost = (device_ns - self._expected_ns) // period_ns
         if lost:
             counters["lost_ticks"] += lost
             self._journal.tell("warning", f"{lost} ticks of the hub's samples were lost on the line")
@@ -305,10 +305,18 @@ class SampleStamping:
         if device_ns is not None:
             self._n_agreeing += 1
             self._n_other = 0
-            return device_ns
+            return self._on_grid_ns(device_ns)
         self._n_other = self._n_other + 1 if shown_ns == self._other_ns else 1
         self._other_ns = shown_ns + length_ns
         return self._jumped_ns(shown_ns, length_ns, received_ns) if self._n_other >= AGREEING else None
+
+    def _on_grid_ns(self, device_ns: int) -> int:
+        """Put a batch whole ticks after the one before: a clock that wraps within a tick tears its numbers."""
+        if self._expected_ns is None:
+            return device_ns
+        after_ns = (self._expected_ns - device_ns) % self._parameters.period_ns
+        self._counter.shift(after_ns)
+        return device_ns + after_ns
 
     def _possible_ns(self, length_ns: int, received_ns: int) -> tuple[int, int] | None:
         """Return between what device times [ns] a batch must begin that came now, None where all is possible."""

@@ -61,13 +61,16 @@ def test_the_clock_runs_fast_from_then_on(rig):
     assert elapsed[0] / elapsed[1] == pytest.approx(1.010035, abs=3e-3)
 
 
-def test_a_line_that_is_too_slow_loses_samples_and_nothing_worse(tmp_path):
+def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tmp_path):
     rig = DriverRig(VELOCITY, tmp_path, line_baud=115_200, fifo_bytes=1024)
     try:
-        rig.until(lambda r: r.status.state == "identified", 10.0)
+        rig.until(lambda r: r.status.fault.name == "telemetry_stopped", 10.0)
         rig.run(1.0)
-        counters = rig.reports[-1].status.counters
-        assert counters["bad_frames"] > 10
-        assert rig.ask("home", 10.0).success
+        status = rig.reports[-1].status
+        assert status.state == "fault"
+        assert "baud" in status.fault.remedy
+        assert status.counters["bad_frames"] > 10
+        assert not rig.ask("home", 10.0).success
+        assert rig.ask("stop", 10.0).success
     finally:
         rig.close()

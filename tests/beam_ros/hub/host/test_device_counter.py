@@ -28,7 +28,7 @@ def test_what_no_wrap_explains_is_not_extended():
         now_ns - 10 * MS,
         now_ns + 10 * MS,
         1 << 63,
-        now_ns - WRAPS_NS[1] // 2,
+        now_ns - WRAPS_NS[1] // 3,
         now_ns + WRAPS_NS[1],
     ):
         assert counter.read(shown_ns, now_ns - MS, now_ns + MS) is None
@@ -56,3 +56,10 @@ def test_ticks_that_do_not_wrap_are_laid_beside_a_clock_that_has_wrapped():
     assert counter.read(ahead_ns, 9 * MS, 11 * MS) is None
     assert counter.read(ahead_ns, 9 * MS, 11 * MS, may_be_ahead=True) == 10 * MS
     assert counter.extended_ns(3 * WRAPS_NS[1] + 30 * MS) == 30 * MS
+
+
+def test_numbers_that_a_wrap_tears_are_put_right_from_then_on():
+    counter = DeviceCounter()
+    assert counter.read(0, WRAPS_NS[2] - MS, WRAPS_NS[2]) == WRAPS_NS[2]
+    counter.shift(32_704)
+    assert counter.read(MS, WRAPS_NS[2], WRAPS_NS[2] + 2 * MS) == WRAPS_NS[2] + MS + 32_704

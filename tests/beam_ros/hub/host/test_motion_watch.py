@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from beam_ros.hub.host.motion_watch import MotionWatch
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters
@@ -73,6 +74,40 @@ def test_lag_noise_and_coarse_steps_of_a_real_axis_raise_no_alarm(mode, resoluti
     real = late - backlash + ripple + noise
     done = [measured_as(b, real[k * BATCH : (k + 1) * BATCH]) for k, b in enumerate(done)]
     assert faults(MotionWatch(parameters), done) == []
+
+
+@pytest.mark.parametrize("mode", MOTION)
+def test_a_servo_of_20_hz_at_the_limits_of_the_axis_raises_no_alarm(mode):
+    parameters = dataclasses.replace(PARAMETERS, command_mode=mode)
+    # Full acceleration forth and back, in steps: the servo's mass is pulled along by 10 m/s^2 / (2 pi 20 Hz)^2.
+    accelerations = np.tile(np.repeat([10.0, -10.0, -10.0, 10.0], 45), 20)
+    velocities = np.append(0.0, np.cumsum(accelerations)) * 1e-3
+    reference = np.append(0.0, np.cumsum((velocities[:-1] + velocities[1:]) / 2)) * 1e-3
+    omega, damping = 2 * np.pi * 20.0, 0.7
+    lag = signal.lsim(
+        ([-1.0], [1.0, 2 * damping * omega, omega**2]), accelerations, np.arange(len(accelerations)) * 1e-3
+    )[1]
+    assert 0.5e-3 < np.max(np.abs(lag)) < 1e-3
+    applied = {
+        "acceleration": accelerations,
+        "velocity": np.diff(reference) / 1e-3,
+        "position": reference[:-1],
+    }
+    positions = (reference[:-1] + lag) / 1e-7
+    done = []
+    for k in range(0, len(positions), BATCH):
+        part = slice(k, k + BATCH)
+        zeros = np.zeros(BATCH, dtype=np.float32)
+        done.append(measured_as(TickBatch(k, applied[mode][part], zeros, zeros, zeros), positions[part]))
+    assert faults(MotionWatch(parameters), done) == []
+    # With a gap amid the motion the path begins anew, at full speed.
+    del done[50:55]
+    watch = MotionWatch(parameters)
+    found = [
+        watch.find(batch, 5 * BATCH if k == 50 else 0, is_homed=True, is_enabled=True)
+        for k, batch in enumerate(done)
+    ]
+    assert found == [None] * len(done)
 
 
 @pytest.mark.parametrize("mode", MOTION)

@@ -88,6 +88,17 @@ def test_a_clock_of_32_bits_is_extended_and_its_ticks_go_on(width_ns):
     assert abs(says - session.device_ns(later_ns) % width_ns) < 100_000
 
 
+def test_ticks_that_are_told_by_a_clock_of_32_bits_stay_on_their_grid():
+    width_ns = 1 << 32
+    session = Session(power_on_ns=1_000_000_000)
+    session.shown = lambda device_ns: device_ns % width_ns
+    session.shown_tick = lambda tick: tick * PERIOD % width_ns // PERIOD
+    session.run(70.0)  # 16 wraps, each at another place within a tick
+    assert session.faults == []
+    assert session.journal.counters["lost_ticks"] == 0
+    session.check_stamps()
+
+
 def test_ticks_of_32_bits_are_extended():
     session = Session(power_on_ns=((1 << 32) - 4_000) * PERIOD)
     session.shown_tick = lambda tick: tick % (1 << 32)

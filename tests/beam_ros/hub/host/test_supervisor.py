@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.contract import HubReport
+from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.faults import FAULTS
 from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder, encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, SimulatedDevice
-from tests.beam_ros.hub.hub_scenes import DRIFTING, LoopbackRig, Rig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.hub_scenes import DRIFTING, DriverRig, LoopbackRig, Rig, chunks_of, rest_to_rest
 
 PARAMETERS = AxisParameters()
 VELOCITY = dataclasses.replace(PARAMETERS, command_mode="velocity")
@@ -339,3 +340,47 @@ def test_a_device_with_clocks_of_32_bits_is_no_worse_than_another():
     stamps = np.array([b.stamp_ns for r in reports for b in r.measured])
     assert np.all(np.abs(np.diff(stamps) - 20_000_000) < 10_000)
     assert {b.epoch for r in rig.reports for b in r.measured} == {1}
+
+
+@pytest.fixture
+def live(tmp_path):
+    rig = DriverRig(dataclasses.replace(PARAMETERS, command_mode="velocity", watchdog_s=1.0), tmp_path)
+    rig.connect()
+    rig.enable()
+    yield rig
+    rig.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "name"),
+    [
+        ("{fault: step, seconds: 30}", "clock_jumped"),
+        ("{fault: step, seconds: -30}", "clock_backwards"),
+        ("{fault: wrap, bits: 36}", "clock_backwards"),
+        ("{fault: drift, ppm: 10000}", "clock_jumped"),
+    ],
+)
+def test_a_real_ports_clock_that_goes_wrong_stops_the_axis(live, fault, name):
+    live.hub.setpoint(live.now.unix_ns, 0.01, live.now)
+    live.run(0.2)
+    live.emulator.bring_about(read_schedule(fault, "test", live.emulator.elapsed))
+    reports = live.until(lambda r: r.status.state == "fault", 4.0)
+    assert seen(reports) == [name]
+    live.run(0.3)
+    assert (live.emulator.axis.state, live.emulator.axis.velocity) == ("homed", 0.0)
+    assert not live.ask("enable").success
+
+
+def test_a_real_ports_clock_of_32_bits_wraps_under_a_sequence(live):
+    live.emulator.bring_about(read_schedule("{fault: wrap, bits: 32}", "test", live.emulator.elapsed))
+    live.run(0.5)
+    values = 0.02 * np.sin(np.pi * np.arange(5001) / 2500) * (np.arange(5001) < 5000)
+    for chunk in chunks_of(values, live.now.unix_ns + 400_000_000):
+        live.hub.load(chunk, live.now)
+    reports = live.until(lambda r: "done" in [s.state for s in r.sequences], 12.0)
+    assert seen(reports) == []
+    applied = np.concatenate([b.velocities for r in reports for b in r.applied])
+    first = np.flatnonzero(applied)[0] - 1
+    assert np.array_equal(applied[first : first + 5001], values)
+    stamps = np.array([b.stamp_ns for r in reports for b in r.measured])
+    assert np.all(np.abs(np.diff(stamps) - 20_000_000) < 200_000)
