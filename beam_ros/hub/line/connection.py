@@ -128,7 +128,8 @@ class Connection:
         """Whether the device has said nothing for so long that the port should be opened anew."""
         if talking_since_ns is None:
             return False
-        patience_ns = SILENCE_NS
+        # A device that stopped talking to a silent host is heard again a round trip after the host's next word.
+        patience_ns = SILENCE_NS + self.round_trip_ns
         if self.state == "proof":
             patience_ns += self._proof_patience_ns
         elif not self.is_in_session:
