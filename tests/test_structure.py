@@ -67,6 +67,7 @@ TESTED_IN = (
     ("beam_ros/hub", "contract host_clock ticks", "hub/simulated/test_simulated_hub"),
     ("beam_ros/hub/host", "journal pulse requests sequence_stream", "hub/line/test_client"),
     ("beam_ros/hub/line", "connection", "hub/line/test_client"),
+    ("beam_ros/hub", "errors", "hub/line/test_driver"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
     ("beam_ros/hub/simulated", "motion profiles sequence_buffer", "hub/simulated/test_axis"),

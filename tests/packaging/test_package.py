@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
 import sys
 import tempfile
@@ -161,3 +162,16 @@ def test_the_launch_file_lets_only_the_simulated_rig_run_in_another_time(
     for rig in ("emulated", "real"):
         with pytest.raises(UsageError, match=r"real_time_factor is 0\.5 .* expected 1"):
             launched(launch_actions, rig=rig, params_file=str(slow))
+
+
+def test_every_line_of_the_udev_rule_matches_a_device_and_assigns_something() -> None:
+    lines = (ROOT / "beam_ros" / "config" / "70-beam-axis.rules").read_text().splitlines()
+    rules = [line for line in lines if line and not line.startswith("#")]
+    assert len(rules) == 4
+    term = re.compile(r'([A-Z_]+(?:\{[^}]+\})?)(==|\+=|=)"([^"]*)"')
+    for rule in rules:
+        terms = [term.fullmatch(word) for word in rule.split(", ")]
+        assert all(terms), rule
+        operators = [match[2] for match in terms if match]
+        assert operators == sorted(operators, key=lambda operator: operator != "=="), "matches come first"
+        assert {"==", "="} <= set(operators)

@@ -33,7 +33,6 @@ class SerialServer:
         self._delay_s = delay_s
         self._speaks_rfc2217 = speaks_rfc2217
         self._noise = None if noise_seed is None else random.Random(noise_seed).randbytes(65_536)
-        self.brought = 0
         self._is_closing = False
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(0.05)
@@ -60,7 +59,7 @@ class SerialServer:
             connection.settimeout(0.05)
             while not self._is_closing:
                 with contextlib.suppress(TimeoutError):
-                    self.brought += connection.send(self._noise)
+                    connection.send(self._noise)
             return
         with _Port(self._port, timeout=0) as port:
             manager = PortManager(port, _Writer(connection)) if self._speaks_rfc2217 else None
@@ -83,7 +82,6 @@ class SerialServer:
                             os.write(port.fileno(), data)
                         else:
                             connection.sendall(data)
-                            self.brought += len(data)
 
 
 class _Port(serial.Serial):
