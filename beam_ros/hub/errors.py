@@ -18,6 +18,10 @@ class HubProtocolError(HubError, OSError):
     """Bytes or messages that do not follow the line protocol."""
 
 
+class ConformanceError(HubProtocolError):
+    """A device that does not do what the line protocol says."""
+
+
 class HubConnectionError(HubError, RigUnavailableError):
     """A port that cannot be opened, or a device behind it that cannot be used.
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+FIRST_FREE_FAULT = 32
+"""From here on to the host's, a firmware may have faults that this table does not know."""
 FIRST_HOST_FAULT = 64
 """Numbers below are the device's own."""
 

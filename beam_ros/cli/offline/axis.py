@@ -1,0 +1,101 @@
+"""Look at a motion controller on its line, without nodes: does its firmware keep the protocol?
+
+`beam axis conformance /dev/ttyACM0 --yes`; any port or URL that pyserial knows will do (`socket://localhost:5000`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import asdict
+
+from beam_ros.cli.options import one_of
+from beam_ros.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_conformance(commands)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb."""
+    return int(arguments.act(arguments))
+
+
+# beam axis conformance ------------------------------------------------------------------------------------
+
+
+def _add_conformance(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from beam_ros.hub.conformance.suite import ALWAYS, CHECKS
+
+    names = {check.name: check.expected for check in CHECKS} | ALWAYS
+    width = max(map(len, names))
+    parser = commands.add_parser(
+        "conformance",
+        help="whether a firmware keeps docs/protocol.md: named checks, which move the axis a few millimetres",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Check whether a firmware keeps the protocol of docs/protocol.md.\n\n"
+        "The axis is homed and moves by up to 5 % of its travel; be at its emergency stop.",
+        epilog="checks: the device ...\n" + "\n".join(f"  {name:<{width}}  {text}" for name, text in names.items()),
+    )
+    parser.add_argument("url", metavar="URL", help="port or pyserial URL of the controller")
+    parser.add_argument("--baud", type=int, default=921_600, help="bits per second (default: 921600)")
+    parser.add_argument("--yes", action="store_true", help="the axis may move")
+    parser.add_argument("--no-motion", action="store_true", help="only the checks that move nothing")
+    parser.add_argument(
+        "--only", nargs="+", default=(), metavar="CHECK", type=one_of("check", names), help="only these checks"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(act=_check_conformance)
+
+
+def _check_conformance(arguments: argparse.Namespace) -> int:
+    if arguments.yes == arguments.no_motion:
+        raise UsageError(
+            "the checks home the axis and move it by up to 5 % of its travel: expected either --yes, or "
+            "--no-motion for the checks that move nothing"
+        )
+    from beam_ros.hub.conformance.suite import run_checks
+    from beam_ros.process.strict_json import strict_json
+
+    results = []
+    with _PortLine(arguments.url, arguments.baud) as line:
+        for result in run_checks(line, moves=arguments.yes, names=arguments.only):
+            results.append(result)
+            if not arguments.json:
+                reason = f": {result.reason}" if result.outcome == "failed" else ""
+                print(f"{result.outcome:<8} {result.name}: {result.expected}{reason}", flush=True)
+    failed = sum(result.outcome == "failed" for result in results)
+    skipped = sum(result.outcome == "skipped" for result in results)
+    if arguments.json:
+        print(strict_json({"url": arguments.url, "checks": [asdict(result) for result in results]}, indent=2))
+    else:
+        print(f"{len(results) - failed - skipped} passed, {failed} failed, {skipped} skipped")
+    return 1 if failed else 0
+
+
+class _PortLine:
+    """A serial port as the checks need it; implements ``Line``."""
+
+    def __init__(self, url: str, baud: int) -> None:
+        from beam_ros.hub.line.transport import SerialTransport
+
+        self._transport = SerialTransport(url, baud)
+
+    def __enter__(self) -> _PortLine:
+        self._transport.open()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._transport.close()
+
+    def send(self, data: bytes) -> None:
+        self._transport.write(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        return self._transport.read(timeout_s)[0]
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()

@@ -1,0 +1,1 @@
+"""Whether a firmware keeps the line protocol: named checks over any line, of anybody's device."""

@@ -1,0 +1,302 @@
+"""Requests, set-points, and every way in which an axis stops by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from beam_ros.hub.conformance import motions
+from beam_ros.hub.conformance.check import Check, require
+from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.conformance.playing import play
+from beam_ros.hub.faults import fault
+from beam_ros.hub.line import protocol
+
+LATE_S = 0.03
+"""By how much a watchdog may be late: its tick, and the batch that its Status may wait for [s]."""
+SLACK = 1e-3
+"""Relative slack of measured decelerations."""
+
+
+def stopped_by(status: protocol.Status, *names: str) -> None:
+    """Require that a Status at rest names one of these faults."""
+    numbers = {fault(name).number for name in names}
+    words = " or ".join(f"{fault(name).number} ({name})" for name in names)
+    require(
+        status.fault_number in numbers,
+        f"fault {status.fault_number} ({status.reason!r}) in Status: expected {words}",
+    )
+
+
+def require_ramp(host: Dialogue, first: int, last: int) -> None:
+    """Require that from tick ``first`` to ``last``, where the axis stopped, it kept its deceleration."""
+    identity, period = host.identity, host.period_s()
+    assert identity is not None
+    # The last batch may still be on its way; it comes as long as the silence is young.
+    ticks = host.ticks(first, max(last - first, 1), alive=False)
+    mode = identity.command_mode
+    allowed = host.limits.stop_deceleration * (1 + SLACK)
+    if mode == "acceleration":
+        rates = ticks.applied
+    elif mode == "velocity":
+        rates = np.diff(ticks.applied) / period
+    elif mode == "position":
+        rates = np.diff(ticks.applied, n=2) / period**2
+    else:
+        return  # Under a force only the rest at its end is certain.
+    if len(rates):
+        worst = float(np.abs(rates).max())
+        require(worst <= allowed, f"{worst:.6g} m/s^2 while stopping: expected at most {allowed:.6g}")
+
+
+def _homing(host: Dialogue) -> None:
+    identity = host.prepare()
+    number = host.next_number()
+    host.say(protocol.Request(number, "home"))
+    phase = host.until(
+        lambda m: m.phase if isinstance(m, protocol.RequestReply) and m.number == number else None,
+        "RequestReply",
+    )
+    require(phase != "failure", "home failed at once")
+    reply = host.ask("home", number)
+    require(reply.phase == "success", f"home ended with {reply.phase} {reply.text!r}")
+    status = host.wait_for_rest()
+    require(status.state == "homed", f"the axis is {status.state} after homing")
+    require(
+        abs(status.position_count) <= 2,
+        f"it stands at {status.position_count * identity.encoder_resolution:g} m after homing: expected 0",
+    )
+
+
+def _enabling(host: Dialogue) -> None:
+    host.enable()
+    status = host.fresh_status()
+    require((status.state, status.activity) == ("enabled", "hold"), f"it is {status.state}, {status.activity}")
+    for kind in ("disable", "enable", "stop"):
+        host.must(kind)
+    status = host.wait_for_rest()
+    require(status.state == "homed", f"the axis is {status.state} after a stop")
+    require(status.fault_number == 0, f"fault {status.fault_number} after a stop that was asked for")
+
+
+def _repeated_request(host: Dialogue) -> None:
+    host.enable()
+    number = host.next_number()
+    host.say(protocol.Request(number, "disable"))
+    first = host.ask("disable", number)
+    enabling = host.next_number()
+    require(host.ask("enable", enabling).phase == "success", "enable failed")
+    again = host.ask("disable", number)
+    require(again == first, f"the answer changed from {first} to {again}")
+    require(host.fresh_status().state == "enabled", "a repeated request was done again")
+    host.must("disable")
+    require(host.ask("enable", enabling).phase == "success", "a repeated request has another answer")
+    require(host.fresh_status().state != "enabled", "a repeated enable enabled the axis again")
+
+
+def _no_fault(host: Dialogue) -> None:
+    host.prepare()
+    number = host.next_number()
+    first = host.ask("clear_fault", number)
+    require(first.phase == "success", f"clear_fault without a fault gave {first.phase}")
+    for _ in range(3):
+        require(host.ask("clear_fault", number) == first, "a repeated request has another answer")
+
+
+def _setpoints(host: Dialogue) -> None:
+    identity = host.enable()
+    value = motions.setpoint(identity, host.position())
+    begun = host.position()
+    for _ in range(10):
+        number = host.next_number()
+        host.say(protocol.Setpoint(number, value))
+        host.listen(0.02)
+    status = host.fresh_status()
+    require(status.setpoint_number == number, f"set-point {status.setpoint_number} in Status, {number} was sent")
+    require((status.state, status.activity) == ("enabled", "setpoint"), f"it is {status.state}, {status.activity}")
+    way = (host.position() - begun) * np.sign(value)
+    require(way > 0, f"the hub moved {way:g} m in the set-point's direction")
+    host.must("disable")
+
+
+def _refused_setpoints(host: Dialogue) -> None:
+    identity = host.enable()
+    limit = motions.command_limit(identity, host.limits)
+    refused = host.fresh_status().setpoints_refused
+    for value in (1.01 * limit, -1.01 * limit, float("nan"), float("inf"), 1e300):
+        host.say(protocol.Setpoint(host.next_number(), value))
+        status = host.fresh_status()
+        refused = (refused + 1) & 0xFFFF
+        require(status.setpoints_refused == refused, f"a set-point of {value:g} was not counted as refused")
+        require(status.activity == "hold", f"a set-point of {value:g} made the axis {status.activity}")
+    host.must("disable")
+    host.say(protocol.Setpoint(host.next_number(), 0.0))
+    status = host.fresh_status()
+    require(status.setpoints_refused == (refused + 1) & 0xFFFF, "a set-point was taken by a disabled axis")
+
+
+def _old_setpoint(host: Dialogue) -> None:
+    """The same number again is the same set-point: it does not refresh it."""
+    identity = host.enable()
+    value = motions.setpoint(identity, host.position())
+    number = host.next_number()
+    for _ in range(round((host.limits.watchdog_ns * 1e-9 + 0.2) / 0.02)):
+        host.say(protocol.Setpoint(number, value))
+        host.listen(0.02)
+    if identity.command_mode == "position":
+        require(host.fresh_status().state == "enabled", "a position set-point aged")
+        host.must("disable")
+        return
+    status = host.wait_for_rest()
+    require(status.state == "homed", f"the axis is {status.state}: expected homed")
+    stopped_by(status, "setpoint_old")
+
+
+def _silence_at_rest(host: Dialogue) -> None:
+    identity = host.prepare()
+    for _ in range(2):
+        before = host.fresh_status()
+        fed_ns = host.clock().reply.received_ns
+        host.listen(host.limits.watchdog_ns * 1e-9 + 3 * LATE_S, alive=False)
+        status = host.newest_status()
+        require(
+            status.silences == (before.silences + 1) & 0xFFFF,
+            f"{status.silences - before.silences} silences counted: expected one",
+        )
+        _require_in_time(host, status.silence_tick * identity.period_ns - fed_ns)
+        require(status.state == before.state, f"silence made a resting axis {status.state}")
+
+
+def _require_in_time(host: Dialogue, silent_ns: int) -> None:
+    watchdog_ns, period_s = host.limits.watchdog_ns, host.period_s()
+    require(
+        watchdog_ns - 2e9 * period_s <= silent_ns <= watchdog_ns + 1e9 * (LATE_S + 2 * period_s),
+        f"the silence was noticed after {silent_ns * 1e-9:.4f} s: expected {watchdog_ns * 1e-9:g} s",
+    )
+
+
+def _fall_silent(host: Dialogue) -> None:
+    """Say nothing more until the axis rests, and look at how it got there."""
+    identity = host.identity
+    assert identity is not None
+    before = host.fresh_status()
+    fed_ns = host.clock().reply.received_ns
+    status = host.wait_for_rest(alive=False, seconds=host.limits.watchdog_ns * 1e-9 + 0.7)
+    require(status.silences != before.silences, "the axis rests, but no silence was counted")
+    _require_in_time(host, status.silence_tick * identity.period_ns - fed_ns)
+    stopped_by(status, "host_silent")
+    require_ramp(host, status.silence_tick, status.tick)
+    require(status.state != "fault", "silence ends in fault: expected a disabled axis")
+    host.listen(0.1)
+    require(host.fresh_status().state == status.state, "the axis changed its state when the host was back")
+
+
+def _silence_while_holding(host: Dialogue) -> None:
+    host.enable()
+    _fall_silent(host)
+
+
+def _silence_while_following(host: Dialogue) -> None:
+    identity = host.enable()
+    value = motions.setpoint(identity, host.position())
+    for _ in range(5):
+        host.say(protocol.Setpoint(host.next_number(), value))
+        host.listen(0.02)
+    number = host.next_number()
+    host.say(protocol.Setpoint(number, value))
+    fed_ns = host.clock().reply.received_ns
+    status = host.wait_for_rest(alive=False, seconds=host.limits.watchdog_ns * 1e-9 + 0.7)
+    _require_in_time(host, status.silence_tick * identity.period_ns - fed_ns)
+    # The set-point is as old as the host's last word, or older: either may be noticed first.
+    stopped_by(status, "host_silent", "setpoint_old")
+    require(status.state == "homed", f"the axis is {status.state} after a silence: expected homed")
+    require_ramp(host, status.silence_tick, status.tick)
+
+
+def _silence_while_running(host: Dialogue) -> None:
+    identity = host.enable()
+    watchdog_ticks = round(host.limits.watchdog_ns / identity.period_ns)
+    values = motions.bump(identity, 4 * watchdog_ticks, host.position())
+    played = play(host, values, until_tick=2 * watchdog_ticks)
+    status = host.wait_for_rest(alive=False, seconds=host.limits.watchdog_ns * 1e-9 + 0.7)
+    # A small buffer is empty before the watchdog's time has passed.
+    stopped_by(status, "host_silent", "underrun")
+    require(
+        status.sequence_state in ("aborted", "underrun"), f"the sequence is {status.sequence_state} after a silence"
+    )
+    require(status.sequence_reason != "", "it gives no reason why the sequence ended early")
+    require(status.state == "homed", f"the axis is {status.state} after a silence: expected homed")
+    stopped = status.silence_tick if status.silence_tick > played.start_tick else played.start_tick
+    if status.fault_number == fault("host_silent").number:
+        require_ramp(host, stopped, status.tick)
+
+
+def _silence_while_homing(host: Dialogue) -> None:
+    identity = host.enable()
+    play(host, motions.shift(identity, round(0.4 / host.period_s()), host.position()))
+    host.must("disable")
+    slow = replace(host.limits, homing_speed=host.limits.homing_speed / 20)
+    host.set_limits(slow)
+    number = host.next_number()
+    host.say(protocol.Request(number, "home"))
+    host.until(
+        lambda m: m if isinstance(m, protocol.Status) and m.activity == "homing" else None, "Status while homing"
+    )
+    _fall_silent(host)
+    require(host.newest_status().state == "identified", "an axis is homed although homing was ended early")
+    reply = host.ask("home", number)
+    require(reply.phase == "failure", f"the request home ended with {reply.phase}: expected failure")
+
+
+def _hello_stops(host: Dialogue) -> None:
+    _stops_on(host, protocol.Hello(), "session_opened")
+
+
+def _goodbye_stops(host: Dialogue) -> None:
+    _stops_on(host, protocol.Goodbye(), "session_closed")
+
+
+def _stops_on(host: Dialogue, word: protocol.Message, name: str) -> None:
+    identity = host.enable()
+    values = motions.bump(identity, round(1.0 / host.period_s()), host.position())
+    play(host, values, until_tick=round(0.5 / host.period_s()))
+    host.say(word)
+    if isinstance(word, protocol.Goodbye):
+        host.listen(0.3, alive=False)
+        host.say(protocol.Hello())
+    host.until(lambda m: m if isinstance(m, protocol.Identity) else None, "Identity")
+    host.until(lambda m: m if isinstance(m, protocol.Status) else None, "Status")
+    status = host.wait_for_rest()
+    require(status.state == "homed", f"the axis is {status.state}: expected homed")
+    stopped_by(status, name)
+    reply = host.ask("enable")
+    require(reply.phase == "failure", "enable worked although the new session has no limits")
+
+
+CHECKS = (
+    Check("no_fault", "answers a request that changes nothing, as often as it is asked", _no_fault),
+    Check("homing", "homes, says pending and then success, and stands at 0", _homing, moves=True),
+    Check("enabling", "enables, disables and stops on request, and then is homed", _enabling, moves=True),
+    Check("repeated_request", "does a request once, and answers it again", _repeated_request, moves=True),
+    Check("setpoints", "follows set-points, and names the newest", _setpoints, moves=True),
+    Check(
+        "refused_setpoints",
+        "refuses and counts set-points beyond the limit, that are no numbers, or come while disabled",
+        _refused_setpoints,
+        moves=True,
+    ),
+    Check(
+        "old_setpoint",
+        "stops when a set-point is not refreshed; a position holds",
+        _old_setpoint,
+        moves=True,
+    ),
+    Check("silence_at_rest", "counts every silence once, in time, also at rest", _silence_at_rest),
+    Check("silence_while_holding", "is disabled by silence while it holds", _silence_while_holding, moves=True),
+    Check("silence_while_following", "stops by its ramp on silence while following", _silence_while_following, True),
+    Check("silence_while_running", "stops by its ramp on silence in a sequence", _silence_while_running, moves=True),
+    Check("silence_while_homing", "stops by its ramp on silence while homing", _silence_while_homing, moves=True),
+    Check("hello_stops", "stops and is disabled by a new session", _hello_stops, moves=True),
+    Check("goodbye_stops", "stops and is disabled by the end of its session", _goodbye_stops, moves=True),
+)
