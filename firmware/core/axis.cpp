@@ -45,6 +45,12 @@ Limits narrower(const Limits& a, const Limits& b) {
     return least;
 }
 
+void set_wait(Request* request, Request::Wait wait) {
+    if (request != nullptr) {
+        request->wait = wait;
+    }
+}
+
 std::uint32_t whole_periods(std::uint32_t time_ns, std::uint32_t period_ns) {
     return static_cast<std::uint32_t>((static_cast<std::uint64_t>(time_ns) + period_ns / 2) / period_ns);
 }
@@ -425,7 +431,7 @@ void Axis::do_effects(std::uint16_t effects, Fault fault, const Text& reason, Re
         homing_ = Homing::seek;
         began_below_home_ = reading_.is_below_home;
         seek_start_ = motion_.position;
-        request->wait = Request::Wait::home;
+        set_wait(request, Request::Wait::home);
     }
     if ((effects & zero_set) != 0) {
         zero_count_ = home_count_;
@@ -458,7 +464,7 @@ void Axis::do_effects(std::uint16_t effects, Fault fault, const Text& reason, Re
         end_sequence(SequenceState::underrun, reason);
     }
     if ((effects & answered_at_rest) != 0) {
-        request->wait = Request::Wait::rest;
+        set_wait(request, Request::Wait::rest);
     }
     if ((effects & waiting_answered) != 0) {
         for (Request& waiting : requests) {

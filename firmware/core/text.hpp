@@ -58,12 +58,21 @@ public:
         auto whole = static_cast<std::uint64_t>(number * 1e6 + 0.5);
         *this << whole / 1'000'000;
         std::uint64_t rest = whole % 1'000'000;
-        if (rest != 0) {
-            put('.');
-            for (std::uint64_t place = 100'000; rest != 0; place /= 10) {
-                put(static_cast<char>('0' + rest / place));
-                rest %= place;
-            }
+        if (rest == 0) {
+            return *this;
+        }
+        char decimals[6];
+        for (int k = 5; k >= 0; --k) {
+            decimals[k] = static_cast<char>('0' + rest % 10);
+            rest /= 10;
+        }
+        int n = 6;
+        while (decimals[n - 1] == '0') {
+            --n;
+        }
+        put('.');
+        for (int k = 0; k < n; ++k) {
+            put(decimals[k]);
         }
         return *this;
     }

@@ -1,0 +1,44 @@
+// A board whose time is a number: for tests that compare, and for random bytes.
+
+#ifndef BEAM_HOST_VIRTUAL_BOARD_HPP
+#define BEAM_HOST_VIRTUAL_BOARD_HPP
+
+#include <cstdint>
+#include <vector>
+
+#include "../core/board.hpp"
+#include "../plant/ideal_axis.hpp"
+
+namespace beam {
+
+class VirtualBoard final : public Board {
+public:
+    explicit VirtualBoard(IdealAxis& axis) : axis_(axis) {}
+
+    std::uint64_t clock_ns() override { return now_ns; }
+    std::uint32_t boot_id() override { return 5; }
+    bool was_reset_by_watchdog() override { return false; }
+    std::size_t write(const std::uint8_t* data, std::size_t size) override {
+        output.insert(output.end(), data, data + size);
+        return size;
+    }
+    Reading measure() override { return axis_.measure(); }
+    void drive(const Drive& drive) override {
+        axis_.drive(drive);
+        driven = drive;
+    }
+    void feed_watchdog() override {}
+    void hold_ticks() override {}
+    void release_ticks() override {}
+
+    std::uint64_t now_ns = 0;
+    std::vector<std::uint8_t> output;
+    Drive driven;
+
+private:
+    IdealAxis& axis_;
+};
+
+}  // namespace beam
+
+#endif
