@@ -38,14 +38,20 @@ def _add_conformance(commands: argparse._SubParsersAction[argparse.ArgumentParse
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Check whether a firmware keeps the protocol of docs/protocol.md.\n\n"
         "The axis is homed and moves by up to 5 % of its travel; be at its emergency stop.",
-        epilog="checks: the device ...\n" + "\n".join(f"  {name:<{width}}  {text}" for name, text in names.items()),
+        epilog="checks: the device ...\n"
+        + "\n".join(f"  {name:<{width}}  {text}" for name, text in names.items()),
     )
     parser.add_argument("url", metavar="URL", help="port or pyserial URL of the controller")
     parser.add_argument("--baud", type=int, default=921_600, help="bits per second (default: 921600)")
     parser.add_argument("--yes", action="store_true", help="the axis may move")
     parser.add_argument("--no-motion", action="store_true", help="only the checks that move nothing")
     parser.add_argument(
-        "--only", nargs="+", default=(), metavar="CHECK", type=one_of("check", names), help="only these checks"
+        "--only",
+        nargs="+",
+        default=(),
+        metavar="CHECK",
+        type=one_of("check", names),
+        help="only these checks",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(act=_check_conformance)

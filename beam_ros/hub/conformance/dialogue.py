@@ -66,7 +66,7 @@ class Dialogue:
     ----------
     identity, status : Identity, Status or None
         The newest of each.
-    limits : AxisLimits
+    limits : DeviceLimits
         What the checks ask the device to obey: the widest, with a watchdog that does not take long.
     oddities : dict of str to str
         What was seen that must never be: by the name of the check, in words.
@@ -75,7 +75,7 @@ class Dialogue:
     def __init__(self, line: Line) -> None:
         self.identity: protocol.Identity | None = None
         self.status: protocol.Status | None = None
-        self.limits = protocol.AxisLimits()
+        self.limits = protocol.DeviceLimits()
         self.oddities: dict[str, str] = {}
         self._line = line
         self._decoder = FrameDecoder()
@@ -155,16 +155,14 @@ class Dialogue:
                 f"Identity names version {identity.version} for this connection: expected {protocol.VERSION}"
             )
         self.until(_only(protocol.Status), "Status after Identity")
-        self.limits = replace(
-            identity.widest, watchdog_ns=min(identity.widest.watchdog_ns, WATCHDOG_NS)
-        )
+        self.limits = replace(identity.widest, watchdog_ns=min(identity.widest.watchdog_ns, WATCHDOG_NS))
         return identity
 
     def leave(self) -> None:
         """Leave the axis stopped, and end the session."""
         self.say(protocol.Request(self.next_number(), "disable"), protocol.Goodbye())
 
-    def set_limits(self, limits: protocol.AxisLimits) -> protocol.AxisLimits:
+    def set_limits(self, limits: protocol.DeviceLimits) -> protocol.DeviceLimits:
         """Hand limits over, and return what the device answers."""
         number = self.next_number()
         self.say(protocol.SetLimits(number, limits))
@@ -179,8 +177,9 @@ class Dialogue:
         self.say(protocol.Request(number, kind))
 
         def ended(message: protocol.Message) -> protocol.RequestReply | None:
-            is_end = isinstance(message, protocol.RequestReply) and message.phase != "pending"
-            return message if is_end and message.number == number else None  # type: ignore[return-value]
+            if isinstance(message, protocol.RequestReply) and message.number == number:
+                return None if message.phase == "pending" else message
+            return None
 
         return self.until(ended, f"the end of the request {kind}", MOVE_S)
 
@@ -195,7 +194,7 @@ class Dialogue:
         identity = self.open_session()
         self.wait_for_rest()
         obeyed = self.set_limits(self.limits)
-        if obeyed == protocol.AxisLimits():
+        if obeyed == protocol.DeviceLimits():
             raise ConformanceError("SetLimits with what the device says it can was not taken")
         if self.newest_status().state == "fault":
             self.must("clear_fault")
@@ -211,11 +210,14 @@ class Dialogue:
         self.must("enable")
         return identity
 
-    def wait_for_rest(self, *, alive: bool = True, seconds: float = MOVE_S) -> protocol.Status:
-        """Wait until the axis rests and is disabled."""
+    def wait_for_rest(self, *, alive: bool = True, seconds: float | None = None) -> protocol.Status:
+        """Wait until the axis rests and is disabled; by default as long as its ramp and its watchdog may take."""
         status = self.status
         if status is not None and is_at_rest(status):
             return status
+        if seconds is None:
+            ramp_s = self.limits.max_speed / max(self.limits.stop_deceleration, 1e-9)
+            seconds = min(ramp_s + 2e-9 * self.limits.watchdog_ns + 4 * ANSWER_S, MOVE_S)
         return self.until(
             lambda m: m if isinstance(m, protocol.Status) and is_at_rest(m) else None,
             "a Status with the axis at rest and disabled",
@@ -314,14 +316,15 @@ class Dialogue:
         number = status.fault_number
         if number not in _NUMBERS and not FIRST_FREE_FAULT <= number < FIRST_HOST_FAULT:
             self.oddities.setdefault(
-                "fault_numbers", f"fault {number}: expected a device's of docs/protocol.md, or one from 32 to 63"
+                "fault_numbers",
+                f"fault {number}: expected a device's of docs/protocol.md, or one from 32 to 63",
             )
 
     def _note_batch(self, batch: TickBatch) -> None:
-        assert self.identity is not None
-        if len(batch) != self.identity.batch_ticks:
+        if self.identity is not None and len(batch) != self.identity.batch_ticks:
             self.oddities.setdefault(
-                "batches", f"a batch of {len(batch)} ticks: expected {self.identity.batch_ticks} as Identity says"
+                "batches",
+                f"a batch of {len(batch)} ticks: expected {self.identity.batch_ticks} as Identity says",
             )
         if self._batches and batch.first_tick < self._batches[-1].first_tick + len(self._batches[-1]):
             self.oddities.setdefault("batches", f"tick {batch.first_tick} was sent twice")

@@ -122,7 +122,9 @@ def _clock(host: Dialogue) -> None:
     readings = []
     for _ in range(40):
         reply = host.clock().reply
-        require(reply.sent_ns >= reply.received_ns, "a reply left before its query came, by the device's clock")
+        require(
+            reply.sent_ns >= reply.received_ns, "a reply left before its query came, by the device's clock"
+        )
         readings += [reply.received_ns, reply.sent_ns]
         host.listen(0.02)
     require(readings == sorted(readings), "the device's clock ran backwards")
@@ -181,7 +183,9 @@ def _telemetry_ends(host: Dialogue) -> None:
     require(pushed == 0, f"{pushed} Telemetry after more than a second of silence: expected none")
     host.say(protocol.Heartbeat())
     host.until(
-        lambda m: m if isinstance(m, protocol.Telemetry) else None, "Telemetry after the silence", 2 * ANSWER_S
+        lambda m: m if isinstance(m, protocol.Telemetry) else None,
+        "Telemetry after the silence",
+        2 * ANSWER_S,
     )
 
 

@@ -72,7 +72,9 @@ def _homing(host: Dialogue) -> None:
 def _enabling(host: Dialogue) -> None:
     host.enable()
     status = host.fresh_status()
-    require((status.state, status.activity) == ("enabled", "hold"), f"it is {status.state}, {status.activity}")
+    require(
+        (status.state, status.activity) == ("enabled", "hold"), f"it is {status.state}, {status.activity}"
+    )
     for kind in ("disable", "enable", "stop"):
         host.must(kind)
     status = host.wait_for_rest()
@@ -113,8 +115,12 @@ def _setpoints(host: Dialogue) -> None:
         host.say(protocol.Setpoint(number, value))
         host.listen(0.02)
     status = host.fresh_status()
-    require(status.setpoint_number == number, f"set-point {status.setpoint_number} in Status, {number} was sent")
-    require((status.state, status.activity) == ("enabled", "setpoint"), f"it is {status.state}, {status.activity}")
+    require(
+        status.setpoint_number == number, f"set-point {status.setpoint_number} in Status, {number} was sent"
+    )
+    require(
+        (status.state, status.activity) == ("enabled", "setpoint"), f"it is {status.state}, {status.activity}"
+    )
     way = (host.position() - begun) * np.sign(value)
     require(way > 0, f"the hub moved {way:g} m in the set-point's direction")
     host.must("disable")
@@ -148,7 +154,8 @@ def _old_setpoint(host: Dialogue) -> None:
         require(host.fresh_status().state == "enabled", "a position set-point aged")
         host.must("disable")
         return
-    status = host.wait_for_rest()
+    # It has had time enough for its ramp; a little later it would be too old in any case.
+    status = host.wait_for_rest(seconds=0.1)
     require(status.state == "homed", f"the axis is {status.state}: expected homed")
     stopped_by(status, "setpoint_old")
 
@@ -223,7 +230,8 @@ def _silence_while_running(host: Dialogue) -> None:
     # A small buffer is empty before the watchdog's time has passed.
     stopped_by(status, "host_silent", "underrun")
     require(
-        status.sequence_state in ("aborted", "underrun"), f"the sequence is {status.sequence_state} after a silence"
+        status.sequence_state in ("aborted", "underrun"),
+        f"the sequence is {status.sequence_state} after a silence",
     )
     require(status.sequence_reason != "", "it gives no reason why the sequence ended early")
     require(status.state == "homed", f"the axis is {status.state} after a silence: expected homed")
@@ -241,7 +249,8 @@ def _silence_while_homing(host: Dialogue) -> None:
     number = host.next_number()
     host.say(protocol.Request(number, "home"))
     host.until(
-        lambda m: m if isinstance(m, protocol.Status) and m.activity == "homing" else None, "Status while homing"
+        lambda m: m if isinstance(m, protocol.Status) and m.activity == "homing" else None,
+        "Status while homing",
     )
     _fall_silent(host)
     require(host.newest_status().state == "identified", "an axis is homed although homing was ended early")
@@ -293,10 +302,24 @@ CHECKS = (
         moves=True,
     ),
     Check("silence_at_rest", "counts every silence once, in time, also at rest", _silence_at_rest),
-    Check("silence_while_holding", "is disabled by silence while it holds", _silence_while_holding, moves=True),
-    Check("silence_while_following", "stops by its ramp on silence while following", _silence_while_following, True),
-    Check("silence_while_running", "stops by its ramp on silence in a sequence", _silence_while_running, moves=True),
-    Check("silence_while_homing", "stops by its ramp on silence while homing", _silence_while_homing, moves=True),
+    Check(
+        "silence_while_holding", "is disabled by silence while it holds", _silence_while_holding, moves=True
+    ),
+    Check(
+        "silence_while_following",
+        "stops by its ramp on silence while following",
+        _silence_while_following,
+        True,
+    ),
+    Check(
+        "silence_while_running",
+        "stops by its ramp on silence in a sequence",
+        _silence_while_running,
+        moves=True,
+    ),
+    Check(
+        "silence_while_homing", "stops by its ramp on silence while homing", _silence_while_homing, moves=True
+    ),
     Check("hello_stops", "stops and is disabled by a new session", _hello_stops, moves=True),
     Check("goodbye_stops", "stops and is disabled by the end of its session", _goodbye_stops, moves=True),
 )

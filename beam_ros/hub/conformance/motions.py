@@ -50,14 +50,15 @@ def setpoint(identity: protocol.Identity, position: float) -> float:
     return -value if position > 0.0 else value
 
 
-def command_limit(identity: protocol.Identity, limits: protocol.AxisLimits) -> float:
+def command_limit(identity: protocol.Identity, limits: protocol.DeviceLimits) -> float:
     """Return the greatest magnitude of a set-point, in the mode's unit."""
-    return {
+    limit: dict[str, float] = {
         "acceleration": limits.max_acceleration,
         "velocity": limits.max_speed,
         "position": limits.travel / 2,
         "effort": limits.max_effort,
-    }[identity.command_mode]
+    }
+    return limit[identity.command_mode]
 
 
 def _sequence(identity: protocol.Identity, shape: FloatArray, position: float) -> FloatArray:

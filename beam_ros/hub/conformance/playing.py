@@ -32,7 +32,9 @@ class Played:
     start_tick: int
 
 
-def arm(host: Dialogue, n_samples: int, start_tick: int | None = None, number: int | None = None) -> protocol.ArmReply:
+def arm(
+    host: Dialogue, n_samples: int, start_tick: int | None = None, number: int | None = None
+) -> protocol.ArmReply:
     """Announce a sequence, and return the answer."""
     identity = host.identity
     assert identity is not None
@@ -58,7 +60,13 @@ def play(host: Dialogue, values: FloatArray, *, until_tick: int | None = None) -
     number = host.next_number()
     answer = arm(host, len(values), start_tick, number)
     require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
-    stream(host, number, values, start_tick if until_tick is None else start_tick + until_tick, until_tick is None)
+    stream(
+        host,
+        number,
+        values,
+        start_tick if until_tick is None else start_tick + until_tick,
+        until_tick is None,
+    )
     return Played(number, start_tick)
 
 

@@ -45,7 +45,9 @@ def _sequence(host: Dialogue) -> None:
     status = host.fresh_status()
     require(status.sequence_state == "done", f"the sequence is {status.sequence_state}: expected done")
     require(status.received == len(values), f"{status.received} samples received, {len(values)} were sent")
-    require((status.state, status.activity) == ("enabled", "hold"), f"it is {status.state}, {status.activity}")
+    require(
+        (status.state, status.activity) == ("enabled", "hold"), f"it is {status.state}, {status.activity}"
+    )
     _require_applied(host, values, played.start_tick)
     host.must("disable")
 
@@ -99,7 +101,9 @@ def _underrun(host: Dialogue) -> None:
     for first in range(0, there, protocol.MAX_SAMPLES):
         host.say(protocol.Samples(number, first, values[first : min(first + protocol.MAX_SAMPLES, there)]))
     status = host.wait_for_rest()
-    require(status.sequence_state == "underrun", f"the sequence is {status.sequence_state}: expected underrun")
+    require(
+        status.sequence_state == "underrun", f"the sequence is {status.sequence_state}: expected underrun"
+    )
     require(status.state == "homed", f"the axis is {status.state} after an underrun: expected homed")
     stopped_by(status, "underrun")
     _require_applied(host, values[:there], start_tick)
@@ -130,7 +134,10 @@ def _refused_sequences(host: Dialogue) -> None:
 
 
 def _breach(
-    host: Dialogue, spoil: Callable[[protocol.Identity, FloatArray], None], limits: protocol.AxisLimits, *names: str
+    host: Dialogue,
+    spoil: Callable[[protocol.Identity, FloatArray], None],
+    limits: protocol.DeviceLimits,
+    *names: str,
 ) -> None:
     """Play a sequence that the device must stop; then only clear_fault leads out of fault."""
     identity = host.prepare()
@@ -199,7 +206,6 @@ def _beyond_travel(host: Dialogue) -> None:
     identity = host.open_session()
     travel = 0.1 * host.limits.travel
     limits = replace(host.limits, travel=travel)
-    farthest = [0.0]
 
     def spoil(_identity: protocol.Identity, values: FloatArray) -> None:
         ramp = np.arange(1, len(values) + 1) / len(values)
@@ -215,12 +221,12 @@ def _beyond_travel(host: Dialogue) -> None:
     first = host.wait_for_rest().tick
     _breach(host, spoil, limits, "travel_limit")
     batch = host.ticks(max(first, host.newest_status().tick - _ticks(host, 1.0)), _ticks(host, 0.9))
-    farthest[0] = float(np.abs(batch.position_counts).max()) * identity.encoder_resolution
+    farthest = float(np.abs(batch.position_counts).max()) * identity.encoder_resolution
     # One tick at the greatest speed passes before a free hub is braked.
     slack = 0.01 * travel + host.limits.max_speed * host.period_s() * (identity.command_mode == "effort")
     require(
-        farthest[0] <= travel / 2 + slack,
-        f"the hub was {farthest[0]:.6f} m from home: expected at most {travel / 2:.6f} m",
+        farthest <= travel / 2 + slack,
+        f"the hub was {farthest:.6f} m from home: expected at most {travel / 2:.6f} m",
     )
 
 

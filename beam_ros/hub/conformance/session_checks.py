@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 from beam_ros.hub.conformance.check import Check, require
 from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.contract import RequestKind
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import encode_frame
 from beam_ros.hub.parameters import MAX_BATCH_TICKS
@@ -18,7 +20,10 @@ SAME = 1e-6
 def _handshake(host: Dialogue) -> None:
     identity = host.open_session()
     status = host.newest_status()
-    require(status.boot_id == identity.boot_id, f"boot id {status.boot_id} in Status, {identity.boot_id} in Identity")
+    require(
+        status.boot_id == identity.boot_id,
+        f"boot id {status.boot_id} in Status, {identity.boot_id} in Identity",
+    )
 
 
 def _identity(host: Dialogue) -> None:
@@ -50,13 +55,13 @@ def _versions(host: Dialogue) -> None:
     host.until(_identity_of(protocol.VERSION), "Identity for a host of versions below and above")
 
 
-def _identity_of(version: int):  # type: ignore[no-untyped-def]
+def _identity_of(version: int) -> Callable[[protocol.Message], protocol.Identity | None]:
     return lambda m: m if isinstance(m, protocol.Identity) and m.version == version else None
 
 
 def _longer_hello(host: Dialogue) -> None:
     host.say_bytes(encode_frame(protocol.encode_payload(protocol.Hello()) + b"more of a later version"))
-    host.until(_identity_of(protocol.VERSION), "Identity for a longer Hello")
+    host.until(_identity_of(protocol.VERSION), "Identity for a longer Hello", alive=False)
 
 
 def _no_session(host: Dialogue) -> None:
@@ -93,11 +98,15 @@ def _new_session(host: Dialogue) -> None:
 def _no_limits(host: Dialogue) -> None:
     host.open_session()
     host.wait_for_rest()
-    for kind in ("enable", "home"):
+    kinds: tuple[RequestKind, ...] = ("enable", "home")
+    for kind in kinds:
         reply = host.ask(kind)
         require(reply.phase == "failure" and reply.text != "", f"{kind} gave {reply.phase} {reply.text!r}")
     answer = host.set_limits(dataclasses.replace(host.limits, travel=math.nan))
-    require(answer == protocol.AxisLimits(), f"LimitsReply {answer}: expected zeros where there are no limits yet")
+    require(
+        answer == protocol.DeviceLimits(),
+        f"LimitsReply {answer}: expected zeros where there are no limits yet",
+    )
 
 
 def _limits(host: Dialogue) -> None:
@@ -114,14 +123,14 @@ def _wide_limits(host: Dialogue) -> None:
     _require_same(host.set_limits(_scaled(identity.widest, 10.0)), identity.widest)
 
 
-def _scaled(limits: protocol.AxisLimits, share: float) -> protocol.AxisLimits:
+def _scaled(limits: protocol.DeviceLimits, share: float) -> protocol.DeviceLimits:
     numbers = {name: value * share for name, value in vars(limits).items()}
     # The watchdog keeps its time where it gets shorter: a device may need two batches.
     watchdog_ns = min(max(int(limits.watchdog_ns * share), limits.watchdog_ns), 0xFFFFFFFF)
-    return protocol.AxisLimits(**{**numbers, "watchdog_ns": watchdog_ns})
+    return protocol.DeviceLimits(**{**numbers, "watchdog_ns": watchdog_ns})
 
 
-def _require_same(answer: protocol.AxisLimits, wanted: protocol.AxisLimits) -> None:
+def _require_same(answer: protocol.DeviceLimits, wanted: protocol.DeviceLimits) -> None:
     for name, value in vars(wanted).items():
         obeyed = getattr(answer, name)
         require(abs(obeyed - value) <= SAME * value, f"{name} {obeyed:g} in LimitsReply: expected {value:g}")
@@ -134,7 +143,7 @@ def _impossible_limits(host: Dialogue) -> None:
     for name in vars(host.limits):
         bad = (0,) if name == "watchdog_ns" else (math.nan, math.inf, -math.inf, 0.0, -1.0)
         for value in bad:
-            answer = host.set_limits(dataclasses.replace(host.limits, **{name: value}))
+            answer = host.set_limits(protocol.DeviceLimits(**{**vars(host.limits), name: value}))
             require(answer == in_force, f"{name} = {value} changed the limits: expected them as they were")
 
 
@@ -158,10 +167,18 @@ CHECKS = (
         "is silent without a session, and answers frames with Identity, every 0.1 s at most",
         _no_session,
     ),
-    Check("new_session", "forgets set-points, sequences and silences at Hello, and keeps its boot id", _new_session),
+    Check(
+        "new_session",
+        "forgets set-points, sequences and silences at Hello, and keeps its boot id",
+        _new_session,
+    ),
     Check("no_limits", "refuses enable and home before SetLimits, and answers zeros", _no_limits),
     Check("limits", "obeys the limits that it is handed", _limits),
     Check("wide_limits", "obeys its own limits where wider ones are asked for", _wide_limits),
-    Check("impossible_limits", "changes nothing for limits that are not finite or not positive", _impossible_limits),
+    Check(
+        "impossible_limits",
+        "changes nothing for limits that are not finite or not positive",
+        _impossible_limits,
+    ),
     Check("limits_while_enabled", "changes no limits while it is enabled", _limits_while_enabled, moves=True),
 )
