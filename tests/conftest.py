@@ -24,10 +24,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 IN_REAL_TIME = (
     *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes", "shell")),
+    "tests/firmware/test_host_build.py",
     "tests/packaging/test_colcon.py",
     "tests/packaging/test_environment.py",
     "tests/packaging/test_plug_in.py",
 )
+
+IN_VIRTUAL_TIME = ("tests/beam_ros/hub/conformance/",)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -41,7 +44,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.partition("::")[0]
-            return "in real time" if file.startswith(IN_REAL_TIME) else file
+            is_timed = file.startswith(IN_REAL_TIME) and not file.startswith(IN_VIRTUAL_TIME)
+            return "in real time" if is_timed else file
 
     return ByFile(config, log)
 

@@ -323,8 +323,8 @@ const char* Axis::objection_to(Cause kind) const {
 
 void Axis::ask(Request& request) {
     const Transition* row = transition(condition_, request.kind);
-    const char* objection = row->is_refused ? nullptr : objection_to(request.kind);
-    if (objection != nullptr && row->goal != Condition::same) {
+    const char* objection = row->goal != Condition::same || !has_limits_ ? objection_to(request.kind) : nullptr;
+    if (objection != nullptr) {
         request.answer(Phase::failure, Text(request.kind == Cause::home ? "cannot home: " : "cannot enable: ")
                                            << objection);
         return;

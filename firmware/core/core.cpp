@@ -239,15 +239,17 @@ void Core::answer_arm(std::uint16_t number, std::uint64_t start_ns, std::uint32_
 /// Takes what continues the sequence; the status tells the host what is still missing.
 void Core::take_samples(std::uint16_t number, std::uint32_t first, Reader& reader) {
     SampleRing& ring = axis_.ring;
-    if (number == axis_.sequence_number() && axis_.has_sequence() && first <= ring.n_received()) {
-        std::uint32_t known = ring.n_received() - first;
-        while (reader.left() != 0 && ring.free() != 0 && ring.n_missing() != 0) {
-            const double value = reader.take<double>();
-            if (known != 0) {
-                --known;
-            } else {
-                ring.append(value);
-            }
+    const auto n = static_cast<std::uint32_t>(reader.left() / sizeof(double));
+    const std::uint32_t known = ring.n_received() - first;
+    if (number == axis_.sequence_number() && axis_.has_sequence() && first <= ring.n_received() && known < n) {
+        const std::uint32_t n_new = n - known < ring.free() ? n - known : ring.free();
+        for (std::uint32_t k = 0; k < known; ++k) {
+            reader.take<double>();
+        }
+        // What goes on after the sequence's end is of no sequence.
+        const bool is_of_sequence = n_new <= ring.n_missing();
+        for (std::uint32_t k = 0; is_of_sequence && k < n_new; ++k) {
+            ring.append(reader.take<double>());
         }
     }
     send_status();

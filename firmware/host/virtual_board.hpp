@@ -4,6 +4,7 @@
 #define BEAM_HOST_VIRTUAL_BOARD_HPP
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "../core/board.hpp"
@@ -22,7 +23,24 @@ public:
         output.insert(output.end(), data, data + size);
         return size;
     }
-    Reading measure() override { return axis_.measure(); }
+    Reading measure() override {
+        Reading reading = axis_.measure();
+        if (driven.tick < accident_tick || accident.empty()) {
+            stuck_at_ = reading.counter;
+        } else if (accident == "lost") {
+            reading.is_counter_valid = false;
+        } else if (accident == "jump") {
+            reading.counter += 1'000'000;
+        } else if (accident == "stuck") {
+            reading.counter = stuck_at_;
+        } else if (accident == "end") {
+            reading.is_at_low_end = reading.is_at_high_end = true;
+        } else if (accident == "alarm") {
+            reading.has_drive_alarm = true;
+        }
+        reading.is_below_home = reading.is_below_home && accident != "blind";
+        return reading;
+    }
     void drive(const Drive& drive) override {
         axis_.drive(drive);
         driven = drive;
@@ -34,9 +52,12 @@ public:
     std::uint64_t now_ns = 0;
     std::vector<std::uint8_t> output;
     Drive driven;
+    std::string accident;
+    static constexpr std::uint64_t accident_tick = 5000;
 
 private:
     IdealAxis& axis_;
+    std::uint32_t stuck_at_ = 0;
 };
 
 }  // namespace beam

@@ -279,6 +279,10 @@ def _stops_on(host: Dialogue, word: protocol.Message, name: str) -> None:
     status = host.wait_for_rest()
     require(status.state == "homed", f"the axis is {status.state}: expected homed")
     stopped_by(status, name)
+    require(
+        (status.sequence_number, status.sequence_state) == (0, "none"),
+        f"sequence {status.sequence_number} of an earlier session is {status.sequence_state}: expected it forgotten",
+    )
     reply = host.ask("enable")
     require(reply.phase == "failure", "enable worked although the new session has no limits")
 

@@ -146,6 +146,7 @@ class EmulatedFirmware:
     def _on_hello(self, hello: protocol.Hello) -> None:
         speaks = hello.lowest_version <= protocol.VERSION <= hello.highest_version
         self.axis.emergency_stop(fault("session_opened"), "a host opened a new session")
+        self.axis.take_events()  # What became of an earlier session's sequence is nobody's news.
         self._has_limits = False
         self._silences = self._told_silences = self.axis.silences
         self._replies.clear()

@@ -14,31 +14,9 @@ from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder, cobs_decode, encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
+from tests.beam_ros.hub.conformance.virtual_line import VirtualLine
 
 NAMES = [check.name for check in CHECKS] + list(ALWAYS)
-
-
-class VirtualLine:
-    """A firmware in virtual time."""
-
-    def __init__(self, firmware: EmulatedFirmware) -> None:
-        self._firmware = firmware
-        self._now_ns = 0
-        self._output = b""
-
-    def send(self, data: bytes) -> None:
-        self._output += self._firmware.exchange(data, self._now_ns)
-
-    def receive(self, timeout_s: float) -> bytes:
-        end_ns = self._now_ns + max(round(timeout_s * 1e9), 1000)
-        while not self._output and self._now_ns < end_ns:
-            self._now_ns = min(self._now_ns + 2_000_000, end_ns)
-            self._output += self._firmware.exchange(b"", self._now_ns)
-        output, self._output = self._output, b""
-        return output
-
-    def now_ns(self) -> int:
-        return self._now_ns
 
 
 class Defective(EmulatedFirmware):
@@ -310,7 +288,9 @@ DEFECTS: dict[str, dict[str, object]] = {
             replace(m, state="enabled", activity="hold") if m.state == "homed" and m.tick % 7 == 0 else m
         ),
     ),
-    "ticks_forward": says(protocol.Status, lambda m: replace(m, tick=m.tick - min(m.tick, m.tick % 50 * 3 // 2))),
+    "ticks_forward": says(
+        protocol.Status, lambda m: replace(m, tick=m.tick - min(m.tick, m.tick % 50 * 3 // 2))
+    ),
     "batches": says(protocol.Telemetry, count_twice),
     "fault_numbers": status(fault_number=70),
 }
