@@ -202,7 +202,7 @@ def play(host: Host, values: np.ndarray) -> TickBatch:
 
 @pytest.mark.verify
 def test_the_core_does_not_drift_over_a_million_samples():
-    values = np.tile(rest_to_rest(9_997), 100)
+    values = np.tile(rest_to_rest(1_000), 1_000)
     with VirtualCore() as core:
         host = Host(core)
         host.enable()
