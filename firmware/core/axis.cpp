@@ -118,12 +118,13 @@ void Axis::measure(const Reading& reading) {
         sample.effort = reading.effort;
         telemetry.add(tick_ - 1, sample);
     }
+    if (drive_.is_free) {
+        // The last tick's mean speed is half a tick old; it goes on changing as it did from the tick before.
+        motion_.position = static_cast<double>(counts_from_zero()) * settings_.encoder_resolution;
+        motion_.velocity = (1.5 * encoder_.step() - 0.5 * last_step_) * tick_speed_;
+    }
     last_step_ = encoder_.step();
     last_count_from_zero_ = counts_from_zero();
-    if (drive_.is_free) {
-        motion_.position = static_cast<double>(counts_from_zero()) * settings_.encoder_resolution;
-        motion_.velocity = encoder_.step() * tick_speed_;
-    }
 }
 
 /// Stops on silence, of the host or of its set-points, and on alarms of the axis.

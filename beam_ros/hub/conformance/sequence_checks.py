@@ -14,6 +14,7 @@ from beam_ros.hub.conformance.dialogue import Dialogue
 from beam_ros.hub.conformance.motion_checks import require_ramp, stopped_by
 from beam_ros.hub.conformance.playing import AHEAD_S, arm, play, start_in
 from beam_ros.hub.line import protocol
+from beam_ros.hub.ticks import TickBatch
 
 
 def _ticks(host: Dialogue, seconds: float) -> int:
@@ -138,8 +139,8 @@ def _breach(
     spoil: Callable[[protocol.Identity, FloatArray], None],
     limits: protocol.DeviceLimits,
     *names: str,
-) -> None:
-    """Play a sequence that the device must stop; then only clear_fault leads out of fault."""
+) -> TickBatch:
+    """Play a sequence that the device must stop, and return its ticks; then only clear_fault leads out of fault."""
     identity = host.prepare()
     if abs(host.position()) > 0.02 * host.limits.travel:
         host.must("home")
@@ -164,6 +165,7 @@ def _breach(
     status = host.wait_for_rest()
     require(status.state == "homed", f"the axis is {status.state} after clear_fault: expected homed")
     require(status.fault_number == 0, f"fault {status.fault_number} after clear_fault: expected 0")
+    return host.ticks(start_tick, status.tick - start_tick)
 
 
 def _not_finite(host: Dialogue) -> None:
@@ -218,10 +220,8 @@ def _beyond_travel(host: Dialogue) -> None:
         else:
             values[:] = 0.2 * host.limits.max_effort
 
-    first = host.wait_for_rest().tick
-    _breach(host, spoil, limits, "travel_limit")
-    batch = host.ticks(max(first, host.newest_status().tick - _ticks(host, 1.0)), _ticks(host, 0.9))
-    farthest = float(np.abs(batch.position_counts).max()) * identity.encoder_resolution
+    ticks = _breach(host, spoil, limits, "travel_limit")
+    farthest = float(np.abs(ticks.position_counts).max()) * identity.encoder_resolution
     # One tick at the greatest speed passes before a free hub is braked.
     slack = 0.01 * travel + host.limits.max_speed * host.period_s() * (identity.command_mode == "effort")
     require(

@@ -163,6 +163,12 @@ def feeds_while(*activities: str) -> dict[str, object]:
     return {"lives": lives}
 
 
+def keep_setpoint(self):
+    if self.axis.activity == "setpoint":
+        self.axis.feed()
+        self.axis._setpoint_tick = self.axis.tick
+
+
 def rerun_requests(self, message):
     self._replies.pop(message.number, None)
     return message
@@ -267,7 +273,7 @@ DEFECTS: dict[str, dict[str, object]] = {
     "old_setpoint": hears(protocol.Setpoint, refresh),
     "silence_at_rest": status(silences=0),
     "silence_while_holding": feeds_while("hold"),
-    "silence_while_following": feeds_while("setpoint"),
+    "silence_while_following": {"lives": keep_setpoint},
     "silence_while_running": fault_instead(9),
     "silence_while_homing": feeds_while("homing"),
     "hello_stops": hears(protocol.Hello, keep_going),
