@@ -40,6 +40,8 @@ from beam_ros.messages import (
     read_sequence_chunk,
     read_trajectory_batch,
 )
+from beam_ros.messages.stamps import stamp_ns
+from beam_ros.messages.trajectories import point_columns
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian, which is what every ROS 2 middleware on x86 and ARM writes."""
@@ -155,11 +157,32 @@ def encode_chunk(chunk: SequenceChunk, mode: str) -> bytes:
     return _encode(chunk.start_ns, chunk_frame(chunk), ticks * chunk.period_ns, columns)
 
 
+def encode_trajectory(joint: str, stamp_ns: int, times_ns: StampArray, columns: _Columns) -> bytes:
+    """Return the CDR bytes of the JointTrajectory of somebody else's joint.
+
+    Parameters
+    ----------
+    joint : str -- its name
+    stamp_ns : int -- when the trajectory begins [ns, UNIX]
+    times_ns : ndarray of int64, shape (n_points,) -- time_from_start [ns]
+    columns : dict of str to ndarray, shape (n_points,) each -- by the names of the message's fields
+
+    Returns
+    -------
+    bytes
+    """
+    return _encode(stamp_ns, "", times_ns, columns, joint)
+
+
 def _encode(
-    stamp_ns: int, frame_id: str, times_ns: StampArray, columns: Mapping[str, FloatArray | None]
+    stamp_ns: int,
+    frame_id: str,
+    times_ns: StampArray,
+    columns: Mapping[str, FloatArray | None],
+    joint: str = graph.HUB_JOINT,
 ) -> bytes:
     stamp = _STAMP.pack(*divmod(stamp_ns, SECOND_NS))
-    joints = _COUNT.pack(1) + _text(graph.HUB_JOINT)
+    joints = _COUNT.pack(1) + _text(joint)
     head = stamp + _text(frame_id) + joints + _COUNT.pack(len(times_ns))
 
     present = tuple(columns.get(name) is not None for name in _WIRE_NAMES)
@@ -233,6 +256,33 @@ def decode_chunk(data: bytes, device_period_ns: int) -> tuple[str, SequenceChunk
         raise MessageDecodeError(str(err)) from err
 
 
+def decode_trajectory(data: bytes, joint: str) -> tuple[int, StampArray, _Columns]:
+    """Return stamp [ns], times from it [ns] and columns of the CDR bytes of somebody else's JointTrajectory.
+
+    Parameters
+    ----------
+    data : bytes -- as they come from the wire
+    joint : str -- the one joint that it must be of
+
+    Raises
+    ------
+    MessageDecodeError
+        The bytes are no JointTrajectory, of other joints, or its points carry different arrays.
+    """
+    fast = _decode(data, joint.encode())
+    if fast is not None:
+        stamp, _, times_ns, columns = fast
+        return stamp, times_ns, columns
+    message = _general_trajectory(data)
+    if len(message.points) == 0:
+        return stamp_ns(message), np.zeros(0, dtype=np.int64), {}
+    try:
+        columns, times_ns = point_columns(message, joint)
+    except MessageContentError as err:
+        raise MessageDecodeError(str(err)) from err
+    return stamp_ns(message), times_ns, columns
+
+
 def _general_trajectory(data: bytes) -> Any:
     try:
         return BagTypes().deserialize(data, graph.JOINT_TRAJECTORY)
@@ -243,7 +293,7 @@ def _general_trajectory(data: bytes) -> Any:
         ) from err
 
 
-def _decode(data: bytes) -> tuple[int, str, StampArray, _Columns] | None:
+def _decode(data: bytes, wanted: bytes = _JOINT) -> tuple[int, str, StampArray, _Columns] | None:
     """Read stamp, frame_id, times and arrays; None for any layout but the suite's own."""
     if data[:2] != _ENCAPSULATION[:2]:
         return None
@@ -255,7 +305,7 @@ def _decode(data: bytes) -> tuple[int, str, StampArray, _Columns] | None:
         joint, offset = _read_text(body, offset + 4)
         (count,) = _COUNT.unpack_from(body, offset)
         offset += 4
-        if n_joints != 1 or joint != _JOINT or not 1 <= count <= len(body):
+        if n_joints != 1 or joint != wanted or not 1 <= count <= len(body):
             return None
         frame_id = frame.decode()
         present = _present_arrays(body, offset)

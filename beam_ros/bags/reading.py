@@ -102,7 +102,7 @@ class HubSamples:
     ----------
     topic : str -- full name in the bag
     stamps_ns : ndarray of int64, shape (n,) -- strictly increasing [ns, UNIX]
-    period_ns : int -- the device's period [ns of device time]
+    period_ns : int -- the device's period [ns of device time]; 0: every sample has a stamp of its own
     epochs : ndarray of int64, shape (n,) -- clock epoch of each sample
     positions, velocities, accelerations, efforts : ndarray, shape (n,), or None -- [m], [m/s], [m/s^2], [N];
         NaN where only some batches carry the quantity
@@ -439,6 +439,9 @@ def _find_namespace(bag: Bag) -> str:
 
 # --- joining ---------------------------------------------------------------------------------------------
 
+OWN_STAMPS_GAP = 5.0
+"""Samples that are asked for one by one come unevenly; further apart than so many usual steps, some are missing."""
+
 _Stamped = TypeVar("_Stamped", SampleBatch, Displacement)
 
 
@@ -469,7 +472,8 @@ def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable)
     Notes
     -----
     Within a batch, sample k lies at the stamp plus k periods; the host's map moves by less than a part in a
-    thousand of a period in that time. Loss is a distance of more than one and a half periods.
+    thousand of a period in that time. Loss is a distance of more than one and a half periods. Where every sample has
+    a stamp of its own and no period is named, loss is a distance of more than ``OWN_STAMPS_GAP`` usual ones.
     """
     batches = sorted(batches, key=lambda batch: batch.stamp_ns)
     lengths = np.array([len(batch) for batch in batches])
@@ -498,15 +502,16 @@ def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable)
         quantities[name] = np.concatenate(filled)[keep]
 
     steps = np.diff(stamps)
+    usual_ns = period_ns or (float(np.median(steps)) if len(steps) else 1.0)
+    widest_ns = 1.5 * period_ns or OWN_STAMPS_GAP * usual_ns
     gaps = tuple(
         Gap(
             int(stamps[k]),
             int(stamps[k + 1]),
-            max(1, round(int(steps[k]) / period_ns) - 1),
+            max(1, round(int(steps[k]) / usual_ns) - 1),
             bool(epochs[k + 1] != epochs[k]),
         )
-        for k in np.flatnonzero(2 * steps > 3 * period_ns)
-        if period_ns > 0
+        for k in np.flatnonzero(steps > widest_ns)
     )
     return HubSamples(
         topic=topic,

@@ -160,11 +160,13 @@ def _hub_signal(bag: Bag, topic: str) -> SignalSummary:
         samples: HubSamples = bag.hub_samples(topic)
     except MissingTopicsError:
         return _unreadable_signal(bag, topic)
+    steps = np.diff(samples.stamps_ns)
+    period_ns = samples.period_ns or (float(np.median(steps)) if len(steps) else 0.0)
     return SignalSummary(
         topic=samples.topic,
         samples=len(samples.stamps_ns),
         duration_s=int(samples.stamps_ns[-1] - samples.stamps_ns[0]) * 1e-9,
-        rate_hz=1e9 / samples.period_ns if samples.period_ns else 0.0,
+        rate_hz=1e9 / period_ns if period_ns else 0.0,
         gaps=len(samples.gaps),
         lost=samples.lost,
         duplicates=samples.duplicates,

@@ -38,7 +38,7 @@ OFFLINE: dict[str, str] = {
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
     "identify": "a continuous-time model from a bag, by one of several estimators",
-    "axis": "a motion controller on its line: does its firmware keep the protocol",
+    "axis": "a motion controller on its line: what answers there, does its firmware keep the protocol",
 }
 """Verbs that need no ROS graph."""
 

@@ -53,7 +53,8 @@ class SampleBatch:
     stamp_ns : int
         Mapped host time of the first sample [ns, UNIX].
     period_ns : int
-        Distance of the samples [ns of device time]; sample k lies at ``k * period_ns`` after the first.
+        Distance of the samples [ns of device time]; sample k lies at ``k * period_ns`` after the first. 0 for a
+        single sample of a device without ticks, whose stamp is its own.
     epoch : int
         Counts the device's starts; stamps of different epochs come from different maps.
     positions, velocities, accelerations, efforts : ndarray, shape (n_samples,), or None

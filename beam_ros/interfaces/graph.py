@@ -272,6 +272,12 @@ _AXIS = _group("hub", "mass", "max_tip_deflection", "applied_hold", "measured_ho
 _GUARD = ("hub.max_tip_deflection", "beam.max_root_strain")
 """What the hub may do to the beam, besides ``hub.max_effort``."""
 
+_LINKS = tuple(name for group in ("axis", "serial", "trajectory", "odrive", "csv") for name in _group(group))
+"""How the axis is reached, for every kind of link."""
+
+_CONTROLLER = ("axis.kind", "axis.metres_per_unit", *_group("trajectory", "max_knots"))
+"""Whose controller is emulated."""
+
 _FILM = (
     *("markers.names", "markers.diameter", "tracker.polarity"),
     *_group("camera"),
@@ -297,7 +303,7 @@ NODES: dict[str, Node] = {
             _HUB_PUBLISHES,
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_BEAM, *_AXIS, *_GUARD, *_group("axis"), *_group("serial"), "simulation.real_time_factor"),
+            (*_BEAM, *_AXIS, *_GUARD, *_LINKS, "simulation.real_time_factor"),
             "the motion controller behind a serial port or another axis link",
         ),
         Node(
@@ -306,8 +312,11 @@ NODES: dict[str, Node] = {
             (*_CAMERA, "/diagnostics"),
             (),
             (),
-            (*_BEAM, *_AXIS, *_FILM, *_group("emulator"), *_group("faults"), "simulation.real_time_factor"),
-            "a motion controller on a pseudo-terminal, with the beam on its hub and a camera that films it",
+            (
+                *(*_BEAM, *_AXIS, *_FILM, *_group("emulator"), *_group("faults"), *_CONTROLLER),
+                "simulation.real_time_factor",
+            ),
+            "a motion controller of any kind, with the beam on its hub and a camera that films it",
         ),
         Node(
             "vision_tracker",

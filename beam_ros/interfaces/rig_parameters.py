@@ -89,8 +89,29 @@ class HubSettings:
 class AxisSettings:
     """How the real axis is reached."""
 
-    kind: str = setting("kind of axis link: beam, or one that an installed package adds")
+    kind: str = setting(
+        "kind of axis link: beam, trajectory_controller, odrive, csv, or one that an installed package adds"
+    )
     prove_watchdog: bool = setting("fall silent once in every connection and see the device notice")
+    accept_no_device_limits: bool = setting(
+        "also drive an axis that does not keep the rig's limits by itself"
+    )
+    accept_no_device_watchdog: bool = setting(
+        "also drive an axis that does not stop when this host falls silent"
+    )
+    home: Literal["here", "device"] = setting(
+        "other controllers: where hub/home finds home: here, or its own zero"
+    )
+    metres_per_unit: float = setting(
+        "other controllers: travel for one turn, radian or count of theirs; negative: reversed",
+        "m",
+        -1e3,
+        1e3,
+    )
+    rate: float = setting(
+        "other controllers: positions written a second, where the host paces them", "Hz", 10.0, 1e3
+    )
+    options: str = setting("settings of a link that a package adds, as YAML: {gain: 2.0}")
 
 
 @dataclass(frozen=True)
@@ -103,10 +124,41 @@ class SerialSettings:
 
 
 @dataclass(frozen=True)
+class TrajectorySettings:
+    """The JointTrajectoryController that moves the hub, for axis.kind trajectory_controller."""
+
+    controller: str = setting("name of the controller")
+    joint_states: str = setting("topic of the measured joint states")
+    joint: str = setting("name of the hub's joint")
+    max_knots: int = setting("most knots in one trajectory; a longer sequence is refused", "", 10, 10_000_000)
+
+
+@dataclass(frozen=True)
+class OdriveSettings:
+    """The ODrive that moves the hub, for axis.kind odrive."""
+
+    axis: int = setting("number of its axis", "", 0, 1)
+
+
+@dataclass(frozen=True)
+class CsvSettings:
+    """What the lines of a board mean, for axis.kind csv; columns are counted from 1, 0: there is none."""
+
+    position_column: int = setting("of the position, in units of axis.metres_per_unit", "", 1, 100)
+    velocity_column: int = setting("of the velocity, in the same units a second", "", 0, 100)
+    effort_column: int = setting("of the force on the hub", "", 0, 100)
+    effort_scale: float = setting("force for one unit of that column", "N", -1e6, 1e6)
+    clock_column: int = setting("of the board's clock", "", 0, 100)
+    clock_tick: float = setting("one unit of that clock", "s", 1e-9, 1.0)
+    clock_bits: int = setting("of the clock's counter, after which it wraps; 0: never", "", 0, 64)
+
+
+@dataclass(frozen=True)
 class EmulatorSettings:
-    """The emulated motion controller."""
+    """The emulated motion controller: of the kind that axis.kind names."""
 
     port_link: str = setting("path that links to the pseudo-terminal")
+    controller_rate: float = setting("control cycles of an emulated trajectory_controller", "Hz", 10.0, 1e3)
     clock_drift_ppm: float = setting("device clock against the host's", "ppm", -1e3, 1e3)
     line_baud: int = setting("at which bytes travel; 0: as fast as USB", "baud", 0, 12_000_000)
     fifo: int = setting("bytes that wait in each direction; more are lost", "bytes", 64, 1_000_000)
@@ -264,6 +316,9 @@ class RigParameters:
     hub: HubSettings
     axis: AxisSettings
     serial: SerialSettings
+    trajectory: TrajectorySettings
+    odrive: OdriveSettings
+    csv: CsvSettings
     emulator: EmulatorSettings
     faults: FaultSettings
     camera: CameraSettings
@@ -351,6 +406,11 @@ def check_relations(rig: RigParameters, given: Iterable[str] = ()) -> None:
         raise ParameterFileError(
             f"markers.heights ends at {heights[-1]:g} m, above the tip at beam.length = {rig.beam.length:g} m: "
             "give heights in metres from the clamp"
+        )
+    if rig.axis.metres_per_unit == 0.0:
+        raise ParameterFileError(
+            "axis.metres_per_unit is 0: expected the hub's travel for one turn, radian or count of the controller; "
+            "measure it with a ruler over many turns"
         )
     factor = rig.simulation.real_time_factor
     if rig.simulation.images and factor > MAX_FACTOR_WITH_IMAGES:

@@ -59,7 +59,7 @@ def trajectory(
     return types.make(graph.JOINT_TRAJECTORY, header=stamped, joint_names=joints, points=points)
 
 
-def point_columns(message: Any) -> tuple[dict[str, FloatArray], StampArray]:
+def point_columns(message: Any, joint: str = graph.HUB_JOINT) -> tuple[dict[str, FloatArray], StampArray]:
     """Return the columns that a JointTrajectory of the hub carries, by name, and its times from the start [ns].
 
     Raises
@@ -67,10 +67,10 @@ def point_columns(message: Any) -> tuple[dict[str, FloatArray], StampArray]:
     MessageContentError
         Another joint, no points, or points that carry different arrays.
     """
-    if list(message.joint_names) != [graph.HUB_JOINT] or not len(message.points):
+    if list(message.joint_names) != [joint] or not len(message.points):
         raise MessageContentError(
             f"trajectory with {len(message.points)} points for the joints {list(message.joint_names)}: "
-            f"expected at least one point for the joint `{graph.HUB_JOINT}`"
+            f"expected at least one point for the joint `{joint}`"
         )
     columns = {}
     for name in MODE_FIELDS.values():

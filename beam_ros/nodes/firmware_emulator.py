@@ -1,6 +1,7 @@
-"""The node ``firmware_emulator``: a motion controller on a pseudo-terminal, with the beam that it moves.
+"""The node ``firmware_emulator``: a motion controller of the kind ``axis.kind``, with the beam that it moves.
 
-Hub data leaves it over the serial line alone; on the graph it is only the camera that films its beam.
+Hub data leaves it over a pseudo-terminal, or as a JointTrajectoryController's joint states; else it is on the graph
+only as the camera that films its beam.
 """
 
 from __future__ import annotations
@@ -10,11 +11,9 @@ import os
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from beam_ros.hub.emulated.controller import EmulatedController
-from beam_ros.hub.emulated.injected_faults import read_schedule, read_schedule_file
+from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.errors import HubParameterError
-from beam_ros.hub.parameters import SimulatedDevice
-from beam_ros.hub.simulated.plant import beam_on_axis
+from beam_ros.shell.axis_emulators import emulated_axis
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
 from beam_ros.shell.simulated_camera import SimulatedCamera
@@ -27,24 +26,15 @@ class FirmwareEmulator(RigNode):
 
     def __init__(self) -> None:
         super().__init__("firmware_emulator")
-        model = self.rig.beam_model()
-        parameters = self.rig.axis_parameters()
-        drift_ppm = self.rig.emulator.clock_drift_ppm
-        plant = beam_on_axis(model, parameters, self.rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
-        device = SimulatedDevice(clock_drift_ppm=drift_ppm, clock_start_ns=_POWER_ON_NS)
-        self._controller = EmulatedController(
-            parameters.widened(_HEADROOM),
-            plant,
-            device,
-            link=self.rig.emulator.port_link or None,
-            faults=read_schedule_file(self.rig.faults.schedule),
-            line_baud=self.rig.emulator.line_baud,
-            fifo_bytes=self.rig.emulator.fifo,
-        )
+        self._controller = emulated_axis(self)
         self.add_on_set_parameters_callback(self._check_request)
         self.add_post_set_parameters_callback(self._bring_about_request)
         self._camera = SimulatedCamera(
-            self, model, self._controller.snapshots, self._controller.reached_ns, with_images=True
+            self,
+            self.rig.beam_model(),
+            self._controller.snapshots,
+            self._controller.reached_ns,
+            with_images=True,
         )
         self.get_logger().info(f"motion controller on {self._controller.port}")
         self.create_timer(_FILM_S, self._film)
@@ -53,7 +43,7 @@ class FirmwareEmulator(RigNode):
         """Refuse a request for a fault that there is none of."""
         try:
             for text in _requests(parameters):
-                read_schedule(text, "faults.request")
+                self._controller.check_faults(read_schedule(text, "faults.request"))
         except HubParameterError as err:
             return SetParametersResult(successful=False, reason=str(err))
         return SetParametersResult(successful=True)
@@ -82,13 +72,6 @@ class FirmwareEmulator(RigNode):
 
 def _requests(parameters: list[Parameter]) -> list[str]:
     return [str(parameter.value) for parameter in parameters if parameter.name == "faults.request"]
-
-
-_HEADROOM = 2.0
-"""By how much the device could do more than the rig file allows: limits that are not handed over would show."""
-
-_POWER_ON_NS = 123_456_000_000
-"""What the device's clock reads at power-on: an epoch that nobody could mistake for the host's."""
 
 
 def main(argv: list[str] | None = None) -> int:

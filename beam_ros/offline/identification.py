@@ -215,9 +215,12 @@ def _device_clock(samples: HubSamples, syncs: Sequence[Any], part: slice) -> tup
 def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int) -> FloatArray:
     """Put the samples on the host's clock: whole ticks on one line, which the stamps place.
 
-    The stamps of batches wander by microseconds as the driver slews its map; ticks are counted exactly.
+    The stamps of batches wander by microseconds as the driver slews its map; ticks are counted exactly. Samples
+    without a tick, which a host asked for one by one, lie where their stamps say.
     """
     stamps_ns = samples.stamps_ns[part]
+    if samples.period_ns == 0:
+        return np.asarray((stamps_ns - origin_ns) * 1e-9)
     ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / samples.period_ns))])
     line = ticks * (samples.period_ns * rate)
     offset = float(np.mean((stamps_ns - origin_ns) - line))

@@ -20,6 +20,9 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
+    from beam_ros.hub.links.csv_lines import CsvColumns
+    from beam_ros.hub.links.odrive import OdriveParameters
+    from beam_ros.hub.links.trajectory import TrajectoryParameters
     from beam_ros.hub.parameters import AxisParameters, LinkParameters
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
@@ -205,6 +208,61 @@ class Rig(RigParameters):
             self.serial.patience,
             prove_watchdog=self.axis.prove_watchdog,
         )
+
+    def trajectory_parameters(self) -> TrajectoryParameters:
+        """How a JointTrajectoryController moves the hub."""
+        from beam_ros.hub.links.trajectory import TrajectoryParameters
+
+        return TrajectoryParameters(
+            metres_per_unit=self.axis.metres_per_unit,
+            max_knots=self.trajectory.max_knots,
+            homes_here=self.axis.home == "here",
+        )
+
+    def odrive_parameters(self) -> OdriveParameters:
+        """How an ODrive moves the hub."""
+        from beam_ros.hub.links.odrive import OdriveParameters
+
+        return OdriveParameters(
+            axis=self.odrive.axis,
+            metres_per_turn=self.axis.metres_per_unit,
+            rate=self.axis.rate,
+            homes_here=self.axis.home == "here",
+        )
+
+    def csv_columns(self) -> CsvColumns:
+        """What the lines of a board mean."""
+        from beam_ros.hub.links.csv_lines import CsvColumns
+
+        return CsvColumns(
+            position=self.csv.position_column,
+            velocity=self.csv.velocity_column,
+            effort=self.csv.effort_column,
+            clock=self.csv.clock_column,
+            position_scale=self.axis.metres_per_unit,
+            effort_scale=self.csv.effort_scale,
+            clock_tick=self.csv.clock_tick,
+            clock_bits=self.csv.clock_bits,
+        )
+
+    def axis_options(self) -> dict[str, Any]:
+        """Settings of an axis link that a package adds.
+
+        Raises
+        ------
+        ParameterFileError
+            ``axis.options`` is no YAML mapping.
+        """
+        text = self.axis.options
+        try:
+            options = YAML(typ="safe", pure=True).load(text) if text else {}
+        except YAMLError:
+            options = None
+        if not isinstance(options, dict):
+            raise ParameterFileError(
+                f"axis.options is {text!r}: expected a mapping in YAML, as {{gain: 2.0, port: /dev/ttyUSB0}}; mend it"
+            )
+        return options
 
     def camera_parameters(self) -> CameraParameters:
         """The camera and what it sees."""

@@ -110,20 +110,23 @@ def test_the_driver_moves_an_axis_whose_link_a_package_adds(
     laboratory: Laboratory, executables: Executables
 ) -> None:
     measured: list[bytes] = []
-    options = ("-p", "axis.kind:=toy", "-p", "hub.command_mode:=position")
+    # Settings of its own come as one text of YAML.
+    own = ("-p", 'axis.options:="{offset: 0.25}"')
+    options = ("-p", "axis.kind:=toy", "-p", "hub.command_mode:=position", *own)
     with Graph() as graph:
         graph.listen("hub/measured", measured.append, raw=True)
         setpoints = graph.publisher("hub/setpoint")
         executables.start("hub_driver", "--ros-args", *options, program=laboratory("hub_driver"))
+        graph.wait(lambda: bool(measured), "a measurement", 40.0)
         for kind in ("home", "enable"):
             assert _call(graph, f"hub/{kind}") == f"the toy did {kind}"
         point = StampedSetpoint(graph.node.get_clock().now().nanoseconds, "position", 0.012)
         setpoints.publish(messages.setpoint(graph.types, point))
         graph.wait(
-            lambda: bool(measured) and decode_batch(measured[-1]).positions[-1] == 0.012, "a measured move"
+            lambda: bool(measured) and decode_batch(measured[-1]).positions[-1] == 0.262, "a measured move"
         )
     batches = [decode_batch(data) for data in measured]
-    assert batches[0].positions[0] == 0.0
+    assert batches[0].positions[0] == 0.25
     assert all(batch.stamp_ns % TOY_PERIOD_NS == 0 for batch in batches[1:])
 
 
@@ -134,5 +137,8 @@ def test_a_link_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
         "hub_driver", "--ros-args", "-p", "axis.kind:=toyy", program=laboratory("hub_driver")
     )
     assert running.wait(40.0) == 2
-    assert "axis.kind is 'toyy': expected one of beam, toy; did you mean 'toy'?" in running.output()
+    assert (
+        "axis.kind is 'toyy': expected one of beam, trajectory_controller, odrive, csv, toy; did you mean 'toy'?"
+        in running.output()
+    )
     assert running.output().count("\n") == 1

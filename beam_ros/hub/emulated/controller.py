@@ -14,6 +14,7 @@ import time
 import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import HostTime
@@ -29,6 +30,47 @@ from beam_ros.hub.simulated.plant import Plant
 
 MAX_BACKLOG = 65_536
 """Bytes that wait where the line takes no more [2.7 s of telemetry]."""
+
+
+class CarriedBeam(Protocol):
+    """The hub of an emulated device, and the beam on it, as a camera needs them."""
+
+    @property
+    def device_ns(self) -> int:
+        """Device time up to which the hub has moved [ns]."""
+
+    @property
+    def true_position(self) -> float:
+        """Where the hub really is, seen from home [m]."""
+
+    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
+        """Return hub and beam at exact instants of the recent past."""
+
+
+class Firmware(Protocol):
+    """A device on a serial line, as ``EmulatedController`` runs it: the suite's own, or somebody else's.
+
+    Attributes
+    ----------
+    clock_step_ns : int
+        By how much the clock that the host sees was set forward [ns].
+    clock_wrap_ns : int
+        Where that clock begins at zero again [ns]; 0: never.
+    """
+
+    clock_step_ns: int
+    clock_wrap_ns: int
+
+    @property
+    def axis(self) -> CarriedBeam:
+        """Hub and beam."""
+
+    def exchange(self, data: bytes, device_ns: int) -> bytes:
+        """Take bytes from the line and advance to a device time [ns]; return the bytes for the host."""
+
+
+FirmwareMaker = Callable[[SimulatedDevice, int], Firmware]
+"""Boots a firmware: on a device, with a boot id."""
 
 
 class EmulatedController:
@@ -50,6 +92,8 @@ class EmulatedController:
         Bits per second at which bytes travel; 0: as fast as USB.
     fifo_bytes : int, optional
         Bytes that wait in each direction; what comes beyond is lost.
+    boot : callable, optional
+        Boots somebody else's firmware in place of the suite's own.
 
     Raises
     ------
@@ -67,6 +111,7 @@ class EmulatedController:
         faults: Sequence[InjectedFault] = (),
         line_baud: int = 0,
         fifo_bytes: int = MAX_BACKLOG,
+        boot: FirmwareMaker | None = None,
     ) -> None:
         self._parameters = parameters
         self._faults = FaultSchedule(faults)
@@ -75,7 +120,9 @@ class EmulatedController:
         self._is_stalled = False
         self._notes: list[str] = []
         self._device = device or SimulatedDevice()
-        self._plant = plant
+        self._maker = boot or (
+            lambda device, boot_id: EmulatedFirmware(parameters, plant, device, boot_id=boot_id)
+        )
         self._link = None if link is None else Path(link)
         self._lock = threading.Lock()
         self._boots = 1
@@ -101,8 +148,10 @@ class EmulatedController:
 
     @property
     def axis(self) -> VirtualAxis:
-        """The emulated axis, for tests and displays."""
-        return self._firmware.axis
+        """The emulated axis of the suite's own firmware, for tests and displays."""
+        axis = self._firmware.axis
+        assert isinstance(axis, VirtualAxis)
+        return axis
 
     # The camera's side --------------------------------------------------------------------------------
 
@@ -175,6 +224,9 @@ class EmulatedController:
         """Put bytes on the line towards the host, as a disturbance would."""
         with self._lock:
             self._write(data)
+
+    def check_faults(self, faults: Sequence[InjectedFault]) -> None:
+        """Take note of faults that are to happen: on a line all can."""
 
     def bring_about(self, faults: Sequence[InjectedFault]) -> None:
         """Let faults happen, their times counted from the start."""
@@ -292,9 +344,8 @@ class EmulatedController:
         with contextlib.suppress(OSError):
             os.write(self._wake_write, b"!")
 
-    def _boot(self, device: SimulatedDevice) -> EmulatedFirmware:
-        boot_id = (os.getpid() << 12 | self._boots) & 0xFFFFFFFF
-        return EmulatedFirmware(self._parameters, self._plant, device, boot_id=boot_id)
+    def _boot(self, device: SimulatedDevice) -> Firmware:
+        return self._maker(device, (os.getpid() << 12 | self._boots) & 0xFFFFFFFF)
 
     def _device_ns(self, steady_ns: int) -> int:
         elapsed_ns = steady_ns - self._boot_steady_ns

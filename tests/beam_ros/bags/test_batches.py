@@ -12,11 +12,19 @@ from hypothesis.extra import numpy as hnp
 
 from beam_ros import messages
 from beam_ros.bags import batches
-from beam_ros.bags.batches import decode_batch, decode_chunk, encode_batch, encode_chunk
+from beam_ros.bags.batches import (
+    decode_batch,
+    decode_chunk,
+    decode_trajectory,
+    encode_batch,
+    encode_chunk,
+    encode_trajectory,
+)
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.hub.contract import SampleBatch, SequenceChunk
 from beam_ros.interfaces.graph import JOINT_TRAJECTORY
 from beam_ros.messages import BATCH_FIELDS, BagTypes, RosTypes
+from beam_ros.messages.stamps import header
 
 STAMP = 1_700_000_000_999_999_999
 TYPES = BagTypes()
@@ -151,3 +159,28 @@ def test_the_codec_is_much_faster_than_the_general_one():
     general = best(lambda: TYPES.deserialize(data, JOINT_TRAJECTORY))
     # Measured: 20 us against 98 us. Half of it leaves room for a busy machine.
     assert best(lambda: decode_batch(data)) < 0.5 * general
+
+
+@pytest.mark.parametrize("names", [("positions",), ("positions", "velocities")])
+def test_a_trajectory_of_somebody_elses_joint_is_what_rosbags_makes_of_it(names) -> None:
+    times_ns = np.array([0, 250_000_000, 1_000_000_001], dtype=np.int64)
+    columns = {name: np.array([0.5, -1.25, k]) for k, name in enumerate(names)}
+    data = encode_trajectory("slider_joint", STAMP, times_ns, columns)
+    message = TYPES.deserialize(data, JOINT_TRAJECTORY)
+    assert list(message.joint_names) == ["slider_joint"]
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP
+    assert TYPES.serialize(message, JOINT_TRAJECTORY) == data
+    for name in names:
+        assert [getattr(point, name)[0] for point in message.points] == columns[name].tolist()
+    stamp, times, back = decode_trajectory(data, "slider_joint")
+    assert (stamp, times.tolist(), sorted(back)) == (STAMP, times_ns.tolist(), sorted(names))
+    with pytest.raises(MessageDecodeError, match="slider_joint"):
+        decode_trajectory(data, "other")
+    with pytest.raises(MessageDecodeError):
+        decode_trajectory(data[:40], "slider_joint")
+
+
+def test_an_empty_trajectory_is_read_as_one() -> None:
+    empty = TYPES.make(JOINT_TRAJECTORY, header=header(TYPES, 0, ""), joint_names=["j"], points=[])
+    stamp, times, columns = decode_trajectory(TYPES.serialize(empty, JOINT_TRAJECTORY), "j")
+    assert (stamp, len(times), columns) == (0, 0, {})

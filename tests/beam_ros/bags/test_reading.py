@@ -145,6 +145,22 @@ def test_single_sample_batches_join_by_the_period_they_name(tmp_path):
     assert not samples.gaps
 
 
+def test_samples_with_stamps_of_their_own_are_lost_only_where_far_more_than_usual_is_missing(tmp_path):
+    rng = np.random.default_rng(2)
+    stamps = START + np.cumsum(rng.integers(4_000_000, 7_000_000, 200))
+    stamps[120:] += 30_000_000
+    ones = [SampleBatch(int(stamp), 0, 1, np.array([float(k)])) for k, stamp in enumerate(stamps)]
+    with Bag(_write_batches(tmp_path / "run", ones)) as bag:
+        samples = bag.hub_samples()
+        (signal,) = [signal for signal in summarise(bag).signals if signal.topic == "/hub/measured"]
+    assert samples.period_ns == 0
+    np.testing.assert_array_equal(samples.stamps_ns, stamps)
+    (gap,) = samples.gaps
+    assert (gap.start_ns, gap.end_ns) == (stamps[119], stamps[120])
+    assert gap.missing == 6  # 35 ms at 5.5 ms
+    assert signal.rate_hz == pytest.approx(1e9 / 5.5e6, rel=0.05)
+
+
 def test_unreadable_and_unstamped_messages_are_left_out_and_counted(tmp_path):
     with BagWriter(tmp_path / "run") as bag:
         bag.write("hub/measured", START, b"\x00\x01\x00\x00rubbish")

@@ -193,11 +193,11 @@ class LoopbackRig(Rig):
         self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 20_000)
 
 
-class PortRig(Rig):
-    """The driver on a port, in real time."""
+class LiveRig(Rig):
+    """A hub in real time, polled every 10 ms."""
 
-    def __init__(self, parameters: AxisParameters, link: LinkParameters) -> None:
-        self.hub = DriverHub(parameters, link)
+    def __init__(self, hub: Hub) -> None:
+        self.hub = hub
         self.reports = []
 
     @property
@@ -212,6 +212,13 @@ class PortRig(Rig):
             new.append(self.hub.poll(self.now))
         self.reports += new
         return new
+
+
+class PortRig(LiveRig):
+    """The driver on a port."""
+
+    def __init__(self, parameters: AxisParameters, link: LinkParameters) -> None:
+        super().__init__(DriverHub(parameters, link))
 
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")

@@ -23,8 +23,14 @@ ONLY_OTHERWISE_READ = {
     *("tracker.video", "tracker.video_rate", "tracker.save_calibration"),
     *("hub.max_tip_deflection", "beam.max_root_strain"),
     *(name for name in NODES["excitation_generator"].parameters if name.startswith("excitation.")),
+    *(
+        name
+        for name in NODES["hub_driver"].parameters
+        if name.startswith(("axis.", "trajectory.", "odrive.", "csv."))
+    ),
+    "emulator.controller_rate",
 }
-"""Parameters whose reading takes another camera source or another excitation than those of this test."""
+"""Parameters whose reading takes another camera source, excitation or axis link than those of this test."""
 
 
 class Runs:

@@ -25,6 +25,13 @@ def test_ticks_lie_on_one_line_whatever_their_stamps_wander() -> None:
     np.testing.assert_allclose(found, ticks * PERIOD * RATE * 1e-9, rtol=0.0, atol=1e-7)
 
 
+def test_samples_without_ticks_lie_where_their_stamps_say() -> None:
+    stamps = START + np.array([0, 5_300_000, 9_100_000, 15_000_001])
+    samples = SimpleNamespace(stamps_ns=stamps, period_ns=0)
+    found = _device_times(samples, slice(1, 4), 1.0, START)
+    np.testing.assert_allclose(found, [5.3e-3, 9.1e-3, 15.000001e-3], rtol=1e-12)
+
+
 @pytest.mark.parametrize(("n_syncs", "rtt_ns"), [(2, 800_000), (3, 800_000), (20, 800_000), (20, 0)])
 def test_the_rate_of_the_devices_clock_comes_from_three_exchanges_and_more(n_syncs: int, rtt_ns: int) -> None:
     host = START + 100_000_000 * np.arange(n_syncs)

@@ -77,3 +77,22 @@ def test_the_strip_is_as_wide_in_the_image_as_it_is_thick():
 def test_no_position_is_stated_better_than_sampling_leaves_it(stated_px: float, used_px: float):
     rig = Rig.from_file().with_values({"tracker.sigma_floor": stated_px})
     assert rig.tracker_parameters().sigma_floor_px == used_px
+
+
+def test_a_links_own_settings_are_one_text_of_yaml() -> None:
+    rig = Rig.from_file()
+    assert rig.axis_options() == {}
+    rig = rig.with_values({"axis.options": "{gain: 2.0, port: /dev/ttyUSB0}"})
+    assert rig.axis_options() == {"gain": 2.0, "port": "/dev/ttyUSB0"}
+    for text in ("[1, 2]", "{", "gain"):
+        with pytest.raises(ParameterFileError, match="expected a mapping in YAML"):
+            rig.with_values({"axis.options": text}).axis_options()
+
+
+def test_an_axis_without_a_scale_is_refused() -> None:
+    with pytest.raises(ParameterFileError, match=r"axis\.metres_per_unit is 0"):
+        Rig.from_file().with_values({"axis.metres_per_unit": 0.0})
+    rig = Rig.from_file().with_values({"axis.metres_per_unit": -0.02, "csv.velocity_column": 3})
+    assert rig.odrive_parameters().metres_per_turn == -0.02
+    assert rig.trajectory_parameters().metres_per_unit == -0.02
+    assert (rig.csv_columns().position_scale, rig.csv_columns().last) == (-0.02, 3)

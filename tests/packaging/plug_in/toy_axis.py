@@ -2,15 +2,18 @@
 
 import numpy as np
 
-from beam_ros.hub.contract import HubReport, HubStatus, Outcome, SampleBatch
+from beam_ros.hub.contract import HubCapabilities, HubReport, HubStatus, Outcome, SampleBatch
 from beam_ros.hub.sequences import CommandGate
 
 PERIOD_NS, TICKS = 1_000_000, 20
 
 
 class ToyAxis:
+    capabilities = HubCapabilities("toy", ("position",), rate=50.0, shortcomings=("it is a toy",))
+
     def __init__(self, rig, guard):
         self._gate = CommandGate(rig.axis_parameters(), guard)
+        self._offset = rig.axis_options().get("offset", 0.0)
         self._state, self._position, self._n_requests, self._completed = "identified", 0.0, 0, []
         self._tick = None
 
@@ -32,7 +35,7 @@ class ToyAxis:
     def poll(self, now):
         newest = now.unix_ns // PERIOD_NS
         first, self._tick = self._tick or newest, newest // TICKS * TICKS
-        positions = np.full(max(0, self._tick - first), self._position)
+        positions = np.full(max(0, self._tick - first), self._position + self._offset)
         batch = SampleBatch(first * PERIOD_NS, PERIOD_NS, 1, positions=positions)
         completed, self._completed = self._completed, []
         status = HubStatus(self._state, self._position)

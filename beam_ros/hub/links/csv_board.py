@@ -1,0 +1,240 @@
+"""A board that prints lines and takes no orders: the hub is measured, and somebody else moves it.
+
+A thread reads the port. Where the board prints a clock, its readings are mapped to the host's clock by the times at
+which they came; without one, a line's stamp is the time at which it came, with all its jitter.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+
+from beam_ros.hub.contract import (
+    HostTime,
+    HubCapabilities,
+    HubReport,
+    HubStatus,
+    Outcome,
+    RequestKind,
+    SampleBatch,
+    SequenceChunk,
+    SequenceReport,
+)
+from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.faults import NO_FAULT, Fault, fault
+from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.host.receipt_clock import ReceiptClock
+from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.links.csv_lines import CsvColumns, CsvReader
+from beam_ros.hub.parameters import LinkParameters
+
+READ_S = 0.05
+RECONNECT_S = 0.3
+FLOOD_BYTES = 2_000_000
+"""More bytes in a second than a board prints."""
+SILENCE_NS = 1_000_000_000
+"""A board that prints nothing that can be read for this long is lost [ns]."""
+REFUSAL = (
+    "the board behind axis.kind csv only prints lines: it takes no commands; move the hub by its own program"
+)
+
+_SHORTCOMINGS = (
+    "it takes no commands: nothing here can stop it",
+    "no limit is kept and no watchdog watches",
+    "what was commanded is not known: identify with the measured position",
+)
+_CLOCK = (
+    "the board's clock is mapped by the times at which its lines came: the shortest delay stays in the stamps",
+)
+_NO_CLOCK = ("a line's stamp is the time at which it came: its jitter is noise of the hub's position",)
+
+
+class CsvHub:
+    """A hub that a board measures; implements ``Hub`` by refusing every command.
+
+    Parameters
+    ----------
+    link : LinkParameters
+        The board's port.
+    columns : CsvColumns
+        What its lines mean.
+    """
+
+    def __init__(self, link: LinkParameters, columns: CsvColumns) -> None:
+        self._columns = columns
+        self._link = link
+        self._transport = SerialTransport(link.serial_port, link.serial_baud, FLOOD_BYTES)
+        self._reader = CsvReader()
+        self._journal = Journal(["bad_lines", "unstamped_lines", "connections"])
+        self._lock = threading.Lock()
+        self._stamps: HostClock | None = None
+        self._device_clock = self._new_clock()
+        self._measured: list[SampleBatch] = []
+        self._sequences: list[SequenceReport] = []
+        self._completed: list[tuple[int, Outcome]] = []
+        self._n_requests = 0
+        self._heard_ns: int | None = None
+        self._last_stamp_ns = 0
+        self._position = self._velocity = 0.0
+        self._fault: Fault = fault("no_answer")
+        self._reason = "no line has come yet"
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="csv-board", daemon=True)
+        self._thread.start()
+
+    @property
+    def capabilities(self) -> HubCapabilities:
+        """What the board can promise, which is little."""
+        return HubCapabilities(
+            name="csv",
+            modes=(),
+            is_buffered=False,
+            has_device_clock=bool(self._columns.clock),
+            has_watchdog=False,
+            keeps_limits=False,
+            shortcomings=_SHORTCOMINGS + (_CLOCK if self._columns.clock else _NO_CLOCK),
+        )
+
+    # The Hub protocol ---------------------------------------------------------------------------------
+
+    def request(self, kind: RequestKind) -> int:
+        """Refuse: the board takes no commands."""
+        with self._lock:
+            self._n_requests += 1
+            self._completed.append(
+                (self._n_requests, Outcome(False, f"cannot {kind.replace('_', ' ')}: {REFUSAL}"))
+            )
+            return self._n_requests
+
+    def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
+        """Refuse: the board takes no commands."""
+        with self._lock:
+            self._journal.counters["setpoints_refused"] += 1
+        return Outcome(False, f"set-point refused: {REFUSAL}")
+
+    def load(self, chunk: SequenceChunk, now: HostTime) -> None:
+        """Refuse: the board takes no commands."""
+        if chunk.index == 1:
+            with self._lock:
+                self._sequences.append(
+                    SequenceReport(chunk.sequence_id, "refused", len(chunk.values), REFUSAL)
+                )
+
+    def poll(self, now: HostTime) -> HubReport:
+        """Collect what the board printed."""
+        with self._lock:
+            if self._stamps is None:
+                self._stamps = HostClock(now)
+            self._journal.watch_clock(self._stamps, now)
+            self._journal.counters["bad_lines"] = self._reader.n_bad
+            self._look_for_silence(now.steady_ns)
+            measured, self._measured = self._measured, []
+            sequences, self._sequences = self._sequences, []
+            completed, self._completed = self._completed, []
+            state = "disconnected" if self._fault is not NO_FAULT else "identified"
+            return HubReport(
+                applied=[],
+                measured=measured,
+                sequences=sequences,
+                clock=[],
+                completed=completed,
+                status=HubStatus(
+                    state,  # type: ignore[arg-type]
+                    self._position,
+                    self._velocity,
+                    fault=self._fault,
+                    reason=self._reason,
+                    counters=dict(self._journal.counters),
+                ),
+                events=self._journal.take_events(),
+            )
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._ending.set()
+        self._thread.join(timeout=2.0)
+
+    # The thread ----------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                self._transport.open()
+                with self._lock:
+                    self._reader.reset()
+                    self._device_clock = self._new_clock()
+                while not self._ending.is_set():
+                    data, came_ns = self._transport.read(READ_S)
+                    with self._lock:
+                        self._take(data, came_ns)
+            except HubConnectionError as err:
+                self._transport.close()
+                with self._lock:
+                    self._lose(err.fault.name, str(err))
+                self._ending.wait(RECONNECT_S)
+        self._transport.dispose()
+
+    def _new_clock(self) -> ReceiptClock:
+        columns = self._columns
+        modulus = 1 << columns.clock_bits if columns.clock_bits else 0
+        return ReceiptClock(columns.clock_tick * 1e9, modulus)
+
+    def _lose(self, name: str, reason: str) -> None:
+        if self._heard_ns is not None or self._fault.name != name:
+            self._journal.tell("error", reason)
+        self._heard_ns = None
+        self._fault, self._reason = fault(name), reason
+
+    def _look_for_silence(self, now_ns: int) -> None:
+        if self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS:
+            self._lose(
+                "controller_silent",
+                f"no line with {self._columns.last} numbers came for 1 s; check the board",
+            )
+
+    def _take(self, data: bytes, came_ns: int) -> None:
+        for row in self._reader.feed(data):
+            if len(row) < self._columns.last:
+                self._reader.n_bad += 1
+                continue
+            self._note_row(row, came_ns)
+
+    def _note_row(self, row: tuple[float, ...], came_ns: int) -> None:
+        columns = self._columns
+        if self._heard_ns is None:
+            self._fault, self._reason = NO_FAULT, ""
+            self._journal.counters["connections"] += 1
+            self._journal.tell("info", f"connected: lines of {len(row)} numbers on {self._link.serial_port}")
+        self._heard_ns = time.monotonic_ns()
+        scale = columns.position_scale
+        self._position = row[columns.position - 1] * scale
+        self._velocity = row[columns.velocity - 1] * scale if columns.velocity else 0.0
+        stamp_ns = self._stamp_ns(row, came_ns)
+        if stamp_ns is None or stamp_ns <= self._last_stamp_ns:
+            self._journal.counters["unstamped_lines"] += 1
+            return
+        self._last_stamp_ns = stamp_ns
+        effort = row[columns.effort - 1] * columns.effort_scale if columns.effort else None
+        self._measured.append(
+            SampleBatch(
+                stamp_ns,
+                0,
+                self._device_clock.epoch,
+                positions=np.array([self._position]),
+                velocities=np.array([self._velocity]) if columns.velocity else None,
+                efforts=None if effort is None else np.array([effort]),
+            )
+        )
+
+    def _stamp_ns(self, row: tuple[float, ...], came_ns: int) -> int | None:
+        if self._stamps is None:
+            return None
+        if not self._columns.clock:
+            return self._stamps.stamp_ns(came_ns)
+        device_ns = self._device_clock.add(round(row[self._columns.clock - 1]), came_ns)
+        if not self._device_clock.is_usable:
+            return None
+        return self._stamps.stamp_ns(self._device_clock.host_ns(device_ns))

@@ -1,0 +1,239 @@
+"""What answers on a port: the suite's own protocol, an ODrive, lines of numbers, noise, or nobody.
+
+Everything that is asked changes nothing: a greeting of the suite's protocol, which stops and opens, and one property
+of an ODrive. What is unknown may still take the bytes for something else, so that a motor's power should be off.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from beam_ros.hub.errors import HubProtocolError
+from beam_ros.hub.line import protocol
+from beam_ros.hub.line.framing import FrameDecoder
+from beam_ros.hub.links import odrive_protocol
+from beam_ros.hub.links.csv_lines import CsvReader
+
+BAUDS = (921_600, 115_200, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600)
+"""Rates that are tried, the usual ones first."""
+FLOOD_BYTES = 2_000_000
+"""More bytes in a second than anything that answers says."""
+LISTEN_S = 0.3
+ANSWER_S = 0.3
+ENOUGH_ROWS = 4
+"""So many rows of numbers, and more of them than other lines, are no accident."""
+
+Kind = Literal["beam", "beam_other_version", "odrive", "csv", "noise", "silence"]
+
+
+class Line(Protocol):
+    """An open port."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def read(self, timeout_s: float) -> tuple[bytes, int]:
+        """Wait for bytes; return them, and the steady time at which they came [ns]."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What answers at one rate.
+
+    Parameters
+    ----------
+    kind : str
+        beam, beam_other_version, odrive, csv, noise or silence.
+    baud : int
+        Rate of the line.
+    sentence : str
+        For people.
+    rig : mapping
+        Rig parameters that follow, by dotted name.
+    advice : tuple of str
+        What the rig file must say besides, and only a person knows.
+    """
+
+    kind: Kind
+    baud: int
+    sentence: str
+    rig: Mapping[str, object] = field(default_factory=dict)
+    advice: tuple[str, ...] = ()
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether an axis link can work with it."""
+        return self.kind in ("beam", "odrive", "csv")
+
+
+def probe_line(line: Line, baud: int) -> Finding:
+    """Look what answers on an open line.
+
+    Parameters
+    ----------
+    line : Line
+        The open port.
+    baud : int
+        Its rate, for the finding.
+    """
+    heard, times = _listen(line, LISTEN_S)
+    for look in (_numbers, _beam, _odrive):
+        finding = look(line, baud, heard, times)
+        if finding is not None:
+            return finding
+    if heard:
+        return Finding("noise", baud, f"{len(heard)} bytes that are neither numbers nor frames")
+    return Finding("silence", baud, "nobody answers")
+
+
+def probe(open_line: Callable[[int], Line], bauds: tuple[int, ...] = BAUDS) -> list[Finding]:
+    """Try rates until something usable answers.
+
+    Parameters
+    ----------
+    open_line : callable
+        Opens the port at a rate.
+    bauds : tuple of int
+        Rates to try.
+
+    Returns
+    -------
+    list of Finding
+        One for each rate that was tried; only the last can be usable.
+    """
+    findings: list[Finding] = []
+    for baud in bauds:
+        findings.append(probe_line(open_line(baud), baud))
+        if findings[-1].is_usable or findings[-1].kind == "beam_other_version":
+            break
+    return findings
+
+
+def best(findings: list[Finding]) -> Finding:
+    """Return what says most of all that was found."""
+    order: tuple[Kind, ...] = ("beam", "odrive", "csv", "beam_other_version", "noise", "silence")
+    return min(findings, key=lambda finding: order.index(finding.kind))
+
+
+def _listen(line: Line, seconds: float) -> tuple[bytes, list[int]]:
+    """Gather what comes in a time; return it, and when each end of a line came [ns]."""
+    heard, times = b"", []
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0.0:
+        data, came_ns = line.read(min(left, 0.05))
+        heard += data
+        times += [came_ns] * data.count(b"\n")
+    return heard, times
+
+
+def _numbers(_line: Line, baud: int, heard: bytes, times: list[int]) -> Finding | None:
+    reader = CsvReader()
+    rows = reader.feed(heard)
+    if len(rows) < max(ENOUGH_ROWS, reader.n_bad + 1):
+        return None
+    table = np.array(rows)
+    # A line's end came with the row that it ends.
+    came_ns = np.array(times[-len(rows) :], dtype=np.float64)
+    clock, tick = _clock_column(table, came_ns)
+    others = [k + 1 for k in range(table.shape[1]) if k + 1 != clock]
+    position = others[0] if others else 1
+    names: dict[str, object] = {
+        "csv.position_column": position,
+        "csv.clock_column": clock,
+        "csv.velocity_column": 0,
+    }
+    if clock:
+        names["csv.clock_tick"] = tick
+    said = f"its clock in column {clock} in units of {tick:g} s" if clock else "no clock"
+    return Finding(
+        "csv",
+        baud,
+        f"lines of {table.shape[1]} numbers, {said}",
+        {"axis.kind": "csv", **names},
+        (
+            f"csv.position_column: {position} is a guess; look which column moves with the hub",
+            "axis.metres_per_unit: measure it, one unit of the position in metres",
+        ),
+    )
+
+
+def _clock_column(table: np.ndarray, came_ns: np.ndarray) -> tuple[int, float]:
+    """Return the column that grows with the time, counted from 1, and its unit [s]; 0 where there is none."""
+    passed_s = (came_ns[-1] - came_ns[0]) * 1e-9
+    for k in range(table.shape[1]):
+        steps = np.diff(table[:, k])
+        if passed_s > 0.0 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps):
+            unit = passed_s / (table[-1, k] - table[0, k])
+            tick = 10.0 ** round(math.log10(unit))
+            if 0.5 < unit / tick < 2.0 and tick <= 1.0:
+                return k + 1, tick
+    return 0, 0.0
+
+
+def _beam(line: Line, baud: int, _heard: bytes, _times: list[int]) -> Finding | None:
+    line.write(protocol.encode(protocol.Hello()))
+    answer, _ = _listen(line, ANSWER_S)
+    for payload in FrameDecoder().feed(answer):
+        try:
+            message = protocol.decode(payload)
+        except HubProtocolError:
+            continue
+        if isinstance(message, protocol.Identity):
+            line.write(protocol.encode(protocol.Goodbye()))
+            return _of_identity(message, baud)
+    return None
+
+
+def _of_identity(identity: protocol.Identity, baud: int) -> Finding:
+    if identity.version != protocol.VERSION:
+        return Finding(
+            "beam_other_version",
+            baud,
+            f"this suite's protocol, versions {identity.lowest_version} to {identity.highest_version}: expected "
+            f"version {protocol.VERSION}; update the firmware",
+        )
+    widest = identity.widest
+    return Finding(
+        "beam",
+        baud,
+        f"this suite's protocol, version {identity.version}: {identity.name}, in {identity.command_mode} mode",
+        {
+            "axis.kind": "beam",
+            "hub.period": identity.period_ns * 1e-9,
+            "hub.command_mode": identity.command_mode,
+            "hub.encoder_resolution": identity.encoder_resolution,
+        },
+        (
+            f"hub.travel: your axis's, at most {widest.travel:g} m",
+            f"hub.max_speed: your axis's, at most {widest.max_speed:g} m/s",
+            f"hub.max_acceleration: your axis's, at most {widest.max_acceleration:g} m/s^2",
+        ),
+    )
+
+
+def _odrive(line: Line, baud: int, _heard: bytes, _times: list[int]) -> Finding | None:
+    # What was asked before may be half a line to it.
+    line.write(b"\n" + odrive_protocol.encode_line("r vbus_voltage"))
+    answer, _ = _listen(line, ANSWER_S)
+    for text in answer.split(b"\n"):
+        try:
+            (volts,) = odrive_protocol.numbers(odrive_protocol.decode_line(text), 1)
+        except HubProtocolError:
+            continue
+        return Finding(
+            "odrive",
+            baud,
+            f"an ODrive with {volts:.1f} V on its bus",
+            {"axis.kind": "odrive", "odrive.axis": 0},
+            (
+                "axis.metres_per_unit: measure it, the hub's travel in one turn of the motor in metres",
+                "axis.accept_no_device_limits: true, when end switches and a current limit are set on the ODrive",
+            ),
+        )
+    return None

@@ -1,0 +1,109 @@
+"""The plain topics of a JointTrajectoryController, for the axis link that drives the hub by them."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from beam_ros.bags.batches import encode_trajectory
+from beam_ros.hub.contract import HostTime
+from beam_ros.hub.links.trajectory import Knots, TrajectoryHub
+from beam_ros.hub.sequences import Guard
+from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY, QualityOfService
+from beam_ros.messages import RosTypes
+from beam_ros.messages.stamps import stamp_ns
+from beam_ros.rig.rig import Rig
+from beam_ros.shell.node import qos_profile
+
+CONTROLLER_QOS: QoSProfile = qos_profile(QualityOfService(1000))
+"""What ros2_control's topics offer and ask for: reliable, volatile."""
+
+
+class OwnThread:
+    """A node of its own beside the process's first, whose callbacks run in a thread of their own.
+
+    Nothing that keeps the first node's executor busy delays them.
+
+    Parameters
+    ----------
+    name : str -- of the node and the thread
+    """
+
+    def __init__(self, name: str) -> None:
+        self.node = Node(name)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Let callbacks run."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+
+    def _spin(self) -> None:
+        try:
+            while rclpy.ok() and self._executor.get_nodes():
+                self._executor.spin_once(timeout_sec=0.1)
+        except (ExternalShutdownException, ShutdownException):
+            return
+
+
+class TrajectoryLink(TrajectoryHub):
+    """A hub behind a JointTrajectoryController on this graph; implements ``Hub``.
+
+    Parameters
+    ----------
+    rig : Rig -- names of controller, topic and joint, and the axis
+    guard : callable -- the check of whole sequences
+    """
+
+    def __init__(self, rig: Rig, guard: Guard) -> None:
+        settings = rig.trajectory
+        types = RosTypes()
+        self._joint = settings.joint
+        self._own = OwnThread("hub_link")
+        self._trajectories = self._own.node.create_publisher(
+            types.message_class(JOINT_TRAJECTORY), f"{settings.controller}/joint_trajectory", CONTROLLER_QOS
+        )
+        super().__init__(rig.axis_parameters(), rig.trajectory_parameters(), self._publish, guard)
+        self._own.node.create_subscription(
+            types.message_class(JOINT_STATE), settings.joint_states, self._on_joint_state, CONTROLLER_QOS
+        )
+        self._own.start()
+
+    def close(self) -> None:
+        """Stop the axis and leave the graph."""
+        super().close()
+        self._own.close()
+
+    def _publish(self, knots: Knots) -> None:
+        columns = {"positions": knots.positions}
+        if knots.velocities is not None:
+            columns["velocities"] = knots.velocities
+        self._trajectories.publish(encode_trajectory(self._joint, knots.start_ns, knots.times_ns, columns))
+
+    def _on_joint_state(self, message: Any) -> None:
+        if self._joint not in message.name:
+            return
+        k = list(message.name).index(self._joint)
+
+        def value(column: Any) -> float | None:
+            number = float(column[k]) if k < len(column) else math.nan
+            return number if math.isfinite(number) else None
+
+        position = value(message.position)
+        if position is not None:
+            now = HostTime(time.monotonic_ns(), time.time_ns())
+            self.joint_state(stamp_ns(message), position, value(message.velocity), value(message.effort), now)

@@ -1,0 +1,115 @@
+"""The listening link against the emulated board on a real pseudo-terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.line_board import COUNT, LineBoard
+from beam_ros.hub.links.csv_board import REFUSAL, CsvHub
+from beam_ros.hub.links.csv_lines import CsvColumns
+from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
+from beam_ros.hub.simulated.plant import RigidPlant
+from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
+
+COLUMNS = CsvColumns(position=2, clock=1, position_scale=COUNT)
+# The counter of microseconds wraps within the first second.
+DEVICE = SimulatedDevice(clock_drift_ppm=200.0, clock_start_ns=((1 << 32) - 1_000_000) * 1000)
+
+
+class BoardRig(LiveRig):
+    """The link, and a board on a pseudo-terminal."""
+
+    def __init__(self, folder: Path, columns: CsvColumns = COLUMNS) -> None:
+        parameters = AxisParameters()
+        self.emulator = EmulatedController(
+            parameters,
+            RigidPlant(0.8, 1e-3),
+            DEVICE,
+            link=folder / "board",
+            boot=lambda device, _boot_id: LineBoard(parameters, RigidPlant(0.8, 1e-3), device),
+        )
+        super().__init__(CsvHub(LinkParameters(self.emulator.port), columns))
+
+    def close(self) -> None:
+        self.hub.close()
+        self.emulator.close()
+
+
+@pytest.fixture
+def start(tmp_path):
+    rigs = []
+
+    def start_rig(*arguments: object) -> BoardRig:
+        rigs.append(BoardRig(tmp_path, *arguments))
+        rigs[-1].until(lambda r: r.status.state == "identified")
+        return rigs[-1]
+
+    yield start_rig
+    for rig in rigs:
+        rig.close()
+
+
+def _measured(reports) -> tuple[np.ndarray, np.ndarray]:
+    batches = [batch for report in reports for batch in report.measured]
+    return np.array([b.stamp_ns for b in batches]), np.array([b.positions[0] for b in batches])
+
+
+def test_positions_are_those_of_their_stamps_by_the_boards_own_clock(start) -> None:
+    rig = start()
+    rig.until(lambda r: bool(r.measured), 10.0)
+    stamps, positions = _measured(rig.run(3.0))
+    assert len(stamps) > 550
+    stamps, positions = stamps[-450:-50], positions[-450:-50]
+    truth = rig.emulator.snapshots(stamps).positions
+    # The shortest delay of a line stays in the stamps as a constant; else half a count is left.
+    error, velocity = positions - truth, np.gradient(truth, stamps * 1e-9)
+    delay = -float(velocity @ error) / float(velocity @ velocity)
+    assert 0.0 < delay < 3e-3
+    assert np.std(error + delay * velocity) < 3e-6
+    assert np.max(np.abs(truth)) > 0.001
+    assert np.median(np.diff(stamps)) == pytest.approx(5e6 / 1.0002, rel=1e-4)
+
+
+def test_without_a_clock_a_line_is_stamped_when_it_came(start) -> None:
+    rig = start(CsvColumns(position=2, position_scale=COUNT))
+    stamps, positions = (column[:-50] for column in _measured(rig.run(2.0)))
+    truth = rig.emulator.snapshots(stamps).positions
+    # Lines come up to 5 ms late, at 16 mm/s.
+    assert np.max(np.abs(positions - truth)) < 2e-3
+    assert any("jitter" in sentence for sentence in rig.hub.capabilities.shortcomings)
+
+
+def test_every_command_is_refused_with_the_reason(start) -> None:
+    rig = start()
+    for kind in ("enable", "disable", "home", "stop", "clear_fault"):
+        outcome = rig.ask(kind)
+        assert not outcome.success
+        assert REFUSAL in outcome.message
+    assert REFUSAL in rig.hub.setpoint(rig.now.unix_ns, 0.0, rig.now).message
+    for chunk in chunks_of(rest_to_rest(1200), rig.now.unix_ns + 1_000_000_000):
+        rig.hub.load(chunk, rig.now)
+    (report,) = [s for r in rig.run(0.1) for s in r.sequences]
+    assert (report.state, report.reason) == ("refused", REFUSAL)
+
+
+def test_a_board_that_falls_silent_and_one_that_is_pulled_are_lost_and_come_back(start) -> None:
+    rig = start()
+    rig.emulator.unplug()
+    status = rig.until(lambda r: r.status.state == "disconnected")[-1].status
+    assert status.fault.name in ("controller_silent", "port_lost")
+    rig.emulator.plug()
+    rig.until(lambda r: r.status.state == "identified")
+
+
+def test_lines_with_too_few_columns_are_no_connection(tmp_path) -> None:
+    rig = BoardRig(tmp_path, CsvColumns(position=5))
+    try:
+        status = rig.run(0.5)[-1].status
+        assert status.state == "disconnected"
+        assert status.counters["bad_lines"] > 20
+    finally:
+        rig.close()

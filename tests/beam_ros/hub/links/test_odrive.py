@@ -1,0 +1,237 @@
+"""The ODrive link against the emulated ODrive on a real pseudo-terminal, in real time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.odrive import EmulatedOdrive
+from beam_ros.hub.links.motion_plan import MotionPlan
+from beam_ros.hub.links.odrive import OdriveHub, OdriveParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
+from beam_ros.hub.simulated.plant import RigidPlant
+from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
+
+ROOT = Path(__file__).parents[4]
+PATIENT = AxisParameters(watchdog_s=1.0)
+METRES_PER_TURN = -0.02
+DEVICE = SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=0.003)
+
+
+class OdriveRig(LiveRig):
+    """The link, and an ODrive on a pseudo-terminal."""
+
+    def __init__(
+        self,
+        folder: Path,
+        parameters: AxisParameters = PATIENT,
+        *,
+        has_watchdog: bool = True,
+        **settings: object,
+    ) -> None:
+        def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedOdrive:
+            self.odrive = EmulatedOdrive(
+                parameters,
+                RigidPlant(0.8, 1e-3),
+                device,
+                metres_per_turn=METRES_PER_TURN,
+                has_watchdog=has_watchdog,
+            )
+            return self.odrive
+
+        self.emulator = EmulatedController(
+            parameters, RigidPlant(0.8, 1e-3), DEVICE, link=folder / "odrive", boot=boot
+        )
+        odrive = OdriveParameters(metres_per_turn=METRES_PER_TURN, **settings)
+        super().__init__(OdriveHub(parameters, LinkParameters(self.emulator.port), odrive))
+
+    def property(self, path: str) -> float:
+        return self.odrive._properties[f"axis0.{path}"]
+
+    def close(self) -> None:
+        self.hub.close()
+        self.emulator.close()
+
+
+@pytest.fixture
+def start(tmp_path):
+    rigs = []
+
+    def start_rig(*arguments: object, **settings: object) -> OdriveRig:
+        rigs.append(OdriveRig(tmp_path, *arguments, **settings))
+        return rigs[-1]
+
+    yield start_rig
+    for rig in rigs:
+        rig.close()
+
+
+def connected(rig: OdriveRig) -> OdriveRig:
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    return rig
+
+
+def test_limits_and_watchdog_are_on_the_drive_before_anything_moves(start) -> None:
+    rig = connected(start())
+    assert rig.property("controller.config.vel_limit") == pytest.approx(0.5 / 0.02)
+    assert rig.property("config.watchdog_timeout") == 1.0
+    assert rig.property("config.enable_watchdog") == 1
+    assert rig.property("current_state") == 1
+    # The watchdog was provoked, and its fault cleared: 1 s of silence, seen by the host.
+    assert rig.property("error") == 0
+    assert len(rig.reports) > 80
+
+
+def test_a_watchdog_that_is_set_and_does_not_run_is_never_connected(start) -> None:
+    rig = start(AxisParameters(watchdog_s=0.2), has_watchdog=False)
+    reports = rig.until(lambda r: r.status.fault.name == "watchdog_unproved")
+    assert reports[-1].status.state == "disconnected"
+    assert "did not act on" in reports[-1].status.reason
+    assert not rig.ask("enable").success
+
+
+def test_the_axis_runs_a_sequence_and_reports_what_was_written_and_when(start) -> None:
+    rig = connected(start())
+    rig.enable()
+    assert rig.property("current_state") == 8
+    values = rest_to_rest(1000)
+    start_ns = rig.now.unix_ns + 400_000_000
+    for chunk in chunks_of(values, start_ns):
+        rig.hub.load(chunk, rig.now)
+    reports = rig.until(lambda r: any(s.state == "done" for s in r.sequences), 8.0) + rig.run(0.1)
+    plan = MotionPlan.sequence(values, PATIENT, 0.0)
+    for name, tolerance in (("applied", 1e-12), ("measured", 6e-4)):
+        batches = [b for r in reports for b in getattr(r, name)]
+        assert all(b.period_ns == 0 and len(b) == 1 for b in batches)
+        times = np.array([b.stamp_ns for b in batches])
+        path = np.array([b.positions[0] for b in batches])
+        # What was written is the plan at the very stamp; the drive follows with a lag of some milliseconds.
+        assert np.max(np.abs(path)) > 0.002
+        assert np.max(np.abs(path - plan.sample((times - start_ns) * 1e-9)[0])) < tolerance
+    assert rig.ask("disable").success
+    rig.run(0.1)
+    assert rig.property("current_state") == 1
+
+
+def test_what_is_measured_is_where_the_motor_was_at_the_stamp(start) -> None:
+    rig = connected(start(AxisParameters(watchdog_s=1.0, command_mode="velocity")))
+    rig.enable()
+    for _ in range(20):
+        rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now)
+        rig.run(0.05)
+    batches = [b for r in rig.reports[-40:] for b in r.measured][:-5]
+    times = np.array([b.stamp_ns for b in batches])
+    # The emulator knows where it was; home is 3 mm from its zero. At 20 mm/s, 0.2 ms of a question's way are 4 um.
+    truth = rig.emulator.snapshots(times).positions - 0.003
+    error = np.array([b.positions[0] for b in batches]) - truth
+    assert np.median(np.abs(error)) < 6e-6
+    assert truth[-1] > 0.01
+
+
+def test_a_set_point_that_is_not_refreshed_ends_in_a_ramp(start) -> None:
+    rig = connected(start(AxisParameters(watchdog_s=0.3, command_mode="velocity")))
+    rig.enable()
+    assert rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now).success
+    reports = rig.until(lambda r: r.status.state == "homed")
+    assert reports[-1].status.fault.name == "setpoint_old"
+    assert reports[-1].status.position == pytest.approx(0.3 * 0.05, rel=0.2)
+
+
+def test_a_fault_of_the_drive_is_named_and_stays_until_it_is_cleared(start) -> None:
+    rig = connected(start())
+    rig.enable()
+    rig.odrive.fail("motor.error", 0x1000 | 0x800000)
+    status = rig.until(lambda r: r.status.state == "fault")[-1].status
+    assert status.fault.name == "drive_alarm"
+    assert "motor.error CURRENT_LIMIT_VIOLATION, motor.error BRAKE_RESISTOR_DISARMED" in status.reason
+    refused = rig.ask("enable")
+    assert not refused.success
+    assert "clear the fault first" in refused.message
+    assert rig.ask("clear_fault").success
+    rig.run(0.2)
+    assert rig.ask("enable").success
+
+
+def test_a_pulled_cable_loses_the_axis_and_the_drive_stops_by_itself(start) -> None:
+    rig = connected(start(AxisParameters(watchdog_s=0.3, command_mode="velocity")))
+    rig.enable()
+    for _ in range(5):
+        rig.hub.setpoint(rig.now.unix_ns, 0.03, rig.now)
+        rig.run(0.05)
+    rig.emulator.unplug()
+    status = rig.until(lambda r: r.status.state == "disconnected")[-1].status
+    assert status.fault.name == "controller_silent"
+    rig.run(0.4)
+    assert rig.odrive.axis.velocity == 0.0
+    rig.emulator.plug()
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    assert rig.property("error") == 0
+
+
+def test_a_killed_host_leaves_the_hub_at_rest(tmp_path) -> None:
+    rig = OdriveRig(tmp_path, AxisParameters(watchdog_s=0.3))
+    rig.hub.close()
+    program = """
+        import sys, time
+        from beam_ros.hub.contract import HostTime
+        from beam_ros.hub.links.odrive import OdriveHub, OdriveParameters
+        from beam_ros.hub.parameters import AxisParameters, LinkParameters
+        parameters = AxisParameters(watchdog_s=0.3, command_mode="velocity")
+        hub = OdriveHub(parameters, LinkParameters(sys.argv[1]), OdriveParameters(metres_per_turn=-0.02))
+        now = lambda: HostTime(time.monotonic_ns(), time.time_ns())
+        for kind in ("identified", "homed", "enabled"):
+            while hub.poll(now()).status.state != kind:
+                time.sleep(0.01)
+            if kind != "enabled":
+                hub.request("home" if kind == "identified" else "enable")
+        while True:
+            hub.setpoint(now().unix_ns, 0.03, now())
+            hub.poll(now())
+            time.sleep(0.02)
+    """
+    host = subprocess.Popen([sys.executable, "-c", textwrap.dedent(program), rig.emulator.port], cwd=ROOT)
+    try:
+        end = time.monotonic() + 50.0
+        while rig.odrive.axis.velocity < 0.02:
+            assert time.monotonic() < end, "the host did not move the hub"
+            time.sleep(0.01)
+        os.kill(host.pid, signal.SIGKILL)
+        host.wait()
+        # The watchdog, and 0.03 m/s that friction stops at 2 m/s^2.
+        time.sleep(0.3 + 0.015 + 0.3)
+        assert rig.odrive.axis.velocity == 0.0
+        assert int(rig.property("error")) & 0x800
+    finally:
+        host.kill()
+        host.wait()
+        rig.emulator.close()
+
+
+def test_home_is_the_encoders_own_zero_where_that_is_chosen(start) -> None:
+    rig = connected(start(homes_here=False))
+    assert rig.run(0.05)[-1].status.position == pytest.approx(0.003, abs=1e-6)
+    assert rig.ask("home").success
+    assert rig.run(0.3)[-1].status.position == pytest.approx(0.0, abs=1e-5)
+    assert rig.odrive.axis.true_position == pytest.approx(0.0, abs=1e-5)
+
+
+def test_noise_on_the_line_never_passes_for_a_position(start) -> None:
+    rig = connected(start())
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        rig.emulator.inject(bytes(rng.integers(32, 127, 6, dtype=np.uint8)) + b"1.5 0.2\r\n" * 2)
+        rig.run(0.02)
+    positions = np.array([b.positions[0] for r in rig.reports for b in r.measured])
+    assert rig.reports[-1].status.state == "identified"
+    # Unread so far: the hub stands 3 mm from the encoder's zero.
+    assert np.ptp(positions) < 1e-9
+    assert rig.reports[-1].status.counters["lost_answers"] > 0

@@ -1,0 +1,279 @@
+"""Whole motions for a JointTrajectoryController: their knots, and the emulated controller that takes them."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from beam_ros.hub.emulated.trajectory_controller import (
+    EmulatedTrajectoryController,
+    Waypoints,
+    interpolate,
+)
+from beam_ros.hub.links.motion_plan import MotionPlan
+from beam_ros.hub.links.trajectory import Knots, TrajectoryHub, TrajectoryParameters
+from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.simulated.plant import RigidPlant
+from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
+
+ACCELERATION = AxisParameters()
+
+
+def _joined(knots: Knots, times_ns: np.ndarray) -> np.ndarray:
+    """Positions between knots, as the controller's documents say that it joins them."""
+    out = []
+    for time_ns in times_ns:
+        k = min(int(np.searchsorted(knots.times_ns, time_ns, side="right")) - 1, len(knots.times_ns) - 2)
+        ends = [
+            (knots.positions[j],) if knots.velocities is None else (knots.positions[j], knots.velocities[j])
+            for j in (k, k + 1)
+        ]
+        tau, span = time_ns - knots.times_ns[k], knots.times_ns[k + 1] - knots.times_ns[k]
+        out.append(interpolate(tau * 1e-9, span * 1e-9, *ends)[0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
+def test_the_controllers_interpolation_gives_the_design_back_exactly(mode: str) -> None:
+    # Two equal commands in a row are one knot; the positions, which rise every other tick, have none in a row.
+    accelerations = rest_to_rest(300)
+    velocities = np.repeat(np.cumsum(accelerations) * 2e-3, 2)
+    values = {
+        "acceleration": np.repeat(accelerations, 2),
+        "velocity": velocities,
+        "position": np.concatenate(([0.0], np.arange(1, 601) // 2 * 2.0**-12)),
+    }[mode]
+    plan = MotionPlan.sequence(values, AxisParameters(command_mode=mode), 0.0)
+    knots = Knots.of(plan, 0, 0.0, 1.0)
+    # One for the start, one for the rest after the end.
+    assert len(knots.times_ns) == (602 if mode == "position" else 302)
+    assert (knots.velocities is None) == (mode != "acceleration")
+    times_ns = np.arange(0, 600_000_000, 137_731)
+    residual = np.max(np.abs(_joined(knots, times_ns) - plan.sample(times_ns * 1e-9)[0]))
+    # Rounding of metres in doubles.
+    assert residual < 1e-16 * 50
+
+
+def test_a_quintic_through_the_samples_would_not_be_exact() -> None:
+    """Accelerations at the knots cannot say that they jump there: why the knots carry none."""
+    plan = MotionPlan.sequence(np.repeat([0.5, -0.5], 100), ACCELERATION, 0.0)
+    start, end = (0.0, 0.0, 0.5), (plan.positions[1], plan.velocities[1], -0.5)
+    assert abs(interpolate(0.05, 0.1, start, end)[0] - plan.at(0.05)[0]) > 1e-5
+
+
+def test_knots_are_on_the_joints_own_scale_and_end_with_a_rest() -> None:
+    plan = MotionPlan.ramps(0.01, 0.02, [(0.1, -0.2)])
+    knots = Knots.of(plan, 7, 0.005, -0.5)
+    np.testing.assert_allclose(knots.positions, [-0.03, -0.032, -0.032])
+    np.testing.assert_allclose(knots.velocities, [-0.04, 0.0, 0.0])
+    assert knots.times_ns.tolist() == [0, 100_000_000, 1_100_000_000]
+
+
+class ControllerRig(LiveRig):
+    """A hub and the emulated controller, at 250 cycles a second in a thread of its own."""
+
+    def __init__(
+        self, parameters: AxisParameters = ACCELERATION, start: float = 0.0, **settings: object
+    ) -> None:
+        self.controller = EmulatedTrajectoryController(
+            parameters, RigidPlant(0.8, 1e-3), time.time_ns(), metres_per_unit=0.02
+        )
+        self.sent: list[Knots] = []
+        self.delay_ns = 0
+        self.is_running = True
+        self._lock = threading.Lock()
+        super().__init__(
+            TrajectoryHub(parameters, TrajectoryParameters(metres_per_unit=0.02, **settings), self._send)
+        )
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._cycle, daemon=True)
+        self._thread.start()
+        self.until(lambda r: r.status.state == "identified")
+
+    def _send(self, knots: Knots) -> None:
+        self.sent.append(knots)
+        way = Waypoints(knots.start_ns, knots.times_ns, knots.positions, knots.velocities)
+        with self._lock:
+            self.controller.receive(way, time.time_ns())
+
+    def _cycle(self) -> None:
+        while not self._ending.wait(0.004):
+            now = self.now
+            with self._lock:
+                position, velocity = self.controller.update(now.unix_ns)
+            if self.is_running:
+                self.hub.joint_state(now.unix_ns - self.delay_ns, position, velocity, None, now)
+
+    @property
+    def true_position(self) -> float:
+        return self.hub.axis.position
+
+    def close(self) -> None:
+        self.hub.close()
+        self._ending.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def start():
+    rigs = []
+
+    def start_rig(*args: object, **settings: object) -> ControllerRig:
+        rigs.append(ControllerRig(*args, **settings))
+        return rigs[-1]
+
+    yield start_rig
+    for rig in rigs:
+        rig.close()
+        assert rig.controller.rejected == []
+
+
+def _run(rig: ControllerRig, values: np.ndarray) -> tuple[list, int]:
+    start_ns = rig.now.unix_ns + 400_000_000
+    for chunk in chunks_of(values, start_ns):
+        rig.hub.load(chunk, rig.now)
+    ends = ("done", "refused", "aborted", "underrun")
+    reports = rig.until(lambda r: any(s.state in ends for s in r.sequences), 8.0)
+    return reports + rig.run(0.1), start_ns
+
+
+def test_a_sequence_goes_over_in_one_message_and_is_reported_sample_for_sample(start) -> None:
+    rig = start()
+    rig.enable()
+    before = len(rig.sent)
+    values = rest_to_rest(1000)
+    reports, start_ns = _run(rig, values)
+    assert [s.state for r in reports for s in r.sequences][-2:] == ["running", "done"]
+    assert len(rig.sent) == before + 1
+    assert rig.sent[-1].start_ns == start_ns
+    applied = [b for r in reports for b in r.applied]
+    stamps = np.concatenate([b.stamp_ns + b.period_ns * np.arange(len(b)) for b in applied])
+    first = int(np.searchsorted(stamps, start_ns))
+    assert stamps[first] == start_ns
+    samples = np.concatenate([b.accelerations for b in applied])[first : first + 1000]
+    np.testing.assert_array_equal(samples, values)
+    # The hub went there, as far as a drive of some 50 Hz that is a cycle late can.
+    measured = [b for r in reports for b in r.measured]
+    times = np.array([b.stamp_ns for b in measured])
+    path = np.array([b.positions[0] for b in measured])
+    late_ns = 1.0 / 60.0 * 0.1 * 1e9 + 8e6
+    plan = MotionPlan.sequence(values, ACCELERATION, 0.0)
+    ideal = plan.sample((times - start_ns - late_ns) * 1e-9)[0]
+    assert np.max(np.abs(ideal)) > 0.002
+    assert np.max(np.abs(path - ideal)) < 0.0004
+
+
+def test_the_joint_states_are_measured_with_their_own_stamps_and_rate(start) -> None:
+    rig = start()
+    stamps = [b.stamp_ns for r in rig.run(0.5) for b in r.measured]
+    assert all(b.period_ns == 0 and len(b) == 1 for r in rig.reports for b in r.measured)
+    assert np.median(np.diff(stamps)) == pytest.approx(4.2e6, rel=0.2)
+
+
+def test_a_set_point_of_a_host_that_dies_ends_in_a_ramp_by_itself(start) -> None:
+    rig = start()
+    rig.enable()
+    assert rig.hub.setpoint(rig.now.unix_ns, 0.2, rig.now).success
+    rig.run(0.05)
+    knots = rig.sent[-1]
+    assert knots.velocities[-1] == 0.0
+    # 0.25 s at 0.2 m/s^2, then 0.05 m/s at 10 m/s^2.
+    assert knots.times_ns[-2] == pytest.approx(255_000_000, abs=1000)
+    reports = rig.until(lambda r: r.status.state == "homed")
+    assert reports[-1].status.fault.name == "setpoint_old"
+
+
+def test_an_executor_that_stands_still_stops_the_axis(start) -> None:
+    rig = start(AxisParameters(command_mode="position"))
+    rig.enable()
+    assert rig.hub.setpoint(rig.now.unix_ns, 0.04, rig.now).success
+    rig.run(0.1)
+    time.sleep(0.6)
+    report = rig.run(0.05)[-1]
+    assert (report.status.state, report.status.fault.name) == ("homed", "host_frozen")
+    stopped = report.status.position
+    assert rig.run(0.2)[-1].status.position == pytest.approx(stopped, abs=2e-4)
+    assert stopped < 0.03
+
+
+def test_stop_brakes_a_running_sequence_at_the_limit(start) -> None:
+    rig = start()
+    rig.enable()
+    for chunk in chunks_of(rest_to_rest(2000), rig.now.unix_ns + 200_000_000):
+        rig.hub.load(chunk, rig.now)
+    rig.until(lambda r: r.status.activity == "sequence")
+    rig.run(0.4)
+    assert rig.ask("stop").message == "stopped"
+    brake = rig.sent[-1]
+    speed, duration_ns = abs(brake.velocities[0]) * 0.02, int(brake.times_ns[-2])
+    assert duration_ns * 1e-9 == pytest.approx(speed / 10.0, rel=1e-3)
+    assert [s.state for r in rig.reports for s in r.sequences][-1] == "aborted"
+    rest = rig.run(0.3)[-1].status.position
+    assert rig.run(0.3)[-1].status.position == pytest.approx(rest, abs=1e-6)
+
+
+def test_a_hub_that_somebody_pushes_is_a_fault_and_one_beyond_its_travel_too(start) -> None:
+    rig = start(AxisParameters(travel=0.003))
+    rig.enable()
+    # Another program moves the joint: 6 mm away, and the travel ends at 1.5 mm.
+    rig.controller.receive(
+        Waypoints(0, np.array([300_000_000]), np.array([0.3]), np.array([0.0])), time.time_ns()
+    )
+    status = rig.until(lambda r: r.status.state == "fault")[-1].status
+    assert status.fault.name == "motion_unexplained"
+    assert "from where it was led" in status.reason
+    assert not rig.ask("enable").success
+    assert rig.ask("clear_fault").success
+    refused = rig.ask("enable")
+    assert "expected within +-0.0015 m" in refused.message
+    assert rig.ask("home").success
+    assert rig.ask("enable").success
+
+
+def test_joint_states_that_stop_are_a_lost_controller_and_it_comes_back(start) -> None:
+    rig = start()
+    rig.enable()
+    rig.is_running = False
+    reports = rig.until(lambda r: r.status.state == "disconnected")
+    assert reports[-1].status.fault.name == "controller_silent"
+    assert not rig.hub.setpoint(rig.now.unix_ns, 0.1, rig.now).success
+    rig.is_running = True
+    rig.until(lambda r: r.status.state == "identified")
+
+
+@pytest.mark.parametrize(
+    ("settings", "delay_ns", "words"),
+    [({"max_knots": 100}, 0, "needs 1002 knots"), ({}, 300_000_000, "behind this host's clock")],
+)
+def test_what_cannot_be_handed_over_is_refused_with_the_reason(start, settings, delay_ns, words) -> None:
+    rig = start(**settings)
+    rig.delay_ns = delay_ns
+    rig.run(0.4)
+    rig.enable()
+    sent = len(rig.sent)
+    reports, _ = _run(rig, rest_to_rest(1000))
+    (report,) = [s for r in reports for s in r.sequences if s.state == "refused"]
+    assert words in report.reason
+    assert len(rig.sent) == sent
+    assert reports[-1].status.state == "enabled"
+
+
+def test_home_is_here_or_where_the_joint_is_zero(start) -> None:
+    rig = start(homes_here=False)
+    rig.enable()
+    rig.hub.setpoint(rig.now.unix_ns, 0.0, rig.now)
+    assert rig.hub.axis.zero == 0.0
+    other = start()
+    other.controller.receive(
+        Waypoints(0, np.array([100_000_000]), np.array([0.5]), np.array([0.0])), time.time_ns()
+    )
+    other.run(0.6)
+    assert other.run(0.05)[-1].status.position == pytest.approx(0.01, abs=1e-5)
+    other.enable()
+    assert other.run(0.05)[-1].status.position == pytest.approx(0.0, abs=1e-5)
+    assert other.hub.axis.zero == pytest.approx(0.01, abs=1e-5)
+    # The first trajectory holds the joint where it stands, on its own scale.
+    assert other.sent[-1].positions == pytest.approx([0.5, 0.5], abs=5e-4)
