@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -209,3 +211,20 @@ def _wait_for_clock(graph) -> None:
 
     graph.listen("/diagnostics", note)
     graph.wait(lambda: bool(sd) and sd[-1] < 50_000, "a mapped clock", 20.0)
+
+
+def test_an_emulator_that_stood_still_for_longer_than_it_remembers_goes_on(
+    executables, graph, tmp_path: Path
+) -> None:
+    emulator = executables.start(
+        "firmware_emulator", "--ros-args", "-p", f"emulator.port_link:={tmp_path / 'port'}"
+    )
+    seen = []
+    graph.listen("camera/camera_info", lambda message: seen.append(message.header.stamp.sec))
+    graph.wait(lambda: bool(seen), "a first frame", 30.0)
+    emulator.send_signal(signal.SIGSTOP)
+    time.sleep(4.6)
+    emulator.send_signal(signal.SIGCONT)
+    before = seen[-1]
+    graph.wait(lambda: seen[-1] > before + 5, "new frames", 20.0)
+    assert emulator.process.poll() is None
