@@ -279,6 +279,9 @@ class HubClient:
             self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
             self._supervisor.connect()
+        elif self._connection.is_in_session:
+            # A greeting that was repeated in vain: the device began its samples anew.
+            self._stamping.connect(is_new_boot=False)
 
     def _on_limits_reply(self, reply: protocol.LimitsReply, received_ns: int) -> None:
         self._connection.note_limits(reply.limits, received_ns)
@@ -307,7 +310,11 @@ class HubClient:
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
         self._supervisor.note_status(status.state, status.activity, status.tick)
+        was_up = self._connection.is_up
         self._connection.note_status(status, received_ns)
+        if self._connection.is_up and not was_up:
+            # In a silence of more than a second the device held its samples back.
+            self._stamping.connect(is_new_boot=False)
         if not self._connection.is_in_session:
             self._forget_session(self._connection.reason)
             return

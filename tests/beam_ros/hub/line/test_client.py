@@ -563,3 +563,21 @@ def test_what_is_asked_while_the_connection_comes_up_is_done_when_it_is_up():
     rig.run(0.1)
     assert rig.client._connection.state == "proof"
     assert rig.ask("home").success
+
+
+@pytest.mark.parametrize("watchdog_s", [0.25, 1.2])
+def test_samples_that_the_device_held_back_before_the_connection_was_up_are_not_lost(watchdog_s):
+    rig = LoopbackRig(dataclasses.replace(PARAMETERS, watchdog_s=watchdog_s))
+    # Answers come after 0.3 s: the host greets again, and the device begins its samples anew each time.
+    late: list[tuple[int, bytes]] = []
+
+    def wait(data: bytes) -> bytes:
+        late.append((rig.steady_ns + 300_000_000, data))
+        return b"".join(late.pop(0)[1] for _ in range(len([at for at, _ in late if at <= rig.steady_ns])))
+
+    rig.to_host = wait
+    rig.until(lambda r: r.status.state != "disconnected", 10.0)
+    rig.until(lambda r: bool(r.measured), 10.0)
+    counters = rig.reports[-1].status.counters
+    assert counters["connections"] == 1
+    assert counters["lost_ticks"] == counters["strange_ticks"] == 0
