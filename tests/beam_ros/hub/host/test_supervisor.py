@@ -16,6 +16,7 @@ from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder, encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, SimulatedDevice
+from beam_ros.hub.ticks import TickBatch
 from tests.beam_ros.hub.hub_scenes import DRIFTING, DriverRig, LoopbackRig, Rig, chunks_of, rest_to_rest
 
 PARAMETERS = AxisParameters()
@@ -284,6 +285,25 @@ def test_a_process_that_was_put_aside_misses_nothing():
         supervisor.hear("status")
         now_ns += 5_000_000
     assert supervisor.fault.name == "telemetry_stopped"
+
+
+def test_a_hub_that_was_pushed_while_it_was_disabled_is_enabled_without_a_fault():
+    supervisor = Supervisor(dataclasses.replace(PARAMETERS, command_mode="position"), Journal([]))
+    counts = np.full(20, 100_000)
+    zeros = np.zeros(20, dtype=np.float32)
+
+    def came(first_tick: int, applied: np.ndarray) -> None:
+        supervisor.note_ticks(TickBatch(first_tick, applied, counts, zeros, zeros), 0, is_homing=False)
+
+    supervisor.note_status("homed", "idle", 20)
+    came(20, np.zeros(20))
+    # It is enabled at tick 50, where it stands: 10 mm from where it was left.
+    supervisor.note_status("enabled", "hold", 50)
+    came(40, np.where(np.arange(40, 60) < 50, 0.0, 0.01))
+    came(60, np.full(20, 0.01))
+    assert supervisor.fault is FAULTS[0]
+    came(80, np.full(20, 0.02))
+    assert supervisor.fault.name == "motion_unexplained"
 
 
 @pytest.mark.parametrize("mode", COMMAND_MODES)
