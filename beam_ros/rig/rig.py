@@ -20,6 +20,7 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
+    from beam_ros.hub.gate.beam_guard import BeamGuard
     from beam_ros.hub.parameters import AxisParameters, LinkParameters
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
@@ -189,6 +190,13 @@ class Rig(RigParameters):
             watchdog_s=self.hub.watchdog,
             homing_speed=self.hub.homing_speed,
         )
+
+    def beam_guard(self) -> BeamGuard:
+        """What the hub may do to the beam: the guard of every set-point and sequence."""
+        from beam_ros.hub.gate.beam_guard import BeamGuard, BeamLimits
+
+        limits = BeamLimits(self.hub.max_tip_deflection, self.beam.max_root_strain, self.hub.max_effort)
+        return BeamGuard(self.beam_model(), self.beam.thickness, limits, self.axis_parameters())
 
     def link_parameters(self) -> LinkParameters:
         """How the real axis is reached."""

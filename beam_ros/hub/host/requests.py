@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from beam_ros.hub.contract import Outcome, RequestKind
-from beam_ros.hub.sequences import MAX_AGE_NS
+from beam_ros.hub.gate.stamps import MAX_AGE_NS
 
 RETRY_NS = 100_000_000
 ASK_AGAIN_NS = 500_000_000

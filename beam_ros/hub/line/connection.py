@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 

@@ -7,10 +7,10 @@ import time
 
 from beam_ros.hub.contract import HostTime, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
-from beam_ros.hub.sequences import Guard
 
 RECONNECT_S = 0.3
 READ_S = 0.005
@@ -28,8 +28,8 @@ class DriverHub:
         The axis.
     link : LinkParameters
         Its port.
-    guard : callable, optional
-        A further check of complete sequences, for limits that need a model of the beam.
+    guard : BeamGuard, optional
+        The beam on the axis, and how far it may be loaded.
 
     Raises
     ------
@@ -39,9 +39,9 @@ class DriverHub:
     """
 
     def __init__(
-        self, parameters: AxisParameters, link: LinkParameters, *, guard: Guard | None = None
+        self, parameters: AxisParameters, link: LinkParameters, *, guard: BeamGuard | None = None
     ) -> None:
-        self._client = HubClient(parameters, link, guard)
+        self._client = HubClient(parameters, link, guard, checks_in_background=True)
         self._transport = SerialTransport(link.serial_port, link.serial_baud)
         self._lock = threading.Lock()
         self._ending = threading.Event()
