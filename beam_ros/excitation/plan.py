@@ -17,7 +17,7 @@ from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.errors import UsageError
 from beam_ros.excitation.recipes import recipe_of_rig
-from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS
+from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS, MAX_TICKS
 from beam_ros.rig.rig import Rig
 
 _HOLD_OF_MODE = {"acceleration": "zoh", "velocity": "zoh", "position": "linear", "effort": "zoh"}
@@ -71,6 +71,12 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         acceleration=rig.hub.max_acceleration,
         jerk=rig.excitation.max_jerk or math.inf,
     )
+    n_ticks = round(recipe.total_s / period_s)
+    if n_ticks > MAX_TICKS:
+        raise UsageError(
+            f"excitation refused: it lasts {recipe.total_s:g} s, {n_ticks} ticks of the hub: at most {MAX_TICKS} "
+            f"ticks ({MAX_TICKS * period_s:g} s) are taken; shorten excitation.duration or excitation.still"
+        )
     try:
         sampled = recipe.sample(period_s, limits)
     except IdentificationError as err:

@@ -138,6 +138,8 @@ class CommandedMotion:
         position, velocity : float
             Of the hub, as the axis's status says [m], [m/s]; used where its samples are old or missing.
         """
+        if not math.isfinite(position + velocity):
+            return f"the hub is at {position} m with {velocity} m/s: expected finite numbers; look at its encoder"
         if abs(now_ns - self._known.ns) > OLD_SAMPLES_NS:
             bridged = self._advance(self._known, now_ns) if self._known.ns else self._known
             self._known = _Instant(now_ns, position, velocity, bridged.beam)

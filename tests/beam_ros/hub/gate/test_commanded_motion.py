@@ -134,8 +134,8 @@ def test_the_axis_state_counts_and_a_shorter_watchdog_gives_room() -> None:
     assert objection(0.0501, 0.0, value=-0.1) is None
     assert objection(0.0501, 0.0, value=0.0) is None
     assert "travel" in objection(0.0501, 0.0, value=1e-3)
-    # NaN is no position.
-    assert objection(float("nan"), 0.0) is not None
+    assert "expected finite numbers" in objection(float("nan"), 0.0)
+    assert "expected finite numbers" in objection(0.0, float("inf"))
 
 
 def test_a_hold_that_would_be_too_fast_is_refused() -> None:
