@@ -83,6 +83,14 @@ class Requests:
         if pending is not None:
             self._complete(pending, outcome)
 
+    def drop_stale(self) -> None:
+        """Fail what waited unsent for a frozen host, but what stops the axis."""
+        for number, pending in list(self._pending.items()):
+            if pending.first_sent_ns is None and pending.kind not in ("stop", "disable"):
+                del self._pending[number]
+                message = f"{pending.kind} refused: the hub's process was frozen; ask again"
+                self._complete(pending, Outcome(False, message))
+
     def fail_all(self, reason: str) -> None:
         """Fail what is pending, because the device cannot be reached any more."""
         for pending in self._pending.values():

@@ -180,8 +180,9 @@ class HubClient:
     def transmit(self, now_ns: int) -> bytes:
         """Return what is to be sent now, at steady time ``now_ns``; nothing where the host is not alive."""
         if not self._pulse.may_speak(now_ns, is_line_open=self._connection.state != "down"):
-            # A set-point that waited for a frozen host is too old to be sent when it thaws.
+            # What waited for a frozen host is too old to be sent when it thaws.
             self._setpoints.drop()
+            self._requests.drop_stale()
             return b""
         messages = list(self._words(now_ns) if self._connection.is_up else self._greeting(now_ns))
         if messages:

@@ -11,6 +11,7 @@ import numpy as np
 
 from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.emulated.emulator import EmulatedController, EmulatedFirmware
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
@@ -199,10 +200,11 @@ class DriverRig(Rig):
         folder: Path,
         plant: object = None,
         device: SimulatedDevice = DRIFTING,
+        guard: BeamGuard | None = None,
     ) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
         self.emulator = EmulatedController(parameters, load, device, link=folder / "hub")
-        self.hub = DriverHub(parameters, LinkParameters(self.emulator.port))
+        self.hub = DriverHub(parameters, LinkParameters(self.emulator.port), guard=guard)
         self.reports = []
 
     @property
