@@ -86,7 +86,6 @@ TESTED_IN = (
     ("beam_ros/process", "executables folders progress", "cli/test_main"),
     ("beam_ros/shell", "axis_links", "nodes/test_contract"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
-    ("beam_ros/shell", "hub_topics", "nodes/test_contract"),
     ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
     ("beam_ros/shell", "node", "nodes/test_parameters"),
     ("beam_ros/vision/camera", "source", "vision/camera/test_capture"),

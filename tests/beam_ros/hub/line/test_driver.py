@@ -18,9 +18,11 @@ import pytest
 from beam_model import BeamModel, BeamParameters
 from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.emulated.emulator import EmulatedController
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import BeamPlant
+from beam_ros.rig.rig import Rig as RigFile
 from tests.beam_ros.hub.hub_scenes import DriverRig, Rig, SimulatedRig, chunks_of, rest_to_rest
 
 ROOT = Path(__file__).parents[4]
@@ -38,9 +40,12 @@ def start(tmp_path):
     rigs = []
 
     def start_rig(
-        parameters: AxisParameters, plant: object = None, device: SimulatedDevice = DEVICE
+        parameters: AxisParameters,
+        plant: object = None,
+        device: SimulatedDevice = DEVICE,
+        guard: BeamGuard | None = None,
     ) -> DriverRig:
-        rigs.append(DriverRig(parameters, tmp_path, plant, device))
+        rigs.append(DriverRig(parameters, tmp_path, plant, device, guard))
         rigs[-1].connect()
         return rigs[-1]
 
@@ -200,6 +205,31 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
     assert rig.ask("enable").success
 
 
+def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
+    """The check takes a second or more; meanwhile the host speaks, or the device's watchdog would stop the axis."""
+    rig = start(ACCELERATION, guard=RigFile.from_file().beam_guard())
+    rig.enable()
+    values = np.zeros(600_000)
+    values[:3000] = rest_to_rest(3000)
+    start_ns = rig.now.unix_ns + 30_000_000_000
+    for k, chunk in enumerate(chunks_of(values, start_ns)):
+        rig.hub.load(chunk, rig.now)
+        if k % 100 == 0:
+            rig.run(0.01)
+    pauses = []
+    for _ in range(3000):
+        begun = time.monotonic()
+        report = rig.run(0.01)[-1]
+        pauses.append(time.monotonic() - begun)
+        if "loading" not in states([report]) and states([report]):
+            break
+    assert states([report]) == ["ready"], report.sequences
+    assert report.status.state == "enabled", report.status.fault
+    # The host's patience with its own executor is 0.2 s.
+    assert sorted(pauses)[-2] < 0.2
+    assert rig.ask("stop").success
+
+
 def test_garbage_on_the_line_does_not_disturb_a_sequence(start):
     rig = start(PATIENT)
     rig.enable()
@@ -255,6 +285,7 @@ def test_a_power_cut_of_the_controller_is_a_new_epoch(start):
 
 CHILD = """
 import sys, time
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.contract import HostTime
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from beam_ros.hub.line.driver import DriverHub
