@@ -22,8 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from beam_ros.hub.contract import SampleBatch
 from beam_ros.hub.gate.command_gate import CommandGate
-from beam_ros.hub.gate.sequence_assembly import Sequence
-from beam_ros.hub.gate.sequence_check import SequenceCheck, SequenceMotion
+from beam_ros.hub.gate.sequence_assembly import SequenceAssembler
+from beam_ros.hub.gate.sequence_check import SequenceCheck
+from beam_ros.messages import split_sequence
 from beam_ros.rig.rig import Rig
 
 START_NS = 1_700_000_000_000_000_000
@@ -50,10 +51,11 @@ def sequence_share(minutes: float) -> tuple[float, float]:
     rig = Rig.from_file()
     # The mean of a cosine over each tick: whole periods of it end at rest.
     values = 0.05 * np.cos(2 * np.pi * (np.arange(round(minutes * 60) * 1000) + 0.5) * 1e-3)
-    guard = rig.beam_guard()
-    check = SequenceCheck(
-        Sequence("s", START_NS, values), SequenceMotion(rig.axis_parameters(), 0.0), guard.sequence()
-    )
+    chunks = split_sequence("s", START_NS, 1_000_000, values)
+    assembler = SequenceAssembler(chunks[0], rig.axis_parameters())
+    for chunk in chunks:
+        assert assembler.add(chunk) is None
+    check = SequenceCheck(assembler, rig.axis_parameters(), 0.0, rig.beam_guard().sequence)
     tracemalloc.start()
     begin = time.process_time()
     check.begin(in_background=False)

@@ -13,6 +13,7 @@ from typing import Any
 
 from beam_ident.errors import IdentificationError
 from beam_ident.excitation import AxisLimits, Recipe, SampledExcitation
+from beam_ident.numerics.blas_threads import one_blas_thread
 from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.errors import UsageError
@@ -85,11 +86,9 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
     mass = rig.beam_parameters().total_mass
     values = sampled.accelerations * mass if mode == "effort" else sampled.samples(mode)
     loads = rig.beam_guard().sequence()
-    for k in range(0, len(values), BLOCK_TICKS):
-        reason = loads.add(values[k : k + BLOCK_TICKS])
-        if reason:
-            raise UsageError(f"excitation refused: {reason}")
-    reason = loads.objection()
+    with one_blas_thread():
+        blocks = (values[k : k + BLOCK_TICKS] for k in range(0, len(values), BLOCK_TICKS))
+        reason = next(filter(None, map(loads.add, blocks)), None) or loads.objection()
     if reason:
         raise UsageError(f"excitation refused: {reason}")
     return ExcitationPlan(recipe, sampled, mode, values, loads.loads)

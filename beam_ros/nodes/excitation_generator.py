@@ -25,7 +25,7 @@ _SLOWNESS = 1.5
 """A busy computer hands over so much more slowly."""
 _MARGIN_S = 1.0
 _CHECK_S_PER_TICK = 1e-5
-"""Between the last chunk and the start, for the hub to check the whole: 1.5e-6 s a tick on an idle computer."""
+"""Between the last chunk and the start, for the hub to check the whole: 5e-7 s a tick on an idle computer."""
 
 
 class ExcitationGenerator(RigNode):

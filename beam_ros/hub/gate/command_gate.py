@@ -7,6 +7,7 @@ the same limits, as if it were the last that is ever heard. The axis guards its 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable
 
@@ -28,7 +29,6 @@ from beam_ros.hub.gate.sequence_check import (
     POSITION_TOLERANCE,
     REST_SPEED,
     SequenceCheck,
-    SequenceMotion,
 )
 from beam_ros.hub.gate.stamps import MAX_AGE_NS, MAX_LEAD_NS, MIN_START_LEAD_NS, READY_LEAD_NS, stale
 from beam_ros.hub.parameters import AxisParameters
@@ -60,7 +60,6 @@ class CommandGate:
         self._motion = CommandedMotion(parameters, guard)
         self._assembler: SequenceAssembler | None = None
         self._check: SequenceCheck | None = None
-        self._checked_position = 0.0
         self._refused: tuple[str, int] | None = None
         self._is_released = False
         self._reports: list[SequenceReport] = []
@@ -172,12 +171,8 @@ class CommandGate:
     def _begin_check(
         self, assembler: SequenceAssembler, now_ns: int, state: AxisState, position: float, speed: float
     ) -> None:
-        sequence = assembler.assemble()
-        if isinstance(sequence, str):
-            self._refuse(sequence)
-            return
         objection = self._unready(state, position, speed)
-        lead_ns = sequence.start_ns - now_ns
+        lead_ns = assembler.start_ns - now_ns
         if objection is None and lead_ns < MIN_START_LEAD_NS:
             objection = (
                 f"complete {lead_ns * 1e-9:.3f} s before its start: expected at least "
@@ -188,9 +183,9 @@ class CommandGate:
             return
         loads = None
         if self._guard is not None:
-            loads = self._guard.sequence(position, self._motion.beam_at(sequence.start_ns))
-        self._checked_position = position
-        self._check = SequenceCheck(sequence, SequenceMotion(self._parameters, position), loads)
+            beam = self._motion.beam_at(assembler.start_ns)
+            loads = functools.partial(self._guard.sequence, position, beam)
+        self._check = SequenceCheck(assembler, self._parameters, position, loads)
         self._check.begin(in_background=self._in_background)
 
     def _unready(self, state: AxisState, position: float, speed: float) -> str | None:
@@ -202,7 +197,7 @@ class CommandGate:
         if abs(speed) > moving:
             return f"the hub moves with {speed:.3g} m/s: expected it at rest"
         if self._check is not None:
-            way = position - self._checked_position
+            way = position - self._check.position
             if abs(way) > POSITION_TOLERANCE + 1.5 * self._parameters.encoder_resolution:
                 return f"the hub moved by {way:.3g} m while the sequence was checked: expected it at rest"
         return None
@@ -229,8 +224,8 @@ class CommandGate:
             self._refuse(check.objection)
         elif lead_ns < READY_LEAD_NS:
             self._refuse(
-                f"its {check.sequence.n_ticks} ticks could not be checked before its start; give it a start stamp "
-                "that is some seconds later for every 1e6 ticks"
+                f"its {assembler.points} samples could not be checked before its start; give it a start stamp that "
+                "is some seconds later for every 1e6 ticks"
             )
         elif check.is_done:
             objection = self._unready(state, position, speed)

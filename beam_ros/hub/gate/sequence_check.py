@@ -7,12 +7,14 @@ that: both are the heartbeat for which the device's watchdog listens.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 
+from beam_ident.numerics.blas_threads import one_blas_thread
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.gate.beam_guard import SequenceLoads
-from beam_ros.hub.gate.sequence_assembly import Sequence
+from beam_ros.hub.gate.sequence_assembly import Sequence, SequenceAssembler
 from beam_ros.hub.parameters import AxisParameters
 
 POSITION_TOLERANCE = 2e-6
@@ -140,24 +142,36 @@ class SequenceCheck:
 
     Parameters
     ----------
-    sequence : Sequence
-        What is to be run.
-    motion : SequenceMotion
-        Says what the hub would do.
-    loads : SequenceLoads or None
-        Says what the beam would do; None where nobody knows the beam.
+    assembler : SequenceAssembler
+        Holds all chunks.
+    parameters : AxisParameters
+        The axis's limits.
+    position : float
+        Where the hub rests [m].
+    loads : callable, optional
+        Begins to predict what the beam would do; None where nobody knows the beam.
 
     Attributes
     ----------
-    sequence : Sequence
+    position : float
+    sequence : Sequence or None
+        The whole; None until it is put together.
     objection : str or None
         Why the axis must not run it; None while it is not known, or when there is nothing against it.
     """
 
-    def __init__(self, sequence: Sequence, motion: SequenceMotion, loads: SequenceLoads | None) -> None:
-        self.sequence = sequence
+    def __init__(
+        self,
+        assembler: SequenceAssembler,
+        parameters: AxisParameters,
+        position: float,
+        loads: Callable[[], SequenceLoads] | None = None,
+    ) -> None:
+        self.position = position
+        self.sequence: Sequence | None = None
         self.objection: str | None = None
-        self._motion = motion
+        self._assembler = assembler
+        self._motion = SequenceMotion(parameters, position)
         self._loads = loads
         self._is_cancelled = False
         self._done = threading.Event()
@@ -180,7 +194,9 @@ class SequenceCheck:
 
     def _run(self) -> None:
         try:
-            self.objection = self._objection()
+            # Threads of the linear algebra would wait for each other on the processors that the heartbeat needs.
+            with one_blas_thread():
+                self.objection = self._objection()
         except Exception as err:
             # A thread that died without a word would leave the sequence loading for ever.
             self.objection = (
@@ -191,13 +207,18 @@ class SequenceCheck:
             self._done.set()
 
     def _objection(self) -> str | None:
+        sequence = self._assembler.assemble()
+        if isinstance(sequence, str):
+            return sequence
+        self.sequence = sequence
+        loads = None if self._loads is None else self._loads()
         with np.errstate(over="ignore", invalid="ignore"):
-            for block in self.sequence.blocks():
+            for block in sequence.blocks():
                 if self._is_cancelled:
                     return "given up"
                 objection = self._motion.add(block)
-                if objection is None and self._loads is not None:
-                    objection = self._loads.add(block)
+                if objection is None and loads is not None:
+                    objection = loads.add(block)
                 if objection:
                     return objection
-        return self._motion.end() or (None if self._loads is None else self._loads.objection())
+        return self._motion.end() or (None if loads is None else loads.objection())

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub.gate.sequence_assembly import Sequence
+from beam_ros.hub.gate.sequence_assembly import SequenceAssembler
 from beam_ros.hub.gate.sequence_check import SequenceCheck, SequenceMotion
 from beam_ros.hub.parameters import AxisParameters
-from tests.beam_ros.hub.hub_scenes import rest_to_rest
+from tests.beam_ros.hub.hub_scenes import chunks_of, rest_to_rest
 
 ACCELERATION = AxisParameters()
 VELOCITY = AxisParameters(command_mode="velocity")
@@ -14,8 +14,16 @@ POSITION = AxisParameters(command_mode="position")
 EFFORT = AxisParameters(command_mode="effort")
 
 
+def assembled(values, parameters):
+    chunks = chunks_of(values, 10**18, period_ns=parameters.period_ns)
+    assembler = SequenceAssembler(chunks[0], parameters)
+    for chunk in chunks:
+        assert assembler.add(chunk) is None
+    return assembler
+
+
 def check_sequence(values, parameters, position):
-    check = SequenceCheck(Sequence("s", 1, values), SequenceMotion(parameters, position), None)
+    check = SequenceCheck(assembled(values, parameters), parameters, position)
     check.begin(in_background=False)
     assert check.is_done
     return check.objection
@@ -91,7 +99,7 @@ def test_a_check_that_breaks_refuses_its_sequence():
         def add(self, values):
             raise MemoryError("no room")
 
-    check = SequenceCheck(Sequence("s", 1, np.zeros(9)), SequenceMotion(ACCELERATION, 0.0), Broken())
+    check = SequenceCheck(assembled(np.zeros(9), ACCELERATION), ACCELERATION, 0.0, Broken)
     with pytest.raises(MemoryError):
         check.begin(in_background=False)
     assert check.is_done
