@@ -46,6 +46,7 @@ def test_a_recipe_that_makes_no_signal_is_one_line(executables) -> None:
 QUICK = (
     *("-p", "excitation.acceleration:=0.2"),
     *("-p", "excitation.duration:=30.0"),
+    *("-p", "excitation.start_delay:=5.0"),  # for a busy computer
 )
 
 
