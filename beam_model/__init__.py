@@ -6,12 +6,14 @@ which imports Matplotlib when it draws.
 """
 
 from beam_model.advice.experiment_advice import ExperimentAdvice as ExperimentAdvice
-from beam_model.advice.experiment_advice import PredictedLoads as PredictedLoads
 from beam_model.advice.experiment_advice import advise as advise
 from beam_model.advice.experiment_advice import aliases as aliases
 from beam_model.advice.experiment_advice import node_heights as node_heights
-from beam_model.advice.experiment_advice import predict_loads as predict_loads
 from beam_model.advice.experiment_advice import suggest_marker_heights as suggest_marker_heights
+from beam_model.advice.loads import HeldLoads as HeldLoads
+from beam_model.advice.loads import LoadTrace as LoadTrace
+from beam_model.advice.loads import PredictedLoads as PredictedLoads
+from beam_model.advice.loads import predict_loads as predict_loads
 from beam_model.advice.summary import ModelSummary as ModelSummary
 from beam_model.advice.summary import summarise as summarise
 from beam_model.continuum.exact import exact_frequency_response as exact_frequency_response

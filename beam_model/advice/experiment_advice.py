@@ -12,7 +12,6 @@ from scipy.optimize import brentq
 from beam_model.arrays import FloatArray
 from beam_model.errors import BeamParameterError
 from beam_model.galerkin.model import BeamModel
-from beam_model.parameters import check_number
 
 # Frames per period of the highest wanted mode: the sampling theorem's 2 with room for a filter's slope.
 _FRAMES_PER_PERIOD = 2.5
@@ -163,69 +162,4 @@ def advise(
         excitation_band=(float(f[0] / 3.0), float(top)),
         half_power_bandwidths=2.0 * zeta[:n_modes] * f[:n_modes],
         settling_time=float(np.log(1000.0) / decay) if decay > 0.0 else float("inf"),
-    )
-
-
-@dataclass(frozen=True)
-class PredictedLoads:
-    """The largest loads that a hub motion would bring, by linear theory.
-
-    Attributes
-    ----------
-    tip_deflection : float
-        Largest |w(L)| [m].
-    modal_tip_deflections : ndarray, shape (n_modes,)
-        Largest share of each mode in it [m].
-    root_strain : float
-        Largest bending strain at the strip's surface at the clamp.
-    hub_force : float
-        Largest force that moves the hub, with the beam's reaction [N].
-    """
-
-    tip_deflection: float
-    modal_tip_deflections: FloatArray
-    root_strain: float
-    hub_force: float
-
-
-def predict_loads(
-    model: BeamModel, period: float, accelerations: ArrayLike, thickness: float
-) -> PredictedLoads:
-    """Return what a record of hub accelerations, held over each tick, would do to beam and hub.
-
-    Parameters
-    ----------
-    model : BeamModel
-    period : float
-        From tick to tick [s].
-    accelerations : array_like, shape (n_samples,)
-        Of the hub, from rest [m/s^2].
-    thickness : float
-        Of the strip in the direction of motion [m].
-
-    Notes
-    -----
-    Read at the ticks. Strain is thickness/2 times the curvature at the clamp; the force is
-    J alpha'' + sum E_i q_i'', with the left-out modes' mass carried along rigidly.
-    """
-    a = np.asarray(accelerations, dtype=np.float64).ravel()
-    thickness = check_number("thickness", thickness, "m", above=0.0)
-    if a.size == 0 or not np.all(np.isfinite(a)):
-        raise BeamParameterError("accelerations", a.size, "", "at least one finite value")
-    n, L = model.n_modes, model.parameters.length
-    states = model.motion_stepper(period).run(a)[:-1]
-    q, rates = states[:, :n], states[:, n:]
-    modal = q * model.shape([L])[0]
-    tip = modal.sum(axis=1) - a * model.residual_terms([L])[0]
-    curvature = q @ model.shape([0.0], 2)[0] - a * model.residual_terms([0.0], 2)[0]
-    damping = model.matrices.C[1:, 1:] / model.basis.modal_mass
-    second = (
-        -rates @ damping.T - q * model.basis.natural_frequencies**2 - a[:, None] * model.participation_factors
-    )
-    force = model.parameters.total_mass * a + second @ model.basis.participation
-    return PredictedLoads(
-        tip_deflection=float(np.abs(tip).max()),
-        modal_tip_deflections=np.abs(modal).max(axis=0),
-        root_strain=float(0.5 * thickness * np.abs(curvature).max()),
-        hub_force=float(np.abs(force).max()),
     )

@@ -80,6 +80,11 @@ class LinearStepper:
         scaled = A * scale[:, None] / scale[None, :]
         self._rate = float(np.linalg.norm(scaled, 2))
 
+    @property
+    def tick_matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Transition, shape (n, n), and effect of a held input, shape (n,): X+ = transition X + held u."""
+        return self._transition, self._held
+
     def _advance(self, value: float) -> None:
         np.dot(self._transition, self._full_state, out=self._scratch)
         np.multiply(self._held, value, out=self._full_state)

@@ -283,6 +283,31 @@ def decode_trajectory(data: bytes, joint: str) -> tuple[int, StampArray, _Column
     return stamp_ns(message), times_ns, columns
 
 
+def faulty_chunk(data: bytes, fault: str) -> SequenceChunk:
+    """Return what stands for a chunk that could not be decoded, so that its sequence is refused.
+
+    Parameters
+    ----------
+    data : bytes -- as they came from the wire
+    fault : str -- what is wrong with them
+
+    Returns
+    -------
+    SequenceChunk -- without samples; its name and start are empty and 0 where even they cannot be read
+    """
+    try:
+        seconds, nanoseconds = _STAMP.unpack_from(data, 4)
+        frame = _read_text(memoryview(data)[4:], 8)[0].decode()
+    except (struct.error, UnicodeDecodeError):
+        seconds, nanoseconds, frame = 0, 0, ""
+    sequence_id, _, numbers = frame.rpartition(" ")
+    if not sequence_id or "/" not in numbers or any(map(str.isspace, sequence_id)):
+        sequence_id = ""
+    return SequenceChunk(
+        sequence_id[:80], 0, 0, seconds * SECOND_NS + nanoseconds, 0, 0, np.zeros(0), fault=fault
+    )
+
+
 def _general_trajectory(data: bytes) -> Any:
     try:
         return BagTypes().deserialize(data, graph.JOINT_TRAJECTORY)

@@ -8,18 +8,17 @@ any sender.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from beam_ident.errors import IdentificationError
 from beam_ident.excitation import AxisLimits, Recipe, SampledExcitation
-from beam_model.advice.experiment_advice import PredictedLoads, predict_loads
+from beam_ident.numerics.blas_threads import one_blas_thread
+from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.errors import UsageError
 from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS, MAX_TICKS
 from beam_ros.rig.rig import Rig
 
 _HOLD_OF_MODE = {"acceleration": "zoh", "velocity": "zoh", "position": "linear", "effort": "zoh"}
@@ -73,72 +72,23 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
         acceleration=rig.hub.max_acceleration,
         jerk=rig.excitation.max_jerk or math.inf,
     )
+    n_ticks = round(recipe.total_s / period_s)
+    if n_ticks > MAX_TICKS:
+        raise UsageError(
+            f"excitation refused: it lasts {recipe.total_s:g} s, {n_ticks} ticks of the hub: at most {MAX_TICKS} "
+            f"ticks ({MAX_TICKS * period_s:g} s) are taken; shorten excitation.duration or excitation.still"
+        )
     try:
         sampled = recipe.sample(period_s, limits)
     except IdentificationError as err:
         raise UsageError(f"excitation refused: {err}") from err
-    model = rig.beam_model()
     mode = rig.hub.command_mode
-    total_mass = model.matrices.M[0, 0]
-    is_force = mode == "effort"
-    values = sampled.accelerations * total_mass if is_force else sampled.samples(mode)  # type: ignore[arg-type]
-    plan = ExcitationPlan(
-        recipe,
-        sampled,
-        mode,
-        values,
-        predict_loads(model, period_s, sampled.accelerations, rig.beam.thickness),
-    )
-    reason = _refusal(rig, plan.prediction)
+    mass = rig.beam_parameters().total_mass
+    values = sampled.accelerations * mass if mode == "effort" else sampled.samples(mode)
+    loads = rig.beam_guard().sequence()
+    with one_blas_thread():
+        blocks = (values[k : k + BLOCK_TICKS] for k in range(0, len(values), BLOCK_TICKS))
+        reason = next(filter(None, map(loads.add, blocks)), None) or loads.objection()
     if reason:
         raise UsageError(f"excitation refused: {reason}")
-    return plan
-
-
-def _refusal(rig: Rig, prediction: PredictedLoads) -> str | None:
-    limit, force_limit = rig.hub.max_tip_deflection, rig.hub.max_effort
-    if prediction.tip_deflection > limit:
-        return (
-            f"predicted tip deflection {prediction.tip_deflection * 1e3:.3g} mm: the limit "
-            f"hub.max_tip_deflection is {limit * 1e3:g} mm; lower excitation.acceleration to "
-            f"{100 * limit / prediction.tip_deflection:.0f} %"
-        )
-    strain_limit = rig.beam.max_root_strain
-    if prediction.root_strain > strain_limit:
-        return (
-            f"predicted root strain {prediction.root_strain:.3g}: the limit beam.max_root_strain is "
-            f"{strain_limit:g}; lower excitation.acceleration to {100 * strain_limit / prediction.root_strain:.0f} %"
-        )
-    if prediction.hub_force > force_limit:
-        return (
-            f"predicted hub force {prediction.hub_force:.3g} N: the limit hub.max_effort is "
-            f"{force_limit:g} N; lower excitation.acceleration"
-        )
-    return None
-
-
-def tip_guard(rig: Rig) -> Callable[[FloatArray], str | None]:
-    """Build the hub's own check of a sequence against the predicted motion of the beam.
-
-    Returns
-    -------
-    callable -- from samples in the command mode's unit, at device ticks, to a reason for refusal or None
-    """
-    model = rig.beam_model()
-    mode, period_s = rig.hub.command_mode, rig.hub.period
-    thickness = rig.beam.thickness
-
-    def guard(values: FloatArray) -> str | None:
-        if mode == "acceleration":
-            accelerations = values
-        elif mode == "effort":
-            accelerations = values / model.matrices.M[0, 0]
-        else:
-            order = {"velocity": 1, "position": 2}[mode]
-            accelerations = np.diff(values, order, prepend=[values[0]] * order) / period_s**order
-        prediction = predict_loads(model, period_s, np.asarray(accelerations, dtype=np.float64), thickness)
-        return (
-            _refusal(rig, prediction) if math.isfinite(prediction.tip_deflection) else "prediction diverged"
-        )
-
-    return guard
+    return ExcitationPlan(recipe, sampled, mode, values, loads.loads)

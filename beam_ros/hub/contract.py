@@ -96,6 +96,9 @@ class SequenceChunk:
         ``first_tick * period_ns``.
     values : ndarray, shape (n_points,)
         Samples in the command mode's unit.
+    fault : str, optional
+        What is wrong with the message; such a chunk refuses its sequence, or the one that is loading where it does
+        not even name one.
     """
 
     sequence_id: str
@@ -105,6 +108,7 @@ class SequenceChunk:
     period_ns: int
     first_tick: int
     values: FloatArray
+    fault: str = ""
 
 
 @dataclass(frozen=True)

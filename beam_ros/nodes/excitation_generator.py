@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import Any
 
@@ -11,17 +12,20 @@ from rclpy.task import Future
 from beam_ros import messages
 from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
+from beam_ros.excitation.handing_over import SILENCE_S, HandingOver
 from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
-from beam_ros.hub.sequences import MAX_CHUNK_POINTS
+from beam_ros.hub.gate.sequence_assembly import MAX_CHUNK_POINTS
 from beam_ros.messages import MessageContentError
+from beam_ros.shell.freeze_watch import FreezeWatch
 from beam_ros.shell.node import RigNode, run_node
 
 _CHUNKS_PER_TICK = 4
 _TICK_S = 0.02
+_SLOWNESS = 1.5
+"""A busy computer hands over so much more slowly."""
 _MARGIN_S = 1.0
-"""Between the last chunk and the start, for the hub to check the whole."""
-_ANSWER_S = 10.0
-"""Patience with a hub that does not answer."""
+_CHECK_S_PER_TICK = 1e-5
+"""Between the last chunk and the start, for the hub to check the whole: 5e-7 s a tick on an idle computer."""
 
 
 class ExcitationGenerator(RigNode):
@@ -31,89 +35,121 @@ class ExcitationGenerator(RigNode):
         super().__init__("excitation_generator")
         self._sequence = self.offer("hub/sequence")
         self._info = self.offer("excitation/info")
-        self._state: dict[str, Any] = {}
         self._started = 0
-        self._current = ""
-        self._outgoing: list[bytes] = []
-        self.listen("hub/sequence_state", self._on_sequence_state)
-        self._verdict: tuple[Future, float] | None = None
+        self._current: HandingOver | None = None
+        self._states = self.listen("hub/sequence_state", self._on_sequence_state)
+        self.listen("hub/state", self._on_hub_state, raw=True)
+        self._freeze = FreezeWatch()
+        self._planned: ExcitationPlan | str | None = None
+        self._planning: threading.Thread | None = None
+        self._verdict: Future | None = None
+        self._heard_s: float | None = None
         # Both answer when the hub has; in a group of their own they keep nothing else waiting.
         group = ReentrantCallbackGroup()
         self.serve("excitation/start", self._on_start, callback_group=group)
         self.serve("excitation/stop", self._on_stop, callback_group=group)
         self._hub_stop = self.call_of("hub/stop", callback_group=group)
-        self.create_timer(_TICK_S, self._send)
-        self._plan = plan_excitation(self.rig)
-        self._publish_info(self._plan, {})
+        self.create_timer(_TICK_S, self._tick)
+        self._publish_info(plan_excitation(self.rig), {})
 
     def _publish_info(self, plan: ExcitationPlan, more: dict[str, Any]) -> None:
         self._info.publish(messages.json_text(self.types, {**plan.info(self.rig), **more}))
 
     def _on_sequence_state(self, message: Any) -> None:
         try:
-            self._state = messages.read_json(message)
+            report = messages.read_json(message)
         except MessageContentError as err:
             self.get_logger().warning(str(err), throttle_duration_sec=5.0)
             return
-        if self._state.get("id") != self._current:
-            return
-        if self._state.get("state") == "refused":
-            self._outgoing.clear()
-            self._answer(False, f"the hub refused {self._current}: {self._state.get('reason')}")
-        elif self._state.get("state") in ("ready", "running", "done"):
-            self._answer(True, f"{self._current} starts")
+        if self._current is not None:
+            self._current.note(report)
 
-    def _answer(self, success: bool, message: str) -> None:
-        if self._verdict is not None:
-            future, _ = self._verdict
-            self._verdict = None
-            future.set_result((success, message))
-
-    @property
-    def _is_busy(self) -> bool:
-        ours = self._state.get("id") == self._current
-        return (
-            self._verdict is not None
-            or bool(self._outgoing)
-            or (ours and self._state.get("state") in ("loading", "ready", "running"))
-        )
+    def _on_hub_state(self, _data: bytes) -> None:
+        self._heard_s = time.monotonic()
+        if self._current is not None:
+            self._current.hear(self._heard_s)
 
     async def _on_start(self, _request: Any, response: Any) -> Any:
-        if self._is_busy:
-            response.success, response.message = False, f"sequence {self._current} is under way"
+        refusal = self._start_refusal()
+        if refusal:
+            response.success, response.message = False, refusal
             return response
-        if self._sequence.get_subscription_count() == 0:
-            response.success = False
-            response.message = "nobody listens on hub/sequence: start the simulator or the hub driver first"
-            return response
-        try:
-            plan = plan_excitation(self.rig)
-        except faults_of_the_user() as err:
-            response.success, response.message = False, str(err)
-            return response
-        self._started += 1
-        self._current = f"{self.rig.excitation.kind}-{time.time_ns() // 1_000_000}-{self._started}"
-        period_ns = round(plan.sampled.period_s * 1e9)
-        handing_over_s = len(plan.values) / MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S + _MARGIN_S
-        delay_s = max(self.rig.excitation.start_delay, handing_over_s)
-        start_ns = self.now_ns() + round(delay_s * 1e9)
-        chunks = messages.split_sequence(self._current, start_ns, period_ns, plan.values)
-        self._outgoing = [encode_chunk(chunk, plan.mode) for chunk in chunks]
-        self._publish_info(plan, {"sequence_id": self._current, "start_ns": start_ns})
-        future = Future()
-        self._verdict = (future, time.monotonic() + delay_s + _ANSWER_S)
-        response.success, response.message = await future
+        self._verdict, self._current = Future(), None
+        # Half an hour at 1 kHz takes seconds to design, and excitation/stop must be heard meanwhile.
+        self._planning = threading.Thread(target=self._plan, name="plan", daemon=True)
+        self._planning.start()
+        response.success, response.message = await self._verdict
         return response
 
-    def _send(self) -> None:
-        for chunk in self._outgoing[:_CHUNKS_PER_TICK]:
+    def _start_refusal(self) -> str | None:
+        objection = self._freeze.objection(time.monotonic_ns())
+        if objection:
+            return f"start refused: the excitation's process {objection}"
+        if self._planning is not None:
+            return "a sequence is being designed"
+        if self._current is not None and self._current.is_under_way:
+            return f"sequence {self._current.sequence_id} is under way"
+        if self._sequence.get_subscription_count() == 0:
+            return "nobody listens on hub/sequence: start the simulator or the hub driver first"
+        silence_s = 0.0 if self._heard_s is None else time.monotonic() - self._heard_s
+        if silence_s > SILENCE_S:
+            return f"the hub has been silent for {silence_s:.1f} s: start it, or connect its controller"
+        return None
+
+    def _plan(self) -> None:
+        try:
+            self._planned = plan_excitation(self.rig)
+        except faults_of_the_user() as err:
+            self._planned = str(err)
+        except Exception as err:
+            self._planned = f"{type(err).__name__}: {err}"
+            raise
+
+    def _hand_over(self, plan: ExcitationPlan) -> None:
+        self._started += 1
+        name = f"{self.rig.excitation.kind}-{time.time_ns() // 1_000_000}-{self._started}"
+        n_ticks, period_ns = len(plan.values), round(plan.sampled.period_s * 1e9)
+        handing_over_s = n_ticks / MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S * _SLOWNESS
+        handing_over_s += _MARGIN_S + n_ticks * _CHECK_S_PER_TICK
+        start_ns = self.now_ns() + round(max(self.rig.excitation.start_delay, handing_over_s) * 1e9)
+        chunks = messages.split_sequence(name, start_ns, period_ns, plan.values)
+        self._current = HandingOver(
+            name,
+            (encode_chunk(chunk, plan.mode) for chunk in chunks),
+            start_ns,
+            start_ns + n_ticks * period_ns,
+            now_s=time.monotonic(),
+            n_hubs=self._states.get_publisher_count(),
+        )
+        self._publish_info(plan, {"sequence_id": name, "start_ns": start_ns})
+
+    def _tick(self) -> None:
+        self._freeze.beat(time.monotonic_ns())
+        planned, self._planned = self._planned, None
+        if planned is not None:
+            self._planning = None
+        if isinstance(planned, str):
+            self._answer((False, planned))
+        elif planned is not None and self._verdict is not None:
+            self._hand_over(planned)
+        current = self._current
+        if current is None:
+            return
+        for chunk in current.take_chunks(_CHUNKS_PER_TICK):
             self._sequence.publish(chunk)
-        del self._outgoing[:_CHUNKS_PER_TICK]
-        if self._verdict is not None and time.monotonic() > self._verdict[1]:
-            self._answer(False, f"the hub said nothing of {self._current}: is a hub on this graph?")
+        if current.check(time.monotonic(), self.now_ns(), self._states.get_publisher_count()):
+            self.get_logger().error(f"{current.sequence_id} is lost: {current.reason}")
+        self._answer(current.verdict)
+
+    def _answer(self, verdict: tuple[bool, str] | None) -> None:
+        if self._verdict is not None and verdict is not None:
+            future, self._verdict = self._verdict, None
+            future.set_result(verdict)
 
     async def _on_stop(self, _request: Any, response: Any) -> Any:
-        self._outgoing.clear()
+        if self._current is not None and self._verdict is not None:
+            self._current.give_up("excitation/stop was asked for")
+        self._answer((False, "excitation/stop was asked for"))
         if not self._hub_stop.service_is_ready():
             response.success, response.message = False, "hub/stop is not there: use the switch on the axis"
             return response
@@ -123,8 +159,14 @@ class ExcitationGenerator(RigNode):
 
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report which sequence was handed over last and what became of it."""
-        state = f"{self._current}: {self._state.get('state', 'handed over')}" if self._current else "ready"
-        return "OK", state, {"sequences": self._started}
+        counters: dict[str, object] = {"sequences": self._started}
+        if self._current is None:
+            return "OK", "ready", counters
+        current = self._current
+        sentence = f"{current.sequence_id}: {current.state}"
+        if current.state == "lost":
+            return "WARN", f"{sentence}: {current.reason}", counters
+        return "OK", sentence, counters
 
 
 def main(argv: list[str] | None = None) -> int:

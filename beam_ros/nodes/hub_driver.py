@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from beam_ros.excitation.plan import tip_guard
 from beam_ros.shell.axis_links import open_axis
 from beam_ros.shell.hub_topics import HubNode
 from beam_ros.shell.node import run_node
@@ -12,7 +11,7 @@ class HubDriver(HubNode):
     """The real rig's hub."""
 
     def __init__(self) -> None:
-        super().__init__("hub_driver", lambda rig: open_axis(rig, tip_guard(rig)))
+        super().__init__("hub_driver", lambda rig: open_axis(rig, rig.beam_guard()))
 
 
 def main(argv: list[str] | None = None) -> int:

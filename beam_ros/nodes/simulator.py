@@ -8,7 +8,6 @@ from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
 from beam_ros import messages
-from beam_ros.excitation.plan import tip_guard
 from beam_ros.hub.contract import Hub, HubReport
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import beam_on_axis
@@ -35,7 +34,10 @@ class Simulator(HubNode):
         plant = beam_on_axis(self._model, parameters, rig.nonlinear_terms())
         factor = rig.simulation.real_time_factor
         self._simulated = SimulatedHub(
-            VirtualAxis(parameters, plant), real_time_factor=factor, guard=tip_guard(rig)
+            VirtualAxis(parameters, plant),
+            real_time_factor=factor,
+            guard=rig.beam_guard(),
+            checks_in_background=True,
         )
         return self._simulated
 

@@ -17,7 +17,7 @@ from beam_ros.arrays import ByteArray
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import RigUnavailableError
-from beam_ros.excitation.plan import plan_excitation, tip_guard
+from beam_ros.excitation.plan import plan_excitation
 from beam_ros.hub.contract import HostTime, HubReport, RequestKind
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import beam_on_axis
@@ -72,7 +72,7 @@ def simulate(
     model = rig.beam_model()
     parameters = rig.axis_parameters()
     axis = VirtualAxis(parameters, beam_on_axis(model, parameters, rig.nonlinear_terms()))
-    hub = SimulatedHub(axis, guard=tip_guard(rig))
+    hub = SimulatedHub(axis, guard=rig.beam_guard())
     types = BagTypes()
     with BagWriter(path) as bag:
         run = _Run(hub, bag, types)

@@ -20,9 +20,8 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters, NonlinearTerms
-    from beam_ros.hub.links.csv_lines import CsvColumns
-    from beam_ros.hub.links.odrive import OdriveParameters
-    from beam_ros.hub.links.trajectory import TrajectoryParameters
+    from beam_ros.hub.gate.beam_guard import BeamGuard
+    from beam_ros.hub.link_parameters import CsvColumns, OdriveParameters, TrajectoryParameters
     from beam_ros.hub.parameters import AxisParameters, LinkParameters
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
@@ -198,6 +197,13 @@ class Rig(RigParameters):
             move_acceleration=self.hub.move_acceleration,
         )
 
+    def beam_guard(self) -> BeamGuard:
+        """What the hub may do to the beam: the guard of every set-point and sequence."""
+        from beam_ros.hub.gate.beam_guard import BeamGuard, BeamLimits
+
+        limits = BeamLimits(self.hub.max_tip_deflection, self.beam.max_root_strain, self.hub.max_effort)
+        return BeamGuard(self.beam_model(), self.beam.thickness, limits, self.axis_parameters())
+
     def link_parameters(self) -> LinkParameters:
         """How the real axis is reached."""
         from beam_ros.hub.parameters import LinkParameters
@@ -211,7 +217,7 @@ class Rig(RigParameters):
 
     def trajectory_parameters(self) -> TrajectoryParameters:
         """How a JointTrajectoryController moves the hub."""
-        from beam_ros.hub.links.trajectory import TrajectoryParameters
+        from beam_ros.hub.link_parameters import TrajectoryParameters
 
         return TrajectoryParameters(
             metres_per_unit=self.axis.metres_per_unit,
@@ -221,7 +227,7 @@ class Rig(RigParameters):
 
     def odrive_parameters(self) -> OdriveParameters:
         """How an ODrive moves the hub."""
-        from beam_ros.hub.links.odrive import OdriveParameters
+        from beam_ros.hub.link_parameters import OdriveParameters
 
         return OdriveParameters(
             axis=self.odrive.axis,
@@ -232,7 +238,7 @@ class Rig(RigParameters):
 
     def csv_columns(self) -> CsvColumns:
         """What the lines of a board mean."""
-        from beam_ros.hub.links.csv_lines import CsvColumns
+        from beam_ros.hub.link_parameters import CsvColumns
 
         return CsvColumns(
             position=self.csv.position_column,

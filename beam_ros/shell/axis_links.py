@@ -1,7 +1,7 @@
 """The kinds of axis link in one table: how the node ``hub_driver`` comes to a hub from the rig.
 
 A package of a laboratory's own adds a kind as an entry point of the group ``beam_ros.axis_links``: a callable
-that takes the rig and the guard of its sequences, and returns what implements
+that takes the rig and the guard of its beam, and returns what implements
 ``beam_ros.hub.contract.Hub``. Its own settings stand in ``axis.options``, as ``rig.axis_options()`` gives them. What
 every link needs of a host lies in ``beam_ros.hub.host``; ``beam_ros.hub.links`` adds states, plans and stop ramps
 for a controller that has none.
@@ -14,27 +14,27 @@ from collections.abc import Callable
 from beam_ident.plug_ins import find_kind
 from beam_ros.errors import ParameterFileError, RigUnavailableError
 from beam_ros.hub.contract import Hub, HubCapabilities
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.links.csv_board import CsvHub
 from beam_ros.hub.links.odrive import OdriveHub
-from beam_ros.hub.sequences import Guard
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.trajectory_topics import TrajectoryLink
 
-AxisLink = Callable[[Rig, Guard], Hub]
+AxisLink = Callable[[Rig, BeamGuard], Hub]
 
 
-def beam_link(rig: Rig, guard: Guard) -> Hub:
+def beam_link(rig: Rig, guard: BeamGuard) -> Hub:
     """Open the suite's own protocol on a port, which may take ``serial.patience`` to appear."""
     return DriverHub(rig.axis_parameters(), rig.link_parameters(), guard=guard)
 
 
-def odrive_link(rig: Rig, guard: Guard) -> Hub:
+def odrive_link(rig: Rig, guard: BeamGuard) -> Hub:
     """Drive an ODrive over its ASCII protocol."""
     return OdriveHub(rig.axis_parameters(), rig.link_parameters(), rig.odrive_parameters(), guard)
 
 
-def csv_link(rig: Rig, guard: Guard) -> Hub:
+def csv_link(rig: Rig, guard: BeamGuard) -> Hub:
     """Listen to a board that prints lines."""
     return CsvHub(rig.link_parameters(), rig.csv_columns())
 
@@ -48,7 +48,7 @@ AXIS_LINKS: dict[str, AxisLink] = {
 """The suite's own kinds of axis link, by the value of ``axis.kind``."""
 
 
-def open_axis(rig: Rig, guard: Guard) -> Hub:
+def open_axis(rig: Rig, guard: BeamGuard) -> Hub:
     """Make the hub behind the kind of link that ``axis.kind`` chooses.
 
     Raises

@@ -6,6 +6,7 @@ services and shared parameters are the same because they are written here once.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,14 +15,17 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from beam_ros import messages
-from beam_ros.bags.batches import decode_chunk, encode_batch
+from beam_ros.bags.batches import decode_chunk, encode_batch, faulty_chunk
 from beam_ros.bags.errors import BagError
-from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, RequestKind, SequenceReport
+from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, RequestKind
 from beam_ros.messages import MessageContentError
 from beam_ros.rig.rig import Rig
+from beam_ros.shell.freeze_watch import FreezeWatch
 from beam_ros.shell.node import RigNode
 
 _POLL_S = 0.01
+_ALWAYS_TAKEN: tuple[RequestKind, ...] = ("stop", "disable")
+"""Requests that are never too old."""
 
 
 def host_time() -> HostTime:
@@ -45,6 +49,7 @@ class HubNode(RigNode):
         self._told_mode: tuple[object, ...] = ()
         self._refused_setpoints = 0
         self._waiting: dict[int, Future] = {}
+        self._freeze = FreezeWatch()
         self._mode = self.rig.hub.command_mode
         self._period_ns = self.rig.axis_parameters().period_ns
         self._applied = self.offer("hub/applied")
@@ -76,6 +81,11 @@ class HubNode(RigNode):
         return await self._ask("enable" if request.data else "disable", response)
 
     async def _ask(self, kind: RequestKind, response: Any) -> Any:
+        objection = None if kind in _ALWAYS_TAKEN else self._freeze.objection(time.monotonic_ns())
+        if objection:
+            response.success, response.message = False, f"{kind} refused: the hub's process {objection}"
+            self.get_logger().warning(response.message)
+            return response
         future = Future()
         self._waiting[self._hub.request(kind)] = future
         outcome = await future
@@ -104,15 +114,14 @@ class HubNode(RigNode):
             mode, chunk = decode_chunk(data, self._period_ns)
         except (MessageContentError, BagError) as err:
             self.get_logger().warning(f"sequence chunk refused: {err}", throttle_duration_sec=1.0)
-            return
+            mode, chunk = self._mode, faulty_chunk(data, str(err))
         if mode != self._mode:
-            reason = f"samples in {mode}: the hub is commanded in {self._mode}"
-            report = SequenceReport(chunk.sequence_id, "refused", len(chunk.values), reason)
-            self._sequence_state.publish(messages.sequence_state(self.types, report))
-            return
+            fault = f"samples in {mode}: the hub is commanded in {self._mode}"
+            chunk = dataclasses.replace(chunk, fault=fault)
         self._hub.load(chunk, host_time())
 
     def _poll(self) -> None:
+        self._freeze.beat(time.monotonic_ns())
         self.publish_report(self._hub.poll(host_time()))
 
     def publish_report(self, report: HubReport) -> None:

@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile
 
 from beam_ros.bags.batches import encode_trajectory
 from beam_ros.hub.contract import HostTime
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.links.trajectory import Knots, TrajectoryHub
-from beam_ros.hub.sequences import Guard
 from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY, QualityOfService
 from beam_ros.messages import RosTypes
 from beam_ros.messages.stamps import stamp_ns
@@ -69,7 +69,7 @@ class TrajectoryLink(TrajectoryHub):
     guard : callable -- the check of whole sequences
     """
 
-    def __init__(self, rig: Rig, guard: Guard) -> None:
+    def __init__(self, rig: Rig, guard: BeamGuard) -> None:
         settings = rig.trajectory
         types = RosTypes()
         self._joint = settings.joint

@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 from beam_ros.hub.contract import REQUEST_KINDS, Outcome, RequestKind
+from beam_ros.hub.gate.stamps import MAX_AGE_NS
 from beam_ros.hub.parameters import AxisParameters
-from beam_ros.hub.sequences import MAX_AGE_NS
 
 RETRY_NS = 100_000_000
 ASK_AGAIN_NS = 500_000_000
@@ -124,6 +124,14 @@ class Requests:
             return None
         self._complete(pending, outcome)
         return pending.kind
+
+    def drop_stale(self) -> None:
+        """Fail what waited unsent for a frozen host, but what stops the axis."""
+        for number, pending in list(self._pending.items()):
+            if pending.first_sent_ns is None and pending.kind not in ("stop", "disable"):
+                del self._pending[number]
+                message = f"{pending.kind} refused: the hub's process was frozen; ask again"
+                self._complete(pending, Outcome(False, message))
 
     def fail_all(self, reason: str) -> None:
         """Fail what is pending, because the device cannot be reached any more."""

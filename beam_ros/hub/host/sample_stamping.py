@@ -13,8 +13,8 @@ from collections.abc import Callable
 from beam_ros.hub.clock_mapping import ClockMapping
 from beam_ros.hub.contract import ClockSync, SampleBatch
 from beam_ros.hub.host.device_counter import WRAPS_NS, DeviceCounter
-from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch, sample_batches
 

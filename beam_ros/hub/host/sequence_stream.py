@@ -8,9 +8,10 @@ from typing import Literal
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import AxisEventKind
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.gate.command_gate import CommandGate
+from beam_ros.hub.gate.sequence_assembly import Sequence
 from beam_ros.hub.host.sample_stamping import DeviceClock
-from beam_ros.hub.sequences import CommandGate, Sequence
+from beam_ros.hub.journal import Journal
 
 LAST_ARM_NS = 80_000_000
 """A complete sequence waits for the clock map to be good enough until this long before its start."""
@@ -95,7 +96,7 @@ class SequenceStream:
         if transfer.start_device_ns is None or now_ns - transfer.last_arm_ns < ARM_AGAIN_NS:
             return None
         transfer.last_arm_ns = now_ns
-        return transfer.number, transfer.start_device_ns, len(transfer.sequence.values)
+        return transfer.number, transfer.start_device_ns, transfer.sequence.n_ticks
 
     def samples(self, now_ns: int) -> Iterator[tuple[int, int, FloatArray]]:
         """Yield what is to be sent now: the sequence's number, the first sample's, and the samples."""
@@ -106,17 +107,17 @@ class SequenceStream:
             self._journal.counters["resent_samples"] += transfer.sent - transfer.received
             transfer.sent = transfer.received
             transfer.progress_ns = now_ns
-        values = transfer.sequence.values
+        n_ticks = transfer.sequence.n_ticks
         for _ in range(FRAMES_PER_TURN):
             first = transfer.sent
-            end = min(first + SAMPLES_PER_FRAME, transfer.edge, len(values))
+            end = min(first + SAMPLES_PER_FRAME, transfer.edge, n_ticks)
             # Whole frames, unless it is the end: a sample at a time would cost a frame each.
-            if end <= first or (end < first + SAMPLES_PER_FRAME and end < len(values)):
+            if end <= first or (end < first + SAMPLES_PER_FRAME and end < n_ticks):
                 break
             if first == transfer.received:
                 transfer.progress_ns = now_ns
             transfer.sent = end
-            yield transfer.number, first, values[first:end]
+            yield transfer.number, first, transfer.sequence.ticks(first, end)
 
     def note_answer(self, number: int, is_accepted: bool, text: str, received_ns: int) -> None:
         """Take the device's answer to the announcement."""

@@ -11,8 +11,8 @@ import dataclasses
 
 from beam_ros.hub.contract import Activity, AxisState, HubStatus, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.motion_watch import MotionWatch
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
 

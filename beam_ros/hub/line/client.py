@@ -25,18 +25,19 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.faults import Fault, fault, fault_of
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.gate.command_gate import CommandGate
 from beam_ros.hub.host.pulse import HostPulse
 from beam_ros.hub.host.requests import Requests, SetpointRepeater
 from beam_ros.hub.host.sample_stamping import DeviceClock, SampleStamping
 from beam_ros.hub.host.sequence_stream import SequenceStream
 from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.connection import Connection
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
-from beam_ros.hub.sequences import CommandGate, Guard
 
 COUNTERS = (
     "bad_frames",
@@ -59,14 +60,23 @@ class HubClient:
         What the rig file says of the axis; the device must agree.
     link : LinkParameters
         The port, for messages, and how well the device's clock must be known.
-    guard : callable, optional
-        A further check of complete sequences, for limits that need a model of the beam.
+    guard : BeamGuard, optional
+        The beam on the axis, and how far it may be loaded.
+    checks_in_background : bool, optional
+        Complete sequences are checked in a thread; else within ``load``, for a caller whose time is not real.
     """
 
-    def __init__(self, parameters: AxisParameters, link: LinkParameters, guard: Guard | None = None) -> None:
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        link: LinkParameters,
+        guard: BeamGuard | None = None,
+        *,
+        checks_in_background: bool = False,
+    ) -> None:
         self._parameters = parameters
         self._link = link
-        self._gate = CommandGate(parameters, guard)
+        self._gate = CommandGate(parameters, guard, in_background=checks_in_background)
         self._decoder = FrameDecoder()
         self._journal = Journal(COUNTERS)
         self._pulse = HostPulse()
@@ -114,7 +124,10 @@ class HubClient:
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
-        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self._status().state)
+        status = self._status()
+        outcome = self._gate.check_setpoint(
+            stamp_ns, value, now_ns, status.state, status.position, status.velocity
+        )
         if outcome.success:
             self._setpoints.take(value, now.steady_ns)
         else:
@@ -123,27 +136,29 @@ class HubClient:
 
     def load(self, chunk: SequenceChunk, now: HostTime) -> None:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
-        clock = self._host_clock(now)
         status = self._status()
-        now_ns = clock.stamp_ns(now.steady_ns)
-        sequence = self._gate.add(chunk, now_ns, status.state, status.position, status.velocity)
-        if sequence is not None:
-            self._stream.begin(sequence, clock.steady_ns(sequence.start_ns))
+        now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
+        self._gate.add(chunk, now_ns, status.state, status.position, status.velocity)
 
     def poll(self, now: HostTime) -> HubReport:
         """Say that the host is alive, and collect what happened."""
         clock = self._host_clock(now)
         self._pulse.beat(now.steady_ns)
         self._journal.watch_clock(clock, now)
-        self._gate.expire(clock.stamp_ns(now.steady_ns))
         batches = self._stamping.take_batches()
+        self._gate.follow(batches)
+        status = self._status(now.steady_ns)
+        now_ns = clock.stamp_ns(now.steady_ns)
+        sequence = self._gate.poll(now_ns, status.state, status.position, status.velocity)
+        if sequence is not None:
+            self._stream.begin(sequence, clock.steady_ns(sequence.start_ns))
         return HubReport(
             applied=[applied for applied, _ in batches],
             measured=[measured for _, measured in batches],
             sequences=self._gate.take_reports(),
             clock=self._device_clock.take_syncs(),
             completed=self._requests.take_completed(),
-            status=self._status(now.steady_ns),
+            status=status,
             events=self._journal.take_events(),
         )
 
@@ -203,8 +218,9 @@ class HubClient:
     def transmit(self, now_ns: int) -> bytes:
         """Return what is to be sent now, at steady time ``now_ns``; nothing where the host is not alive."""
         if not self._pulse.may_speak(now_ns, is_line_open=self._is_line_open(now_ns)):
-            # A set-point that waited for a frozen host is too old to be sent when it thaws.
+            # What waited for a frozen host is too old to be sent when it thaws.
             self._setpoints.drop()
+            self._requests.drop_stale()
             return b""
         was_in_session = self._connection.is_in_session
         messages = list(self._connection.words(now_ns))

@@ -13,7 +13,7 @@ from dataclasses import fields
 from typing import Literal
 
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 

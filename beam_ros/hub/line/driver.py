@@ -15,10 +15,10 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import HubConnectionError, PortDeniedError
 from beam_ros.hub.faults import fault
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
-from beam_ros.hub.sequences import Guard
 
 RECONNECT_S = 0.3
 READ_S = 0.005
@@ -38,8 +38,8 @@ class DriverHub:
         The axis.
     link : LinkParameters
         Its port.
-    guard : callable, optional
-        A further check of complete sequences, for limits that need a model of the beam.
+    guard : BeamGuard, optional
+        The beam on the axis, and how far it may be loaded.
 
     Raises
     ------
@@ -49,10 +49,10 @@ class DriverHub:
     """
 
     def __init__(
-        self, parameters: AxisParameters, link: LinkParameters, *, guard: Guard | None = None
+        self, parameters: AxisParameters, link: LinkParameters, *, guard: BeamGuard | None = None
     ) -> None:
         most_bytes = FLOOD_BYTES + FLOOD_BYTES_PER_TICK * 1_000_000_000 // parameters.period_ns
-        self._client = HubClient(parameters, link, guard)
+        self._client = HubClient(parameters, link, guard, checks_in_background=True)
         self._transport = SerialTransport(link.serial_port, link.serial_baud, most_bytes)
         self._lock = threading.Lock()
         self._ending = threading.Event()

@@ -24,11 +24,12 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.receipt_clock import ReceiptClock
 from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.line.transport import SerialTransport
-from beam_ros.hub.links.csv_lines import CsvColumns, CsvReader
+from beam_ros.hub.link_parameters import CsvColumns
+from beam_ros.hub.links.csv_lines import CsvReader
 from beam_ros.hub.parameters import LinkParameters
 
 READ_S = 0.05

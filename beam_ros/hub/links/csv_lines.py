@@ -8,44 +8,10 @@ too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 MAX_LINE = 1024
 """A line without an end that is longer is noise [bytes]."""
 SEPARATORS = (",", ";", "\t", " ")
-
-
-@dataclass(frozen=True)
-class CsvColumns:
-    """Which columns mean what, counted from 1; 0 where there is none.
-
-    Parameters
-    ----------
-    position, velocity, effort, clock : int
-        Columns.
-    position_scale : float
-        Metres in one unit of position; of velocity too, per second.
-    effort_scale : float
-        Newtons in one unit of effort.
-    clock_tick : float
-        Seconds in one unit of the clock.
-    clock_bits : int
-        Bits of the clock's counter, after which it wraps; 0: never.
-    """
-
-    position: int = 1
-    velocity: int = 0
-    effort: int = 0
-    clock: int = 0
-    position_scale: float = 1.0
-    effort_scale: float = 1.0
-    clock_tick: float = 1e-6
-    clock_bits: int = 32
-
-    @property
-    def last(self) -> int:
-        """The last column that is needed."""
-        return max(self.position, self.velocity, self.effort, self.clock)
 
 
 def split_row(line: bytes) -> tuple[float, ...] | None:

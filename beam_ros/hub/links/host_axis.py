@@ -25,11 +25,12 @@ from beam_ros.hub.contract import (
     SequenceChunk,
 )
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.gate.command_gate import CommandGate
 from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.parameters import AxisParameters
-from beam_ros.hub.sequences import CommandGate, Guard
 from beam_ros.hub.simulated.state_machine import AxisStateMachine
 from beam_ros.hub.simulated.transitions import ARMED, FOLLOWING, HOMING, RUNNING, Cause
 
@@ -50,8 +51,8 @@ class HostAxis:
     ----------
     parameters : AxisParameters
         Command mode and limits.
-    guard : callable, optional
-        A further check of complete sequences, for limits that need a model of the beam.
+    guard : BeamGuard, optional
+        The beam on the axis, and how far it may be loaded.
     homes_here : bool
         Whether hub/home takes the present place for home; else the controller's own zero is home, and homing
         goes there.
@@ -75,7 +76,7 @@ class HostAxis:
     def __init__(
         self,
         parameters: AxisParameters,
-        guard: Guard | None = None,
+        guard: BeamGuard | None = None,
         *,
         homes_here: bool = True,
         counters: tuple[str, ...] = (),
@@ -87,7 +88,7 @@ class HostAxis:
         self.revision = 0
         self.powering: list[tuple[int, RequestKind]] = []
         self.journal = Journal(counters)
-        self._gate = CommandGate(parameters, guard)
+        self._gate = CommandGate(parameters, guard, in_background=True)
         self._homes_here = homes_here
         self._objection = objection
         self._machine = AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None})
@@ -208,7 +209,8 @@ class HostAxis:
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Take one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self.clock(now).stamp_ns(now.steady_ns)
-        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self.state)
+        position, velocity, _ = self.reference(now.steady_ns)
+        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self.state, position, velocity)
         if outcome.success:
             plan = self._towards(value, now.steady_ns)
             outcome = self._react("set-point", now.steady_ns, objection=plan.objection(self.parameters))
@@ -230,10 +232,16 @@ class HostAxis:
         """Take one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         clock = self.clock(now)
         position, velocity, _ = self.reference(now.steady_ns)
-        sequence = self._gate.add(chunk, clock.stamp_ns(now.steady_ns), self.state, position, velocity)
+        self._gate.add(chunk, clock.stamp_ns(now.steady_ns), self.state, position, velocity)
+
+    def _take_checked(self, now: HostTime) -> None:
+        """Make a plan of the sequence that has passed its check, if one has."""
+        clock = self.clock(now)
+        position, velocity, _ = self.reference(now.steady_ns)
+        sequence = self._gate.poll(clock.stamp_ns(now.steady_ns), self.state, position, velocity)
         if sequence is None:
             return
-        plan = MotionPlan.sequence(sequence.values, self.parameters, position)
+        plan = MotionPlan.sequence(sequence.ticks(0, sequence.n_ticks), self.parameters, position)
         astray = abs(self.position - position)
         objection = self._objection(plan)
         if astray > HELD:
@@ -360,7 +368,7 @@ class HostAxis:
         clock = self.clock(now)
         self._polled_ns = now.steady_ns
         self.journal.watch_clock(clock, now)
-        self._gate.expire(clock.stamp_ns(now.steady_ns))
+        self._take_checked(now)
         for event in self._machine.take_events():
             self.journal.add(self._gate.note(event.kind, event.text))
         applied, self._applied = self._applied, []

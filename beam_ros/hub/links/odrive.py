@@ -11,19 +11,19 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from beam_ros.hub.contract import HubCapabilities, SampleBatch
 from beam_ros.hub.errors import HubConnectionError, HubProtocolError
 from beam_ros.hub.faults import fault
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.link_parameters import OdriveParameters
 from beam_ros.hub.links import odrive_protocol as ascii_protocol
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
-from beam_ros.hub.sequences import Guard
 
 ANSWER_S = 0.1
 """An answer that has not come by then does not come."""
@@ -56,28 +56,6 @@ CAPABILITIES = HubCapabilities(
         "what was written is not what was done: identify with the measured position",
     ),
 )
-
-
-@dataclass(frozen=True)
-class OdriveParameters:
-    """How one axis of an ODrive moves the hub.
-
-    Parameters
-    ----------
-    axis : int
-        Number of the axis, 0 or 1.
-    metres_per_turn : float
-        Travel of the hub for one turn; negative where they run against each other [m].
-    rate : float
-        Writes and measurements a second [1/s].
-    homes_here : bool
-        Whether hub/home takes the present place; else the encoder's own zero is home.
-    """
-
-    axis: int = 0
-    metres_per_turn: float = 1.0
-    rate: float = 200.0
-    homes_here: bool = True
 
 
 class Odrive:
@@ -182,7 +160,7 @@ class OdriveHub(HostPacedHub):
         Its port.
     odrive : OdriveParameters
         How the ODrive moves the hub.
-    guard : callable, optional
+    guard : BeamGuard, optional
         A further check of complete sequences, for limits that need a model of the beam.
     """
 
@@ -191,7 +169,7 @@ class OdriveHub(HostPacedHub):
         parameters: AxisParameters,
         link: LinkParameters,
         odrive: OdriveParameters,
-        guard: Guard | None = None,
+        guard: BeamGuard | None = None,
     ) -> None:
         axis = HostAxis(
             parameters,

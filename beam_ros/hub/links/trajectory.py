@@ -21,11 +21,12 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.contract import HostTime, HubCapabilities, SampleBatch
+from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.parameters import AxisParameters
-from beam_ros.hub.sequences import Guard
 
 HOLD_NS = 1_000_000_000
 """Every trajectory ends with a rest of this length: one that is over when it comes would be ignored, not obeyed."""
@@ -54,25 +55,6 @@ CAPABILITIES = HubCapabilities(
         "a trajectory that the controller rejects is rejected with a line in its log alone",
     ),
 )
-
-
-@dataclass(frozen=True)
-class TrajectoryParameters:
-    """How a JointTrajectoryController moves the hub.
-
-    Parameters
-    ----------
-    metres_per_unit : float
-        Travel of the hub for one unit of the joint; negative where they run against each other [m].
-    max_knots : int
-        Most knots in one trajectory.
-    homes_here : bool
-        Whether hub/home takes the present place; else the joint's own zero is home.
-    """
-
-    metres_per_unit: float = 1.0
-    max_knots: int = 200_000
-    homes_here: bool = True
 
 
 @dataclass(frozen=True)
@@ -141,7 +123,7 @@ class TrajectoryHub(HostPacedHub):
         How the controller moves it.
     send : callable
         Publishes a trajectory.
-    guard : callable, optional
+    guard : BeamGuard, optional
         A further check of complete sequences, for limits that need a model of the beam.
     """
 
@@ -150,7 +132,7 @@ class TrajectoryHub(HostPacedHub):
         parameters: AxisParameters,
         trajectory: TrajectoryParameters,
         send: Callable[[Knots], None],
-        guard: Guard | None = None,
+        guard: BeamGuard | None = None,
     ) -> None:
         counters = ("connections", "trajectories", "unstamped_states")
         axis = HostAxis(

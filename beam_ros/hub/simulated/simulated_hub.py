@@ -8,7 +8,7 @@ computer is not a silence of the host until it lasts for seconds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence as Listed
 
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import (
@@ -24,9 +24,11 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.faults import fault
-from beam_ros.hub.host.journal import Journal
+from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.gate.command_gate import CommandGate
+from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS, Sequence
 from beam_ros.hub.host_clock import HostClock
-from beam_ros.hub.sequences import CommandGate, Guard
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.hub.ticks import TickQueue, sample_batches
@@ -48,17 +50,25 @@ class SimulatedHub:
         The device, without a limit on its buffer.
     real_time_factor : float
         Simulated seconds per second of the host's steady clock.
-    guard : callable, optional
-        A further check of complete sequences, for limits that need a model of the beam.
+    guard : BeamGuard, optional
+        The beam on the axis, and how far it may be loaded.
+    checks_in_background : bool, optional
+        Complete sequences are checked in a thread; else within ``load``, for a caller whose time is not real.
     """
 
     def __init__(
-        self, axis: VirtualAxis, *, real_time_factor: float = 1.0, guard: Guard | None = None
+        self,
+        axis: VirtualAxis,
+        *,
+        real_time_factor: float = 1.0,
+        guard: BeamGuard | None = None,
+        checks_in_background: bool = False,
     ) -> None:
         self.axis = axis
         self._parameters = axis.parameters
         self._factor = real_time_factor
-        self._gate = CommandGate(axis.parameters, guard)
+        self._gate = CommandGate(axis.parameters, guard, in_background=checks_in_background)
+        self._sequence: Sequence | None = None
         self._clock: HostClock | None = None
         self._rate_ppb = round(axis.device.clock_drift_ppm * 1000)
         self._anchor_stamp_ns = 0
@@ -90,9 +100,10 @@ class SimulatedHub:
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
-        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self.axis.state)
+        axis = self.axis
+        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, axis.state, axis.position, axis.velocity)
         if outcome.success:
-            outcome = self.axis.setpoint(value)
+            outcome = axis.setpoint(value)
         if not outcome.success:
             self._journal.counters["setpoints_refused"] += 1
         return outcome
@@ -101,14 +112,7 @@ class SimulatedHub:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         axis = self.axis
-        sequence = self._gate.add(chunk, now_ns, axis.state, axis.position, axis.velocity)
-        if sequence is None:
-            return
-        outcome = axis.arm(self.device_ns(sequence.start_ns), len(sequence.values))
-        if outcome.success:
-            outcome = axis.append(0, sequence.values.tolist())
-        if not outcome.success:
-            self._gate.finish("refused", outcome.message)
+        self._gate.add(chunk, now_ns, axis.state, axis.position, axis.velocity)
 
     def poll(self, now: HostTime) -> HubReport:
         """Advance by the time that has passed, and collect what happened."""
@@ -119,11 +123,12 @@ class SimulatedHub:
         now_ns = clock.stamp_ns(now.steady_ns)
         self._advance(self.device_ns(now_ns), is_stall=pause_ns <= MAX_STALL_NS)
         batches += self._full_batches()
+        self._gate.follow(batches)
 
         self._journal.watch_clock(clock, now)
         for event in self.axis.take_events():
             self._journal.add(self._gate.note(event.kind, event.text))
-        self._gate.expire(now_ns)
+        self._arm_checked(now_ns)
         clock_syncs = []
         if now.steady_ns >= self._next_sync_ns:
             self._next_sync_ns = now.steady_ns + CLOCK_SYNC_NS
@@ -162,7 +167,7 @@ class SimulatedHub:
         """The newest stamp [ns, UNIX] that ``snapshots`` can show."""
         return self.stamp_ns(self.axis.device_ns)
 
-    def snapshots(self, stamps_ns: Sequence[int] | StampArray) -> Snapshots:
+    def snapshots(self, stamps_ns: Listed[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants, from the first poll to ``reached_ns``, up to 4 s ago.
 
         Parameters
@@ -191,11 +196,35 @@ class SimulatedHub:
             self._last_steady_ns = self._next_sync_ns = now.steady_ns
         return self._clock
 
+    def _arm_checked(self, now_ns: int) -> None:
+        axis = self.axis
+        sequence = self._gate.poll(now_ns, axis.state, axis.position, axis.velocity)
+        if sequence is None:
+            return
+        outcome = axis.arm(self.device_ns(sequence.start_ns), sequence.n_ticks)
+        if outcome.success:
+            self._sequence = sequence
+        else:
+            self._gate.finish("refused", outcome.message)
+
+    def _hand_over(self, to_device_ns: int) -> None:
+        """Give the axis the samples that it needs until a device time [ns], and some more."""
+        axis, sequence = self.axis, self._sequence
+        if sequence is None or not axis.has_sequence:
+            self._sequence = None
+            return
+        elapsed_ns = to_device_ns - self.device_ns(sequence.start_ns)
+        wanted = min(elapsed_ns // self._parameters.period_ns + BLOCK_TICKS, sequence.n_ticks)
+        while axis.n_received < wanted:
+            first = axis.n_received
+            axis.append(first, sequence.ticks(first, first + BLOCK_TICKS).tolist())
+
     def _advance(self, device_ns: int, *, is_stall: bool) -> None:
         """Advance the axis; after a mere stall it was one process with its host all along, never without it."""
         step_ns = self._parameters.batch_ns
         while True:
             until_ns = min(device_ns, self.axis.device_ns + step_ns) if is_stall else device_ns
+            self._hand_over(until_ns)
             self._ticks.add(self.axis.advance(until_ns))
             self.axis.feed()
             if until_ns >= device_ns:

@@ -8,7 +8,6 @@ from beam_model.advice.experiment_advice import (
     advise,
     aliases,
     node_heights,
-    predict_loads,
     relative_amplitudes,
     suggest_marker_heights,
 )
@@ -78,28 +77,6 @@ def test_advice_covers_the_wanted_modes() -> None:
 def test_bad_wishes_are_refused(keywords: dict[str, float], name: str) -> None:
     with pytest.raises(BeamParameterError, match=name):
         suggest_marker_heights(MODEL, **keywords)  # type: ignore[arg-type]
-
-
-def test_loads_at_resonance_are_those_of_the_reference() -> None:
-    # 0.19 mm of hub at f1 gives a 30 mm tip at zeta 0.5 %; a 22 mm tip pulls with 0.20 N.
-    period, f = 1e-3, MODEL.natural_frequencies[0] / (2.0 * np.pi)
-    t = np.arange(60_000) * period
-    a = 0.19e-3 * (2.0 * np.pi * f) ** 2 * np.sin(2.0 * np.pi * f * (t + period / 2))
-    loads = predict_loads(MODEL, period, a, 0.0005)
-    assert loads.tip_deflection == pytest.approx(0.030, rel=0.03)
-    assert loads.modal_tip_deflections[0] == pytest.approx(0.030, rel=0.03)
-    assert loads.modal_tip_deflections[1] < 1e-4
-    # At resonance the beam's pull is a quarter period behind the rigid mass's.
-    rigid = MODEL.parameters.total_mass * np.abs(a).max()
-    assert loads.hub_force == pytest.approx(np.hypot(0.20 * 30.0 / 22.0, rigid), rel=0.03)
-    # Mode 1: w''(0) = 3.516 w(L)/L^2
-    assert loads.root_strain == pytest.approx(0.00025 * 3.516 * loads.tip_deflection / 0.09, rel=0.02)
-
-
-@pytest.mark.parametrize(("values", "thickness"), [([], 0.001), ([np.nan], 0.001), ([1.0], 0.0)])
-def test_bad_records_are_refused(values: list[float], thickness: float) -> None:
-    with pytest.raises(BeamParameterError):
-        predict_loads(MODEL, 1e-3, values, thickness)
 
 
 def test_markers_may_stand_as_close_as_the_separation_allows_exactly() -> None:

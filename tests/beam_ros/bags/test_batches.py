@@ -19,6 +19,7 @@ from beam_ros.bags.batches import (
     encode_batch,
     encode_chunk,
     encode_trajectory,
+    faulty_chunk,
 )
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.hub.contract import SampleBatch, SequenceChunk
@@ -147,6 +148,23 @@ def test_a_chunk_of_another_grid_is_refused():
     data = encode_chunk(SequenceChunk("c", 1, 1, STAMP, 1_000_000, 0, np.array([1.0])), "position")
     with pytest.raises(MessageDecodeError, match="multiples"):
         decode_chunk(data, 0)
+
+
+def test_bytes_that_are_no_chunk_still_name_their_sequence_where_they_can():
+    chunk = SequenceChunk("run-7", 2, 3, 1_700_000_000_000_000_007, 1_000_000, 500, np.arange(9.0))
+    data = encode_chunk(chunk, "velocity")
+    with pytest.raises(MessageDecodeError):
+        decode_chunk(data[:-40], 1_000_000)
+    faulty = faulty_chunk(data[:-40], "cut off")
+    assert (faulty.sequence_id, faulty.start_ns, faulty.fault) == ("run-7", chunk.start_ns, "cut off")
+    assert len(faulty.values) == 0
+    for n_bytes in range(len(data)):
+        assert faulty_chunk(data[:n_bytes], "cut off").sequence_id in ("run-7", "")
+    for name in ("", "no number", "two words 1/2", "\n 1/2"):
+        nameless = encode_chunk(SequenceChunk("x", 1, 1, 1, 1_000_000, 0, np.zeros(2)), "velocity")
+        text = name.encode() + b"\0"
+        nameless = nameless[:12] + len(text).to_bytes(4, "little") + text + nameless[20:]
+        assert faulty_chunk(nameless, "bad name").sequence_id == ""
 
 
 def test_the_codec_is_much_faster_than_the_general_one():

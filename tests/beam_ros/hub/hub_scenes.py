@@ -217,8 +217,10 @@ class LiveRig(Rig):
 class PortRig(LiveRig):
     """The driver on a port."""
 
-    def __init__(self, parameters: AxisParameters, link: LinkParameters) -> None:
-        super().__init__(DriverHub(parameters, link))
+    def __init__(
+        self, parameters: AxisParameters, link: LinkParameters, guard: BeamGuard | None = None
+    ) -> None:
+        super().__init__(DriverHub(parameters, link, guard=guard))
 
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")
@@ -234,11 +236,12 @@ class DriverRig(PortRig):
         folder: Path,
         plant: object = None,
         device: SimulatedDevice = DRIFTING,
+        guard: BeamGuard | None = None,
         **options: object,
     ) -> None:
         load = plant or RigidPlant(0.8, parameters.period)
         self.emulator = EmulatedController(parameters, load, device, link=folder / "hub", **options)
-        super().__init__(parameters, LinkParameters(self.emulator.port))
+        super().__init__(parameters, LinkParameters(self.emulator.port), guard)
 
     def close(self) -> None:
         self.hub.close()

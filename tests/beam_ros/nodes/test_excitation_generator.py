@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 from beam_ros import messages
+from beam_ros.interfaces.graph import SERVICES
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -38,3 +41,94 @@ def test_a_recipe_that_makes_no_signal_is_one_line(executables) -> None:
     assert node.process.returncode == 2
     assert len(node.output().strip().splitlines()) == 1, node.output()
     assert "a whole number of periods" in node.output()
+
+
+QUICK = (
+    *("-p", "excitation.acceleration:=0.2"),
+    *("-p", "excitation.duration:=30.0"),
+    *("-p", "excitation.start_delay:=5.0"),  # for a busy computer
+)
+
+
+def _answer(graph, service: str):
+    service_class = graph.types.service_class(SERVICES[service].type_name)
+    client = graph.node.create_client(service_class, service)
+    graph.wait(client.service_is_ready, service, 20.0)
+    request = service_class.Request()
+    if service == "hub/enable":
+        request.data = True
+    future = client.call_async(request)
+    graph.wait(future.done, f"an answer of {service}", 30.0)
+    graph.node.destroy_client(client)
+    return future.result()
+
+
+def test_a_hub_that_is_killed_under_a_sequence_is_missed_and_another_one_takes_the_next(
+    executables, graph
+) -> None:
+    states: list[dict[str, object]] = []
+    sentences: list[str] = []
+    spoken: list[bytes] = []
+    graph.listen("hub/sequence_state", lambda message: states.append(messages.read_json(message)))
+    graph.listen("hub/state", spoken.append, raw=True)
+    graph.listen(
+        "/diagnostics",
+        lambda m: sentences.extend(s.message for s in messages.read_diagnostics(m) if "excitation" in s.name),
+    )
+    executables.start("excitation_generator", "--ros-args", *QUICK, timeout_s=120.0)
+
+    def start() -> None:
+        spoken.clear()
+        graph.wait(lambda: bool(spoken), "a hub that speaks", 20.0)
+        for service in ("hub/home", "hub/enable", "excitation/start"):
+            answer = _answer(graph, service)
+            assert answer.success, answer.message
+        graph.wait(lambda: states[-1]["state"] == "running", "a sequence that runs", 15.0)
+
+    hub = executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
+    start()
+    hub.send_signal(signal.SIGKILL)
+    hub.wait()
+    sentences.clear()
+    graph.wait(lambda: any(": lost: " in s for s in sentences), "the loss in the diagnostics", 10.0)
+    refusal = _answer(graph, "excitation/start")
+    assert not refusal.success
+    assert "hub has been silent" in refusal.message or "nobody listens" in refusal.message
+    executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
+    start()
+
+
+def test_half_an_hour_is_handed_over_and_starts(executables, graph) -> None:
+    """1.83e6 samples at 1 kHz, while set-points and services go on being answered."""
+    states: list[dict[str, object]] = []
+    spoken: list[bytes] = []
+    graph.listen("hub/sequence_state", lambda message: states.append(messages.read_json(message)))
+    graph.listen("hub/state", spoken.append, raw=True)
+    long = ("-p", "excitation.duration:=1800.0", "-p", "excitation.acceleration:=0.05")
+    executables.start("excitation_generator", "--ros-args", *long, timeout_s=150.0)
+    executables.start("simulator", "--ros-args", "-p", "simulation.images:=false", timeout_s=150.0)
+    graph.wait(lambda: bool(spoken), "a hub that speaks", 20.0)
+    for service in ("hub/home", "hub/enable"):
+        assert _answer(graph, service).success
+    future = graph.request("excitation/start")
+    graph.wait(lambda: bool(states) and states[-1]["state"] != "loading", "a verdict", 60.0)
+    assert states[-1]["state"] == "ready", states[-1]
+    assert states[-1]["points"] > 1_800_000
+    graph.wait(future.done, "an answer", 5.0)
+    assert future.result().success, future.result().message
+    graph.wait(lambda: states[-1]["state"] == "running", "a sequence that runs", 40.0)
+    assert graph.call("excitation/stop").success
+    graph.wait(lambda: states[-1]["state"] == "aborted", "the end", 5.0)
+
+
+def test_what_is_longer_than_an_hour_is_refused_before_it_is_sampled(executables) -> None:
+    node = executables.run(
+        "excitation_generator",
+        "--ros-args",
+        *("-p", "excitation.duration:=3600.0"),
+        *("-p", "excitation.still:=3600.0"),
+        timeout_s=20.0,
+    )
+    assert node.process.returncode == 2
+    assert len(node.output().strip().splitlines()) == 1, node.output()
+    assert "at most 3600000 ticks" in node.output()

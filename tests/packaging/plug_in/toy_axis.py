@@ -3,7 +3,7 @@
 import numpy as np
 
 from beam_ros.hub.contract import HubCapabilities, HubReport, HubStatus, Outcome, SampleBatch
-from beam_ros.hub.sequences import CommandGate
+from beam_ros.hub.gate.command_gate import CommandGate
 
 PERIOD_NS, TICKS = 1_000_000, 20
 
@@ -24,7 +24,7 @@ class ToyAxis:
         return self._n_requests
 
     def setpoint(self, stamp_ns, value, now):
-        outcome = self._gate.check_setpoint(stamp_ns, value, now.unix_ns, self._state)
+        outcome = self._gate.check_setpoint(stamp_ns, value, now.unix_ns, self._state, self._position, 0.0)
         self._position = value if outcome.success else self._position
         return outcome
 

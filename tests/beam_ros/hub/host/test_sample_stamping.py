@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.contract import HostTime
-from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.sample_stamping import DeviceClock, SampleStamping
 from beam_ros.hub.host_clock import HostClock
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
 from benchmarks.clock import LINES, study

@@ -11,8 +11,8 @@ import pytest
 from beam_ros.hub.contract import HubReport
 from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.faults import FAULTS
-from beam_ros.hub.host.journal import Journal
 from beam_ros.hub.host.supervisor import Supervisor
+from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder, encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, SimulatedDevice

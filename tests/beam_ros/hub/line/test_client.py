@@ -291,6 +291,23 @@ def test_a_frozen_executor_stops_the_axis_and_an_old_setpoint_is_not_sent_when_i
     assert rig.firmware.axis.velocity == 0.0
 
 
+def test_a_request_that_waited_for_a_frozen_host_is_refused_and_a_stop_is_not():
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    assert rig.ask("home").success
+    rig.is_polled = False
+    rig.run(0.3)
+    enable, stop = rig.hub.request("enable"), rig.hub.request("stop")
+    rig.run(0.3)
+    rig.is_polled = True
+    completed = dict(rig.until(lambda r: stop in dict(r.completed))[-1].completed)
+    completed |= {k: v for r in rig.reports[-20:] for k, v in r.completed}
+    assert not completed[enable].success
+    assert "ask again" in completed[enable].message
+    assert completed[stop].success
+    assert rig.firmware.axis.state == "homed"
+
+
 def test_no_sequence_starts_on_a_map_that_is_not_known_well_enough():
     rig = LoopbackRig(PARAMETERS)
     is_clock = frames_of(protocol.CLOCK_QUERY)

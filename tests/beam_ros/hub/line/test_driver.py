@@ -19,10 +19,12 @@ from beam_model import BeamModel, BeamParameters
 from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import BeamPlant, RigidPlant
+from beam_ros.rig.rig import Rig as RigFile
 from tests.beam_ros.hub.hub_scenes import DriverRig, PortRig, Rig, SimulatedRig, chunks_of, rest_to_rest
 from tests.beam_ros.hub.line.relay import SerialServer
 
@@ -41,9 +43,12 @@ def start(tmp_path):
     rigs = []
 
     def start_rig(
-        parameters: AxisParameters, plant: object = None, device: SimulatedDevice = DEVICE
+        parameters: AxisParameters,
+        plant: object = None,
+        device: SimulatedDevice = DEVICE,
+        guard: BeamGuard | None = None,
     ) -> DriverRig:
-        rigs.append(DriverRig(parameters, tmp_path, plant, device))
+        rigs.append(DriverRig(parameters, tmp_path, plant, device, guard))
         rigs[-1].connect()
         return rigs[-1]
 
@@ -93,17 +98,9 @@ def script(rig: Rig) -> list[object]:
     note(rig.ask("stop"), rig.reports[-1].status.state, rig.reports[-1].status.reason)
     note([s for r in rig.reports[-30:] for s in r.sequences][-1], rig.ask("stop"), rig.ask("enable"))
 
-    # Away at 1 m/s^2: refused by the axis itself 45 mm later.
-    note(rig.hub.setpoint(rig.now.unix_ns, 1.0, rig.now).success)
-    for _ in range(40):
-        if rig.run(0.05)[-1].status.state == "fault":
-            break
-        rig.hub.setpoint(rig.now.unix_ns, 1.0, rig.now)
-    note(rig.reports[-1].status.state, rig.reports[-1].status.reason.split(":")[0])
-    rig.run(0.2)
-    note(rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state)
-    note(rig.ask("enable"))
-    note(rig.hub.setpoint(rig.now.unix_ns, -0.2, rig.now))
+    # Held for the watchdog's second, 0.2 m/s^2 would be 100 mm.
+    note(rig.hub.setpoint(rig.now.unix_ns, -0.2, rig.now).success)
+    note(rig.hub.setpoint(rig.now.unix_ns, -0.05, rig.now))
     rig.until(lambda r: r.status.state != "enabled")
     rig.run(0.1)
     note(rig.reports[-1].status.state, rig.reports[-1].status.reason, rig.reports[-1].status.velocity)
@@ -111,6 +108,29 @@ def script(rig: Rig) -> list[object]:
         [e.text for r in rig.reports for e in r.events if e.text.startswith("axis") and "limit" not in e.text]
     )
     return answers
+
+
+def script_of_a_fault(rig: Rig) -> list[object]:
+    """Push the hub to the end of its travel, which nobody can predict without a beam, and return all answers."""
+    answers: list[object] = []
+    rig.enable()
+    # Away at 1 m/s^2: the axis stops by itself 45 mm later.
+    for _ in range(40):
+        if rig.run(0.05)[-1].status.state == "fault":
+            break
+        rig.hub.setpoint(rig.now.unix_ns, 0.8, rig.now)
+    answers += rig.reports[-1].status.state, rig.reports[-1].status.fault.split(":")[0]
+    rig.run(0.2)
+    answers += rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state
+    answers.append(rig.ask("enable"))
+    return answers
+
+
+def test_a_fault_and_its_end_are_the_same_for_driver_and_simulated_hub(start):
+    parameters = AxisParameters(watchdog_s=1.0, command_mode="effort")
+    simulated = script_of_a_fault(SimulatedRig(parameters, device=DEVICE))
+    assert simulated[0] == "fault"
+    assert script_of_a_fault(start(parameters)) == simulated
 
 
 def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
@@ -188,6 +208,31 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
     assert rig.ask("enable").success
 
 
+def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
+    """The check takes a second or more; meanwhile the host speaks, or the device's watchdog would stop the axis."""
+    rig = start(ACCELERATION, guard=RigFile.from_file().beam_guard())
+    rig.enable()
+    values = np.zeros(600_000)
+    values[:3000] = rest_to_rest(3000)
+    start_ns = rig.now.unix_ns + 30_000_000_000
+    for k, chunk in enumerate(chunks_of(values, start_ns)):
+        rig.hub.load(chunk, rig.now)
+        if k % 100 == 0:
+            rig.run(0.01)
+    pauses = []
+    for _ in range(3000):
+        begun = time.monotonic()
+        report = rig.run(0.01)[-1]
+        pauses.append(time.monotonic() - begun)
+        if "loading" not in states([report]) and states([report]):
+            break
+    assert states([report]) == ["ready"], report.sequences
+    assert report.status.state == "enabled", report.status.fault
+    # The host's patience with its own executor is 0.2 s.
+    assert sorted(pauses)[-2] < 0.2
+    assert rig.ask("stop").success
+
+
 def test_garbage_on_the_line_does_not_disturb_a_sequence(start):
     rig = start(PATIENT)
     rig.enable()
@@ -243,6 +288,7 @@ def test_a_power_cut_of_the_controller_is_a_new_epoch(start):
 
 CHILD = """
 import sys, time
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.contract import HostTime
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from beam_ros.hub.line.driver import DriverHub

@@ -9,8 +9,8 @@ import pytest
 
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
+from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_board import REFUSAL, CsvHub
-from beam_ros.hub.links.csv_lines import CsvColumns
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest

@@ -15,8 +15,9 @@ import pytest
 
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
+from beam_ros.hub.link_parameters import OdriveParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
-from beam_ros.hub.links.odrive import OdriveHub, OdriveParameters
+from beam_ros.hub.links.odrive import OdriveHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
@@ -183,7 +184,8 @@ def test_a_killed_host_leaves_the_hub_at_rest(tmp_path) -> None:
     program = """
         import sys, time
         from beam_ros.hub.contract import HostTime
-        from beam_ros.hub.links.odrive import OdriveHub, OdriveParameters
+        from beam_ros.hub.link_parameters import OdriveParameters
+        from beam_ros.hub.links.odrive import OdriveHub
         from beam_ros.hub.parameters import AxisParameters, LinkParameters
         parameters = AxisParameters(watchdog_s=0.3, command_mode="velocity")
         hub = OdriveHub(parameters, LinkParameters(sys.argv[1]), OdriveParameters(metres_per_turn=-0.02))

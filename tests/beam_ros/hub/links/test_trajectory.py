@@ -13,8 +13,9 @@ from beam_ros.hub.emulated.trajectory_controller import (
     Waypoints,
     interpolate,
 )
+from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
-from beam_ros.hub.links.trajectory import Knots, TrajectoryHub, TrajectoryParameters
+from beam_ros.hub.links.trajectory import Knots, TrajectoryHub
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest

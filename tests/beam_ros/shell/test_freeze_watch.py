@@ -1,0 +1,107 @@
+"""What was asked while the process was frozen is refused when it wakes: real processes, SIGSTOP and SIGCONT."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from beam_ros import messages
+from beam_ros.shell.freeze_watch import FROZEN_NS, WAKING_NS, FreezeWatch
+
+MS = 1_000_000
+
+
+def awake_watch() -> FreezeWatch:
+    watch = FreezeWatch()
+    for k in range(100):
+        watch.beat(k * 10 * MS)
+    return watch
+
+
+def test_requests_in_time_are_taken() -> None:
+    assert awake_watch().objection(995 * MS) is None
+    assert awake_watch().objection(990 * MS + FROZEN_NS) is None
+    # Nobody was frozen before the first beat.
+    assert FreezeWatch().objection(10**15) is None
+
+
+def test_a_request_after_a_gap_is_refused_whoever_notices_it_first() -> None:
+    watch = awake_watch()
+    assert watch.objection(990 * MS + 3000 * MS) == "was frozen for 3.0 s; ask again"
+    watch = awake_watch()
+    watch.beat(990 * MS + 3000 * MS)
+    assert watch.objection(990 * MS + 3001 * MS) == "was frozen for 3.0 s; ask again"
+    # Delivered late: refused for a moment more, and then not.
+    for k in range(1, 200):
+        watch.beat(3990 * MS + k * 10 * MS)
+    assert watch.objection(3990 * MS + 1990 * MS) is None
+    watch = awake_watch()
+    watch.beat(3990 * MS)
+    assert watch.objection(3990 * MS + WAKING_NS) is not None
+    assert watch.objection(3990 * MS + WAKING_NS + 1) is None
+
+
+@pytest.mark.ros
+def test_what_a_frozen_hub_was_asked_is_refused_when_it_wakes_and_nothing_moves(
+    executables, graph, tmp_path: Path
+) -> None:
+    port = tmp_path / "controller"
+    linked = ("-p", f"emulator.port_link:={port}", "-p", f"serial.port:={port}")
+    executables.start("firmware_emulator", "--ros-args", *linked).wait_for("motion controller on")
+    hub = executables.start("hub_driver", "--ros-args", *linked)
+    _frozen_and_asked(graph, hub)
+
+
+@pytest.mark.ros
+def test_a_frozen_simulator_refuses_what_waited_too(executables, graph) -> None:
+    hub = executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
+    _frozen_and_asked(graph, hub)
+
+
+def _frozen_and_asked(graph, hub) -> None:
+    sentences, positions = [], []
+    graph.listen("/diagnostics", lambda m: sentences.extend(s.message for s in messages.read_diagnostics(m)))
+    graph.listen("hub/state", lambda m: positions.append(m.position[0]))
+    graph.wait(lambda: bool(positions), "a hub that speaks", 20.0)
+    assert _ask(graph, "hub/home").success
+    graph.spin(0.3)
+    hub.send_signal(signal.SIGSTOP)
+    try:
+        graph.spin(0.2)
+        futures = [_request(graph, "hub/enable"), _request(graph, "hub/home"), _request(graph, "hub/stop")]
+        graph.spin(3.0)
+        positions.clear()
+    finally:
+        hub.send_signal(signal.SIGCONT)
+    graph.wait(lambda: all(future.done() for future in futures), "three answers", 10.0)
+    for future in futures[:2]:
+        assert not future.result().success
+        assert "was frozen for 3." in future.result().message
+        assert "ask again" in future.result().message
+    assert futures[2].result().success, futures[2].result().message
+    graph.spin(1.0)
+    assert len(set(positions)) == 1, positions
+    sentences.clear()
+    graph.wait(lambda: any(s.startswith(("homed", "enabled")) for s in sentences), "a state", 5.0)
+    assert not any(s.startswith("enabled") for s in sentences)
+    assert _ask(graph, "hub/enable").success
+
+
+def _request(graph, service: str):
+    from beam_ros.interfaces.graph import SERVICES
+
+    service_class = graph.types.service_class(SERVICES[service].type_name)
+    client = graph.node.create_client(service_class, service)
+    graph.wait(client.service_is_ready, service, 15.0)
+    request = service_class.Request()
+    if service == "hub/enable":
+        request.data = True
+    return client.call_async(request)
+
+
+def _ask(graph, service: str):
+    future = _request(graph, service)
+    graph.wait(future.done, f"an answer of {service}", 15.0)
+    return future.result()

@@ -1,0 +1,59 @@
+"""What the hub's node does with messages that no hub can use, with the simulator as a real process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros import messages
+from beam_ros.bags.batches import encode_chunk
+from beam_ros.interfaces.graph import SERVICES
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+
+def _call(graph, service: str):
+    service_class = graph.types.service_class(SERVICES[service].type_name)
+    client = graph.node.create_client(service_class, service)
+    graph.wait(client.service_is_ready, service, 20.0)
+    request = service_class.Request()
+    if service == "hub/enable":
+        request.data = True
+    future = client.call_async(request)
+    graph.wait(future.done, f"an answer of {service}", 15.0)
+    assert future.result().success, future.result().message
+
+
+def test_a_malformed_chunk_refuses_its_sequence_at_once_and_the_next_one_is_taken(executables, graph) -> None:
+    states: list[dict[str, object]] = []
+    graph.listen("hub/sequence_state", lambda message: states.append(messages.read_json(message)))
+    sequence = graph.publisher("hub/sequence")
+    executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
+    for service in ("hub/home", "hub/enable"):
+        _call(graph, service)
+    graph.wait(lambda: sequence.get_subscription_count() > 0, "a hub that listens")
+
+    def chunks(name: str, lead_s: float = 30.0):
+        start_ns = graph.node.get_clock().now().nanoseconds + round(lead_s * 1e9)
+        return messages.split_sequence(name, start_ns, 1_000_000, np.zeros(1500))
+
+    def send(name: str, spoil, reason: str) -> None:
+        good, bad, _ = chunks(name)
+        sequence.publish(encode_chunk(good, "acceleration"))
+        graph.wait(lambda: bool(states) and states[-1]["id"] == name, "the first chunk")
+        sequence.publish(spoil(bad))
+        graph.wait(lambda: states[-1]["state"] == "refused", "a refusal", 2.0)
+        assert states[-1]["id"] == name
+        assert reason in states[-1]["reason"]
+
+    def two_values_a_point(chunk):
+        message = messages.sequence_chunk(graph.types, chunk, "acceleration")
+        message.points[3].accelerations.append(1.0)
+        return message
+
+    send("uneven", two_values_a_point, "point")
+    send("another-mode", lambda chunk: encode_chunk(chunk, "velocity"), "commanded in acceleration")
+    for chunk in chunks("whole", 2.0):
+        sequence.publish(encode_chunk(chunk, "acceleration"))
+    graph.wait(lambda: states[-1]["id"] == "whole" and states[-1]["state"] == "running", "a whole one")
