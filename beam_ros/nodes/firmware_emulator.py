@@ -7,6 +7,7 @@ only as the camera that films its beam.
 from __future__ import annotations
 
 import os
+import time
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -56,14 +57,13 @@ class FirmwareEmulator(RigNode):
         for note in self._controller.take_notes():
             self.get_logger().warning(note)
         self._camera.publish_until(self._controller.reached_ns)
+        self._camera.note_lag((time.time_ns() - self._controller.reached_ns) * 1e-9)
 
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report where the controller is and how the camera keeps up."""
-        counters: dict[str, object] = {
-            "frames": self._camera.published,
-            "dropped frames": self._camera.dropped_frames,
-        }
-        return "OK", f"controller on {self._controller.port}", counters
+        level, sentence, counters = self._camera.health()
+        place = f"controller on {self._controller.port}"
+        return level, f"{sentence}; {place}" if sentence else place, counters
 
     def close(self) -> None:
         """Switch the controller off."""

@@ -101,7 +101,7 @@ class SimulatedHub:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         axis = self.axis
-        sequence = self._gate.add(chunk, now_ns, axis.state, axis.position, axis.velocity)
+        sequence = self._gate.add(chunk, now_ns, axis.state, axis.reference_position, axis.velocity)
         if sequence is None:
             return
         outcome = axis.arm(self.device_ns(sequence.start_ns), len(sequence.values))
@@ -161,6 +161,10 @@ class SimulatedHub:
     def reached_ns(self) -> int:
         """The newest stamp [ns, UNIX] that ``snapshots`` can show."""
         return self.stamp_ns(self.axis.device_ns)
+
+    def lag_s(self, now: HostTime) -> float:
+        """Return by how much the axis is behind the time that it should have reached [s of simulated time]."""
+        return (self._host_clock(now).stamp_ns(now.steady_ns) - self.reached_ns) * 1e-9
 
     def snapshots(self, stamps_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants, from the first poll to ``reached_ns``, up to 4 s ago.
