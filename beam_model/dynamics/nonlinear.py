@@ -95,9 +95,19 @@ class NonlinearTerms:
         self._axial_load = parameters.mass_per_length * STANDARD_GRAVITY * (L - z)
         for height, mass in bodies:
             self._axial_load = self._axial_load + mass * STANDARD_GRAVITY * (z < height)
-        # H at the Gauss points and at the bodies; masses beside them, for one sum over both.
+        # H at the Gauss points and at the bodies, one below the other so that H q is one product; masses beside
+        # them, for one sum over both.
         places = np.concatenate([z, [height for height, _ in bodies]])
-        self._H = np.stack([_slope_overlap(model, float(place)) for place in places])
+        H = np.concatenate([_slope_overlap(model, float(place)) for place in places])
+        # One product gives all that the terms need of q, another all of q', a third the generalised forces: in a
+        # simulator it is the number of NumPy's calls that costs.
+        self._n_points = z.size
+        self._of_q = np.concatenate([self._slope, self._curvature, H])
+        self._of_rates = np.concatenate([self._shape, H])
+        self._of_forces = np.concatenate([self._curvature, self._slope, self._shape])
+        self._H = H
+        self._EI_weights = self._EI * self._weights
+        self._load_weights = 0.5 * self._sign * self._axial_load * self._weights
         self._masses = np.concatenate(
             [parameters.mass_per_length * self._weights, [mass for _, mass in bodies]]
         )
@@ -145,33 +155,33 @@ class NonlinearTerms:
 
     def kinetic_energy(self, q: FloatArray, rates: FloatArray) -> float:
         """Return T4 [J]."""
-        axial = (self._H @ q) @ rates
+        axial = (self._H @ q).reshape(-1, q.size) @ rates
         return float(0.5 * self._masses @ axial**2)
 
     def _forces(
         self, q: FloatArray, rates: FloatArray, hub_velocity: float
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return generalised forces on [alpha, q] and the mass that axial motion adds to q."""
-        force = np.zeros(q.size + 1)
-        if self._drag > 0.0:
-            velocity = hub_velocity + self._shape @ rates
-            drag = -self._drag * self._weights * np.abs(velocity) * velocity
-            force[0] = drag.sum()
-            force[1:] = drag @ self._shape
+        n, m = q.size, self._n_points
+        force = np.zeros(n + 1)
+        by_rates = self._of_rates @ rates
+        velocity = hub_velocity + by_rates[:m]
+        drag = -self._drag * self._weights * np.abs(velocity) * velocity
+        force[0] = drag.sum()
         if not self._is_geometric:
+            force[1:] = drag @ self._shape
             return force, None
-        slope, curvature = self._slope @ q, self._curvature @ q
+        by_q = self._of_q @ q
+        slope, curvature, axial = by_q[:m], by_q[m : 2 * m], by_q[2 * m :].reshape(-1, n)
         # Minus the derivative of V4 by q, through the curvature and through the slope.
-        by_curvature = -self._EI * self._weights * curvature * slope**2
-        by_slope = -self._weights * (
-            self._EI * curvature**2 * slope - 0.5 * self._sign * self._axial_load * slope**3
-        )
-        axial = self._H @ q
+        bending = -self._EI_weights * curvature * slope
+        by_slope = bending * curvature + self._load_weights * slope * slope * slope
+        force[1:] = np.concatenate([bending * slope, by_slope, drag]) @ self._of_forces
         # From T4 with s = q^T H q / 2: s_tt = q'^T H q' + q^T H q''. The first part is a force, the second
         # the mass M_a.
-        centripetal = self._masses * ((self._H @ rates) @ rates)
-        force[1:] += by_curvature @ self._curvature + by_slope @ self._slope - centripetal @ axial
-        return force, axial.T @ (self._masses[:, None] * axial)
+        weighed = self._masses[:, None] * axial
+        force[1:] -= (by_rates[m:].reshape(-1, n) @ rates) @ weighed
+        return force, axial.T @ weighed
 
 
 def _slope_overlap(model: BeamModel, height: float) -> FloatArray:

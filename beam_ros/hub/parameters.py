@@ -185,7 +185,7 @@ class LinkParameters:
 
 @dataclass(frozen=True)
 class SimulatedDevice:
-    """What only a simulated or emulated device has: its start, its buffer and its clock.
+    """What only a simulated or emulated device has: its start, its buffer, its clock and its encoder.
 
     Parameters
     ----------
@@ -197,16 +197,28 @@ class SimulatedDevice:
         By how much the device's clock runs fast [1e-6].
     clock_start_ns : int
         What the device's clock reads at power-on [ns].
+    encoder_noise : float
+        Standard deviation of the measured position, white from tick to tick [m]; speeds come from the drive's
+        observer, which is quiet.
+    encoder_at : {"hub", "drive"}
+        What the encoder measures: the hub, or the drive, before its play and compliance.
+    seed : int
+        Of the encoder's noise.
     """
 
     initial_position: float = 0.0
     buffer_samples: int = 512
     clock_drift_ppm: float = 0.0
     clock_start_ns: int = 0
+    encoder_noise: float = 0.0
+    encoder_at: Literal["hub", "drive"] = "hub"
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if not abs(self.clock_drift_ppm) <= 1000.0:
             raise _refusal("clock_drift_ppm", self.clock_drift_ppm, "between -1000 and 1000")
+        if not 0.0 <= self.encoder_noise < math.inf:
+            raise _refusal("encoder_noise", self.encoder_noise, "a finite number, at least 0")
         for name, least in (("clock_start_ns", 0), ("buffer_samples", 64)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:

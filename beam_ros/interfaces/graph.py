@@ -281,9 +281,9 @@ _CONTROLLER = ("axis.kind", "axis.metres_per_unit", *_group("trajectory", "max_k
 _FILM = (
     *("markers.names", "markers.diameter", "tracker.polarity"),
     *_group("camera"),
-    *("simulation.realistic", "simulation.displacement_noise", "simulation.seed"),
+    *_group("simulation", "images", "real_time_factor", "hub_clock_ppm"),
 )
-"""What a simulated camera shows of the beam."""
+"""What a simulated camera shows of the beam, and how far from ideal hub and camera are."""
 
 NODES: dict[str, Node] = {
     node.executable: node
@@ -294,7 +294,10 @@ NODES: dict[str, Node] = {
             (*_HUB_PUBLISHES, *_CAMERA, "beam/displacement", "/clock"),
             ("hub/setpoint", "hub/sequence"),
             _HUB_SERVES,
-            (*_BEAM, *_AXIS, *_GUARD, *_FILM, "simulation.images", "simulation.real_time_factor"),
+            (
+                *(*_BEAM, *_AXIS, *_GUARD, *_FILM),
+                *("simulation.images", "simulation.real_time_factor", "simulation.hub_clock_ppm"),
+            ),
             "the beam on its hub, integrated in real time, and the camera that films it",
         ),
         Node(

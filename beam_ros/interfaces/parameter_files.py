@@ -119,3 +119,12 @@ def packaged_rig_file() -> Path:
 def packaged_defaults() -> dict[str, Value]:
     """Every parameter's default, read from the packaged file."""
     return parameters_in_file(packaged_rig_file())
+
+
+def in_present_words(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the nested parameters of an earlier version of the suite, as bags hold them, in today's names."""
+    simulation = dict(tree.get("simulation", {}))
+    # In bags of version 0.1 one switch stood for drag with C_d = 2 and the cubic terms.
+    if simulation.pop("realistic", False):
+        simulation = {"drag_coefficient": 2.0, "large_deflections": True, **simulation}
+    return {**tree, "simulation": simulation}

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_type_hints
 
 from beam_ident.excitation import RECIPES
 from beam_ros.errors import ParameterFileError, likeliest
+from beam_ros.interfaces.imperfections import check_imperfections
 from beam_ros.interfaces.parameter import Parameter, Value, live, parameters_of, setting
 
 MAX_FACTOR_WITH_IMAGES = 2.0
@@ -226,7 +227,30 @@ class SimulationSettings:
 
     images: bool = setting("film the beam; else displacements are published directly")
     displacement_noise: float = setting("standard deviation without images", "m", 0.0, 0.01)
-    realistic: bool = setting("air drag and large-deflection terms in the beam")
+    preset: Literal["ideal", "realistic"] = setting("values of all keys below that are not given themselves")
+    drag_coefficient: float = setting("C_d of the strip in air; 0: no drag", "1", 0.0, 100.0)
+    large_deflections: bool = setting("cubic inertia, curvature and weight of the bent beam")
+    friction_coulomb: float = setting("dry friction of the hub's guide", "N", 0.0, 1e3)
+    friction_static: float = setting("force that breaks the hub loose; 0: Coulomb's", "N", 0.0, 1e3)
+    friction_viscous: float = setting("of the hub's guide", "N s/m", 0.0, 1e4)
+    servo_frequency: float = setting(
+        "of the servo on the moving mass; 0: an axis that follows exactly", "Hz", 0.0, 1e3
+    )
+    servo_damping: float = setting("damping ratio of the servo", "1", 0.0, 5.0)
+    backlash: float = setting("play between drive and hub", "m", 0.0, 0.001)
+    end_stops: bool = setting("hard stops at both ends of hub.travel")
+    stop_restitution: float = setting("share of the speed that a stop gives back", "1", 0.0, 1.0)
+    ripple: float = setting("amplitude of the actuator's force ripple", "N", 0.0, 1e3)
+    ripple_period: float = setting("travel after which the ripple repeats", "m", 1e-5, 1.0)
+    encoder_noise: float = setting("standard deviation of the measured position", "m", 0.0, 0.001)
+    encoder_at: Literal["hub", "drive"] = setting(
+        "what the encoder measures: hub, or the drive before its play"
+    )
+    hub_clock_ppm: float = setting("clock of the simulated device against the host's", "ppm", -1e3, 1e3)
+    camera_clock_ppm: float = setting("clock of the simulated camera against the host's", "ppm", -1e3, 1e3)
+    stamp_jitter: float = setting("standard deviation of the frames' stamps", "s", 0.0, 0.01)
+    frame_drops: float = setting("share of the frames that get lost", "1", 0.0, 0.5)
+    full_well: float = setting("electrons at grey level 255; 0: no shot noise", "", 0.0, 1e6)
     real_time_factor: float = setting("speed of simulated time", "1", 0.01, 20.0)
     seed: int = setting("of all simulated noise", "", 0, 2**31 - 1)
 
@@ -382,7 +406,7 @@ def check_relations(rig: RigParameters, given: Iterable[str] = ()) -> None:
     ------
     ParameterFileError
         Lists of markers of unequal length, heights out of order or above the tip, a band upside down, a magnitude
-        beyond the hub's limit.
+        beyond the hub's limit, an imperfection that would do nothing.
     """
     for name in given:
         _check_within(rig, RIG_PARAMETERS[name])
@@ -419,6 +443,7 @@ def check_relations(rig: RigParameters, given: Iterable[str] = ()) -> None:
             f"{MAX_FACTOR_WITH_IMAGES:g}, the most that images over DDS keep up with; switch the images off, or use "
             "`beam simulate`, which needs no real time"
         )
+    check_imperfections(rig)
     start, end = rig.excitation.start_frequency, rig.excitation.end_frequency
     if not start < end:
         raise ParameterFileError(

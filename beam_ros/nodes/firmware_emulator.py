@@ -6,14 +6,14 @@ only as the camera that films its beam.
 
 from __future__ import annotations
 
-import contextlib
 import os
+import time
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from beam_ros.hub.emulated.injected_faults import read_schedule
-from beam_ros.hub.errors import HubParameterError, SnapshotError
+from beam_ros.hub.errors import HubParameterError
 from beam_ros.shell.axis_emulators import emulated_axis
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
@@ -56,18 +56,14 @@ class FirmwareEmulator(RigNode):
     def _film(self) -> None:
         for note in self._controller.take_notes():
             self.get_logger().warning(note)
-        # After a standstill of this process, or a long drawing, the axis has gone on for longer than it remembers:
-        # the film then goes on with the newest frame, and counts the others.
-        with contextlib.suppress(SnapshotError):
-            self._camera.publish_until(self._controller.reached_ns)
+        self._camera.publish_until(self._controller.reached_ns)
+        self._camera.note_lag((time.time_ns() - self._controller.reached_ns) * 1e-9)
 
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report where the controller is and how the camera keeps up."""
-        counters: dict[str, object] = {
-            "frames": self._camera.published,
-            "dropped frames": self._camera.dropped_frames,
-        }
-        return "OK", f"controller on {self._controller.port}", counters
+        level, sentence, counters = self._camera.health()
+        place = f"controller on {self._controller.port}"
+        return level, f"{sentence}; {place}" if sentence else place, counters
 
     def close(self) -> None:
         """Switch the controller off."""

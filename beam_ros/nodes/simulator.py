@@ -10,10 +10,9 @@ from rosgraph_msgs.msg import Clock
 from beam_ros import messages
 from beam_ros.hub.contract import Hub, HubReport
 from beam_ros.hub.simulated.axis import VirtualAxis
-from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 from beam_ros.rig.rig import Rig
-from beam_ros.shell.hub_topics import HubNode
+from beam_ros.shell.hub_topics import HubNode, host_time
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import run_node
 from beam_ros.shell.simulated_camera import SimulatedCamera
@@ -31,13 +30,12 @@ class Simulator(HubNode):
     def _build(self, rig: Rig) -> Hub:
         self._model = rig.beam_model()
         parameters = rig.axis_parameters()
-        plant = beam_on_axis(self._model, parameters, rig.nonlinear_terms())
+        drift_ppm = rig.simulation.hub_clock_ppm
+        plant = rig.simulated_plant(self._model, drift_ppm)
+        axis = VirtualAxis(parameters, plant, rig.simulated_device(drift_ppm))
         factor = rig.simulation.real_time_factor
         self._simulated = SimulatedHub(
-            VirtualAxis(parameters, plant),
-            real_time_factor=factor,
-            guard=rig.beam_guard(),
-            checks_in_background=True,
+            axis, real_time_factor=factor, guard=rig.beam_guard(), checks_in_background=True
         )
         return self._simulated
 
@@ -54,14 +52,18 @@ class Simulator(HubNode):
         if self._simulated_time is not None:
             seconds, nanoseconds = divmod(reached_ns, messages.SECOND_NS)
             self._simulated_time.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+        self._camera.note_lag(self._simulated.lag_s(host_time()))
 
     def health(self) -> tuple[str, str, dict[str, object]]:
-        """Report the hub's health and the camera's lost frames."""
+        """Report the hub's health, and how the simulation keeps up."""
         level, sentence, counters = super().health()
-        if self._camera is not None:
-            counters["frames"] = self._camera.published
-            counters["dropped frames"] = self._camera.dropped_frames
-        return level, sentence, counters
+        if self._camera is None:
+            return level, sentence, counters
+        camera_level, camera_sentence, camera_counters = self._camera.health()
+        if camera_level != "OK":
+            level = camera_level if level == "OK" else level
+            sentence = f"{camera_sentence}; {sentence}"
+        return level, sentence, {**counters, **camera_counters}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -39,6 +39,7 @@ from beam_ros.bags.reading import Bag, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
+from beam_ros.interfaces.parameter_files import in_present_words
 from beam_ros.process.folders import make_folder
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
@@ -168,7 +169,7 @@ def described_rig(path: Path, info: Mapping[str, Any]) -> Rig:
             "with (--rig-file)"
         )
     try:
-        return Rig.from_nested(info["rig"])
+        return Rig.from_nested(in_present_words(info["rig"]))
     except (ParameterFileError, AttributeError) as err:
         raise UsageError(
             f"{path}: its excitation/info describes a rig that this version does not read ({err}); give the "

@@ -20,7 +20,6 @@ from beam_ros.errors import RigUnavailableError
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.hub.contract import HostTime, HubReport, RequestKind
 from beam_ros.hub.simulated.axis import VirtualAxis
-from beam_ros.hub.simulated.plant import beam_on_axis
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 from beam_ros.messages import BagTypes
 from beam_ros.rig.filming import Exposure, Film
@@ -71,7 +70,8 @@ def simulate(
     plan = plan_excitation(rig)
     model = rig.beam_model()
     parameters = rig.axis_parameters()
-    axis = VirtualAxis(parameters, beam_on_axis(model, parameters, rig.nonlinear_terms()))
+    drift_ppm = rig.simulation.hub_clock_ppm
+    axis = VirtualAxis(parameters, rig.simulated_plant(model, drift_ppm), rig.simulated_device(drift_ppm))
     hub = SimulatedHub(axis, guard=rig.beam_guard())
     types = BagTypes()
     with BagWriter(path) as bag:
@@ -181,7 +181,13 @@ def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
 
     seed = rig.simulation.seed
     rng = np.random.default_rng(seed)
-    renderer = SceneRenderer(film.camera, rig.markers.heights, strip_heights=film.strip_heights, seed=seed)
+    renderer = SceneRenderer(
+        film.camera,
+        rig.markers.heights,
+        strip_heights=film.strip_heights,
+        seed=seed,
+        full_well=rig.simulation.full_well,
+    )
     return lambda exposure: renderer.render(exposure.markers, rng, exposure.strip)
 
 

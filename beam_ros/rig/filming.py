@@ -2,6 +2,9 @@
 
 Works on whatever can say where hub and beam were at exact instants, so that the simulator, the firmware
 emulator and the offline simulation film the same plant in the same way.
+
+What the rig file says of an imperfect camera happens here: its clock may run fast, so that its frames come and its
+stamps count in a time of its own; stamps jitter; frames get lost.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import numpy as np
 
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
+from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.rig.rig import Rig
@@ -29,7 +33,7 @@ class Exposure:
 
     Attributes
     ----------
-    stamp_ns : int -- the frame's stamp, in the camera's meaning [ns, UNIX]
+    stamp_ns : int -- the frame's stamp, in the camera's meaning, with the errors of its clock [ns, UNIX]
     markers : ndarray, shape (n_instants, n_markers) -- displacement u during the exposure [m]
     strip : ndarray, shape (n_strip,) -- mean displacement of the strip over the exposure of its rows [m]
     """
@@ -48,6 +52,11 @@ class Film:
     model : BeamModel
     snapshots : callable -- from stamps [ns, UNIX] to ``Snapshots``
     start_ns : int -- when the first exposure begins [ns, UNIX]
+
+    Attributes
+    ----------
+    dropped_frames : int -- lost because the reader fell behind
+    frames_left_out : int -- lost because the rig file wants a share of them lost
     """
 
     def __init__(
@@ -60,7 +69,7 @@ class Film:
         self.camera: CameraParameters = rig.camera_parameters()
         self.strip_heights = np.linspace(0.0, rig.beam.length, _STRIP_POINTS)
         self.timing = FrameTiming(self.camera)
-        self.dropped_frames = 0
+        self.dropped_frames = self.frames_left_out = 0
         self._heights = rig.markers.heights
         self._markers = BeamPoints(model, self._heights)
         self._strip = BeamPoints(model, self.strip_heights.tolist())
@@ -69,6 +78,10 @@ class Film:
         self._period_ns = round(1e9 / self.camera.rate_hz)
         self._start_ns = start_ns
         self._next = 0
+        simulation = rig.simulation
+        self._clock_ppb = round(simulation.camera_clock_ppm * 1000)
+        self._jitter_ns, self._drop_share = simulation.stamp_jitter * 1e9, simulation.frame_drops
+        self._accidents = np.random.default_rng([simulation.seed, *b"camera"])
 
     def due(self, reached_ns: int) -> Iterator[Exposure]:
         """Yield the exposures that have ended by ``reached_ns`` [ns, UNIX] and were not yielded before.
@@ -76,32 +89,47 @@ class Film:
         A camera whose reader falls behind by more than half a second loses frames, as a real one does.
         """
         stamp_ns = self.timing.stamp(self._start_ns)
-        finished = (
-            reached_ns - self._start_ns - (self.timing.end(stamp_ns) - self._start_ns)
-        ) // self._period_ns
+        elapsed_ns = reached_ns - self.timing.end(stamp_ns)
+        finished = (elapsed_ns + elapsed_ns * self._clock_ppb // 1_000_000_000) // self._period_ns
         if finished - self._next > _MAX_BACKLOG_FRAMES:
             self.dropped_frames += finished - self._next
             self._next = finished
         while self._next <= finished:
-            start_ns = self._start_ns + self._next * self._period_ns
+            camera_ns = self._next * self._period_ns
             self._next += 1
-            yield self._expose(self.timing.stamp(start_ns))
+            jitter_ns = self._jitter_ns * self._accidents.standard_normal()
+            if self._accidents.random() < self._drop_share:
+                self.frames_left_out += 1
+                continue
+            true_ns = camera_ns * 1_000_000_000 // (1_000_000_000 + self._clock_ppb)
+            try:
+                exposure = self._expose(
+                    self.timing.stamp(self._start_ns + true_ns), camera_ns - true_ns + round(jitter_ns)
+                )
+            except SnapshotError:
+                # While the frames before were drawn the plant went on, and has forgotten that instant.
+                self.dropped_frames += 1
+                continue
+            yield exposure
 
-    def _expose(self, stamp_ns: int) -> Exposure:
+    def _expose(self, stamp_ns: int, error_ns: int) -> Exposure:
+        """Expose the frame whose right stamp is known, and stamp it with an error."""
         instants = self.timing.exposure_instants(stamp_ns, self._heights)
         n_instants, n_markers = instants.shape
         weights = exposure_weights(n_instants)
         if self.camera.readout_s == 0.0:
             snapshots = self._snapshots(instants[:, 0].tolist())
             markers = self._markers.displacements(snapshots)
-            return Exposure(stamp_ns, markers, weights @ self._strip.displacements(snapshots))
+            return Exposure(stamp_ns + error_ns, markers, weights @ self._strip.displacements(snapshots))
         snapshots = self._snapshots(instants.ravel().tolist())
         columns = np.arange(n_markers)
         u = self._markers.displacements(snapshots).reshape(n_instants, n_markers, n_markers)
         # Rows between the markers' are exposed between the markers' times.
         strip = self._strip.displacements(snapshots).reshape(n_instants, n_markers, -1)
         means = np.einsum("i,imk->km", weights, strip)
-        return Exposure(stamp_ns, u[:, columns, columns], np.sum(self._between_markers * means, axis=1))
+        return Exposure(
+            stamp_ns + error_ns, u[:, columns, columns], np.sum(self._between_markers * means, axis=1)
+        )
 
     def marker_stamps(self, exposure: Exposure) -> tuple[int, ...]:
         """Return the middle of each marker's exposure [ns, UNIX], shape (n_markers,)."""

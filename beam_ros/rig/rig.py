@@ -7,6 +7,7 @@ the camera and the tracker want. Rooms are imported only when their part is aske
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +15,17 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from beam_ros.errors import ParameterFileError
+from beam_ros.interfaces.imperfections import with_preset
 from beam_ros.interfaces.parameter import Value
 from beam_ros.interfaces.parameter_files import flatten, packaged_defaults, parameters_in_file
 from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_parameters, check_relations
 
 if TYPE_CHECKING:
-    from beam_model import BeamModel, BeamParameters, NonlinearTerms
+    from beam_model import BeamModel, BeamParameters
     from beam_ros.hub.gate.beam_guard import BeamGuard
     from beam_ros.hub.link_parameters import CsvColumns, OdriveParameters, TrajectoryParameters
-    from beam_ros.hub.parameters import AxisParameters, LinkParameters
+    from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
+    from beam_ros.hub.simulated.plant import Plant
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -66,7 +69,8 @@ class Rig(RigParameters):
 
         Parameters
         ----------
-        changes : mapping -- dotted names and new values
+        changes : mapping -- dotted names and new values; a ``simulation.preset`` among them also gives the keys that
+            it sets, where they are not among them themselves
         source : str -- put before an error's message: the file the values come from
 
         Raises
@@ -75,7 +79,7 @@ class Rig(RigParameters):
             A name is unknown or a value wrong.
         """
         try:
-            checked = check_parameters(changes)
+            checked = with_preset(check_parameters(changes))
             rig = self._of({**self.values, **checked})
             check_relations(rig, [name for name in checked if rig[name] != self[name]])
         except ParameterFileError as err:
@@ -168,13 +172,61 @@ class Rig(RigParameters):
 
         return BeamModel(self.beam_parameters(), n_modes=self.beam.modes)
 
-    def nonlinear_terms(self) -> NonlinearTerms | None:
-        """Air drag and large deflections, where a realistic simulation is wanted."""
-        if not self.simulation.realistic:
-            return None
-        from beam_model import AirDrag, NonlinearTerms
+    def simulated_plant(
+        self, model: BeamModel, clock_drift_ppm: float, period_ns: int | None = None
+    ) -> Plant:
+        """The beam on its hub with the simulated hardware's imperfections.
 
-        return NonlinearTerms(self.beam_model(), AirDrag(self.beam.width))
+        Parameters
+        ----------
+        model : BeamModel -- of ``beam_model``
+        clock_drift_ppm : float -- by how much the device's clock runs fast [1e-6]
+        period_ns : int, optional -- the device's tick, where it is another than the rig's [ns]
+        """
+        from beam_model import AirDrag, EndStops, HubFriction, NonlinearTerms
+        from beam_ros.hub.simulated.mechanism import Mechanism, servo_on
+        from beam_ros.hub.simulated.plant import beam_on_axis
+
+        simulation = self.simulation
+        drag = AirDrag(self.beam.width, simulation.drag_coefficient)
+        terms = None
+        if simulation.large_deflections or simulation.drag_coefficient:
+            terms = NonlinearTerms(model, drag, simulation.large_deflections)
+        limit = self.hub.travel / 2
+        servo = None
+        if simulation.servo_frequency:
+            servo = servo_on(
+                model.parameters.total_mass,
+                frequency_hz=simulation.servo_frequency,
+                damping_ratio=simulation.servo_damping,
+                max_force=self.hub.max_effort,
+                backlash=simulation.backlash,
+            )
+        mechanism = Mechanism(
+            friction=HubFriction(
+                simulation.friction_coulomb, simulation.friction_viscous, simulation.friction_static
+            ),
+            stops=EndStops(-limit, limit, simulation.stop_restitution) if simulation.end_stops else None,
+            servo=servo,
+            ripple=simulation.ripple,
+            ripple_period=simulation.ripple_period,
+        )
+        parameters = self.axis_parameters()
+        if period_ns is not None:
+            parameters = replace(parameters, period_ns=period_ns)
+        return beam_on_axis(model, parameters, terms, mechanism, clock_drift_ppm=clock_drift_ppm)
+
+    def simulated_device(self, clock_drift_ppm: float, clock_start_ns: int = 0) -> SimulatedDevice:
+        """The simulated or emulated device: its clock [1e-6], what that reads at power-on [ns], its encoder."""
+        from beam_ros.hub.parameters import SimulatedDevice
+
+        return SimulatedDevice(
+            clock_drift_ppm=clock_drift_ppm,
+            clock_start_ns=clock_start_ns,
+            encoder_noise=self.simulation.encoder_noise,
+            encoder_at=self.simulation.encoder_at,
+            seed=self.simulation.seed,
+        )
 
     def axis_parameters(self) -> AxisParameters:
         """The axis and its controller: limits, command mode, tick and watchdog."""

@@ -22,7 +22,7 @@ from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryContro
 from beam_ros.hub.errors import HubParameterError
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.motion import Snapshots
-from beam_ros.hub.simulated.plant import Plant, beam_on_axis
+from beam_ros.hub.simulated.plant import Plant
 from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY
 from beam_ros.messages.stamps import ros_time
 from beam_ros.rig.rig import Rig
@@ -68,20 +68,19 @@ class EmulatedAxis(Protocol):
 
 
 def _device(rig: Rig) -> SimulatedDevice:
-    return SimulatedDevice(clock_drift_ppm=rig.emulator.clock_drift_ppm, clock_start_ns=_POWER_ON_NS)
+    return rig.simulated_device(rig.emulator.clock_drift_ppm, _POWER_ON_NS)
 
 
 def _beam(node: RigNode) -> EmulatedAxis:
     rig = node.rig
     parameters = rig.axis_parameters()
-    drift_ppm = rig.emulator.clock_drift_ppm
-    plant = beam_on_axis(rig.beam_model(), parameters, rig.nonlinear_terms(), clock_drift_ppm=drift_ppm)
+    plant = rig.simulated_plant(rig.beam_model(), rig.emulator.clock_drift_ppm)
     return _on_port(rig, parameters.widened(_HEADROOM), plant)
 
 
 def _servo_plant(rig: Rig, clock_drift_ppm: float) -> Plant:
-    parameters = servo_parameters(rig.axis_parameters())
-    return beam_on_axis(rig.beam_model(), parameters, rig.nonlinear_terms(), clock_drift_ppm=clock_drift_ppm)
+    period_ns = servo_parameters(rig.axis_parameters()).period_ns
+    return rig.simulated_plant(rig.beam_model(), clock_drift_ppm, period_ns)
 
 
 def _on_port(

@@ -13,6 +13,9 @@ from beam_ros.rig.filming import Exposure, Film
 from beam_ros.shell.node import RigNode
 from beam_ros.vision.rendering.frames import SceneRenderer
 
+MAX_LAG_S = 0.1
+"""So far a simulation may be behind real time before it says so [s]: ten polls of the hub."""
+
 
 class SimulatedCamera:
     """Publishes what a simulated camera sees: frames, or displacements where no images are wanted.
@@ -42,13 +45,16 @@ class SimulatedCamera:
         self._rng = np.random.default_rng(seed)
         self._names = rig.markers.names
         self._noise = rig.simulation.displacement_noise
-        self.published = 0
+        self._preset = rig.simulation.preset
+        self._published = 0
+        self._worst_lag_s = 0.0
         if with_images:
             self._renderer = SceneRenderer(
                 self._film.camera,
                 rig.markers.heights,
                 strip_heights=self._film.strip_heights,
                 seed=seed,
+                full_well=rig.simulation.full_well,
             )
             self._images = node.offer("camera/image_raw")
             self._infos = node.offer("camera/camera_info")
@@ -57,16 +63,36 @@ class SimulatedCamera:
             self._displacements = node.offer("beam/displacement")
             self._show = self._show_displacement
 
-    @property
-    def dropped_frames(self) -> int:
-        """Frames that were lost because this process fell behind."""
-        return self._film.dropped_frames
+    def health(self) -> tuple[str, str, dict[str, object]]:
+        """Report what is simulated, and how that keeps up with real time since the start and the last report."""
+        film, lag_s = self._film, self._worst_lag_s
+        self._worst_lag_s = 0.0
+        troubles = []
+        if film.dropped_frames:
+            # Recorded with the bag, so that whoever reads it later knows.
+            troubles.append(f"{film.dropped_frames} frames were lost because this computer fell behind")
+        if lag_s > MAX_LAG_S:
+            troubles.append(f"{lag_s:.2f} s behind real time")
+        counters: dict[str, object] = {
+            "hardware": self._preset,
+            "frames": self._published,
+            "dropped frames": film.dropped_frames,
+            "frames left out": film.frames_left_out,
+            "lag": round(lag_s, 3),
+        }
+        if troubles:
+            return "WARN", f"the simulation falls behind: {', '.join(troubles)}", counters
+        return "OK", "", counters
 
     def publish_until(self, reached_ns: int) -> None:
         """Publish every exposure that has ended by ``reached_ns`` [ns, UNIX]."""
         for exposure in self._film.due(reached_ns):
             self._show(exposure)
-            self.published += 1
+            self._published += 1
+
+    def note_lag(self, lag_s: float) -> None:
+        """Note how far the plant now is behind real time [s]."""
+        self._worst_lag_s = max(self._worst_lag_s, lag_s)
 
     def _show_frame(self, exposure: Exposure) -> None:
         camera = self._film.camera

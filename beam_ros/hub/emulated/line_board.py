@@ -70,7 +70,7 @@ class _SelfMoved:
 
     @property
     def true_position(self) -> float:
-        return self._motion.position
+        return self._motion.hub_position
 
     def advance(self, to_ns: int) -> None:
         while self._motion.device_ns < to_ns:

@@ -65,7 +65,7 @@ class ServoAxis:
     @property
     def true_position(self) -> float:
         """Where the hub is [m]."""
-        return self._motion.position
+        return self._motion.hub_position
 
     @property
     def velocity(self) -> float:

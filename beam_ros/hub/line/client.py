@@ -21,6 +21,7 @@ from beam_ros.hub.contract import (
     HubStatus,
     Outcome,
     RequestKind,
+    SampleBatch,
     SequenceChunk,
 )
 from beam_ros.hub.errors import HubProtocolError
@@ -92,6 +93,7 @@ class HubClient:
         self._clock: HostClock | None = None
         self._device: protocol.Status | None = None
         self._told_state: AxisState | None = None
+        self._newest_applied: SampleBatch | None = None
 
     # The Hub protocol ---------------------------------------------------------------------------------
 
@@ -138,7 +140,7 @@ class HubClient:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         status = self._status()
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
-        self._gate.add(chunk, now_ns, status.state, status.position, status.velocity)
+        self._gate.add(chunk, now_ns, status.state, self._held_position(status), status.velocity)
 
     def poll(self, now: HostTime) -> HubReport:
         """Say that the host is alive, and collect what happened."""
@@ -147,9 +149,11 @@ class HubClient:
         self._journal.watch_clock(clock, now)
         batches = self._stamping.take_batches()
         self._gate.follow(batches)
+        if batches:
+            self._newest_applied = batches[-1][0]
         status = self._status(now.steady_ns)
         now_ns = clock.stamp_ns(now.steady_ns)
-        sequence = self._gate.poll(now_ns, status.state, status.position, status.velocity)
+        sequence = self._gate.poll(now_ns, status.state, self._held_position(status), status.velocity)
         if sequence is not None:
             self._stream.begin(sequence, clock.steady_ns(sequence.start_ns))
         return HubReport(
@@ -357,12 +361,19 @@ class HubClient:
             self._clock = HostClock(now)
         return self._clock
 
+    def _held_position(self, status: HubStatus) -> float:
+        """Return where the device holds the hub [m]: what it applied, where it says so; a servo lags behind it."""
+        applied = self._newest_applied
+        if applied is None or applied.positions is None:
+            return status.position
+        return float(applied.positions[-1])
+
     def _forget_session(self, reason: str) -> None:
         """End all that was going on with the device, because it cannot be reached any more."""
         self._requests.fail_all(reason)
         self._setpoints.drop()
         self._stream.lose(reason)
-        self._device = self._told_state = None
+        self._device = self._told_state = self._newest_applied = None
 
     def _status(self, now_ns: int | None = None) -> HubStatus:
         counters = dict(self._journal.counters)

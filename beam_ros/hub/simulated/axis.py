@@ -134,6 +134,11 @@ class VirtualAxis:
     @property
     def true_position(self) -> float:
         """Where the hub really is, seen from home [m]; no device knows that before it has homed."""
+        return self._motion.hub_position
+
+    @property
+    def reference_position(self) -> float:
+        """Where the axis was last told to be [m]; a servo that friction or play holds back rests beside it."""
         return self._motion.position
 
     @property

@@ -1,7 +1,9 @@
 """The hub's exact motion tick by tick, and what a camera could see of it at any instant of the recent past.
 
 Within a tick either the acceleration is constant (acceleration mode, and effort mode while the axis holds or
-brakes), or the velocity is (velocity and position mode), or the force is (effort mode).
+brakes), or the velocity is (velocity and position mode), or the force is (effort mode). That is the reference,
+which the device knows. Where the plant has a servo, the hub follows it as servo, friction and beam let it: then the
+force is constant within every tick, and reference and hub are two things.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.plant import Plant
+from beam_ros.hub.simulated.plant import Plant, Reference
 
 HISTORY_TICKS = 4096
 """Ticks of the past that ``HubMotion.snapshots`` can look into (4 s at 1 kHz)."""
@@ -68,23 +70,32 @@ class HubMotion:
     plant : Plant
         What the hub carries, stepped with the same period.
     device : SimulatedDevice
-        Where the hub stands at power-on, and what the clock reads then.
+        Where the hub stands at power-on, what the clock reads then, and how the encoder measures.
 
     Attributes
     ----------
     tick : int
         The tick that comes next; all before it are done.
     position, velocity : float
+        The reference [m], [m/s], seen from home as the device knows it: where the hub is, unless a servo lags behind.
+    hub_position, hub_velocity : float
         Where the hub really is [m], seen from home, and how it moves [m/s].
     """
 
     def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
         parameters.check_within_travel("initial_position", device.initial_position)
         self.tick = self._first_tick = -(-device.clock_start_ns // parameters.period_ns)
-        self.position = self._encoder_zero = device.initial_position
-        self.velocity = 0.0
+        self.position = self.hub_position = device.initial_position
+        self.velocity = self.hub_velocity = 0.0
+        self._zero = device.initial_position
+        # By how much the device's home lies beside the true one: what the servo lacked when it was found.
+        self._home_error = 0.0
         self._parameters = parameters
         self._plant = plant
+        self._measures_drive = device.encoder_at == "drive"
+        self._noise_sd = device.encoder_noise
+        self._rng = np.random.default_rng(device.seed)
+        self._noise = self._next_noise()
         self._history: list[_TickStart | None] = [None] * HISTORY_TICKS
 
     @property
@@ -95,16 +106,22 @@ class HubMotion:
     @property
     def position_count(self) -> int:
         """What the encoder reads [encoder_resolution]."""
-        return round((self.position - self._encoder_zero) / self._parameters.encoder_resolution)
+        position = self.position if self._measures_drive else self.hub_position - self._home_error
+        return round((position - self._zero + self._noise) / self._parameters.encoder_resolution)
 
     @property
     def velocity_count(self) -> int:
         """Measured speed [encoder_resolution / period]."""
-        return round(self.velocity * self._parameters.period / self._parameters.encoder_resolution)
+        velocity = self.velocity if self._measures_drive else self.hub_velocity
+        return round(velocity * self._parameters.period / self._parameters.encoder_resolution)
 
     def set_zero(self) -> None:
         """Take this very place for home."""
-        self.position = self._encoder_zero = 0.0
+        if self._plant.has_servo:
+            self._home_error = self.hub_position
+        else:
+            self.hub_position = 0.0
+        self.position = self._zero = 0.0
 
     def follow(self, command: float) -> tuple[float, float]:
         """Integrate one period under a command of the mode; return the reference applied and the force [N]."""
@@ -118,6 +135,8 @@ class HubMotion:
         reference = self.position
         _, effort = self.lead((command - self.position) / period)
         self.position = command
+        if not self._plant.has_servo:
+            self.hub_position = command
         return reference, effort
 
     def lead(self, velocity: float, acceleration: float | None = None) -> tuple[float, float]:
@@ -134,34 +153,60 @@ class HubMotion:
         else:
             acceleration = 0.0
             mean_acceleration = (velocity - before) / period
-            if velocity != before:
-                self._plant.kick(velocity - before)
             start_velocity = mean_velocity = velocity
-        effort = self._plant.force_when_led(mean_acceleration)
-        self._history[self.tick % HISTORY_TICKS] = _TickStart(
-            reference_position, start_velocity, self._plant.state(), acceleration, False, mean_acceleration
-        )
-        self._plant.step_led(acceleration, mean_acceleration)
-        self.position += mean_velocity * period
+        if self._plant.has_servo:
+            wanted = Reference(reference_position + self._home_error, start_velocity, mean_acceleration)
+            effort = self._plant.servo_force(self.hub_position, self.hub_velocity, wanted)
+            self._move(effort)
+            self.position += mean_velocity * period
+        else:
+            if start_velocity != before:
+                self._plant.kick(start_velocity - before)
+            effort = self._plant.force_when_led(mean_acceleration)
+            self._history[self.tick % HISTORY_TICKS] = _TickStart(
+                reference_position,
+                start_velocity,
+                self._plant.state(),
+                acceleration,
+                False,
+                mean_acceleration,
+            )
+            self._plant.step_led(acceleration, mean_acceleration)
+            self.position += mean_velocity * period
+            self.hub_position, self.hub_velocity = self.position, velocity
+            self._count_tick()
         self.velocity = velocity
-        self.tick += 1
         mode = self._parameters.command_mode
         if mode == "acceleration":
             return acceleration, effort
         if mode == "velocity":
             return velocity, effort
         if mode == "position":
-            return reference_position - self._encoder_zero, effort
+            return reference_position - self._zero, effort
         return effort, effort
 
     def push(self, force: float) -> tuple[float, float]:
         """Integrate one period of the free hub under a force."""
-        self._history[self.tick % HISTORY_TICKS] = _TickStart(
-            self.position, self.velocity, self._plant.state(), force, True, 0.0
-        )
-        self.position, self.velocity = self._plant.step_free(self.position, self.velocity, force)
-        self.tick += 1
+        self._move(force)
+        self.position, self.velocity = self.hub_position - self._home_error, self.hub_velocity
         return force, force
+
+    def _move(self, force: float) -> None:
+        """Integrate one period of the hub under a force that is held over it."""
+        self._history[self.tick % HISTORY_TICKS] = _TickStart(
+            self.hub_position, self.hub_velocity, self._plant.state(), force, True, 0.0
+        )
+        self.hub_position, self.hub_velocity = self._plant.step_free(
+            self.hub_position, self.hub_velocity, force
+        )
+        self._count_tick()
+
+    def _count_tick(self) -> None:
+        self.tick += 1
+        self._noise = self._next_noise()
+
+    def _next_noise(self) -> float:
+        return self._noise_sd * float(self._rng.standard_normal()) if self._noise_sd else 0.0
 
     def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants of the recent past, also inside ticks.
@@ -189,7 +234,7 @@ class HubMotion:
             entry = self._history[tick % HISTORY_TICKS] if oldest <= tick < self.tick else None
             if time_ns == self.device_ns and self.tick == self._first_tick:
                 # Nothing has been done since power-on: hub and beam are where they stand.
-                entry = _TickStart(self.position, self.velocity, self._plant.state(), 0.0, False, 0.0)
+                entry = _TickStart(self.hub_position, 0.0, self._plant.state(), 0.0, False, 0.0)
             if entry is None:
                 raise SnapshotError(
                     f"snapshot at {time_ns} ns of device time: expected from "

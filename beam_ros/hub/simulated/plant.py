@@ -1,7 +1,8 @@
 """What the axis carries: the beam on its hub, as the virtual axis drives it tick by tick.
 
 Within one tick the hub is either led (its acceleration is prescribed, after an optional jump of its
-velocity) or free under a force. A plant keeps only the elastic state; where the hub is, the axis knows.
+velocity) or free under a force, which friction, stops and ripple join; a servo moves it by forces alone. A plant
+keeps only the elastic state; where the hub is, the axis knows.
 Evaluations inside a tick take a state that ``Plant.state`` returned earlier, so that a camera can ask for
 instants of the recent past.
 """
@@ -14,9 +15,17 @@ from typing import Protocol
 
 import numpy as np
 
-from beam_model import BeamModel, MotionStepper, NonlinearMotionStepper, NonlinearTerms
+from beam_model import (
+    AxisStepper,
+    BeamModel,
+    ForceStepper,
+    MotionStepper,
+    NonlinearMotionStepper,
+    NonlinearTerms,
+)
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.simulated.mechanism import Mechanism
 
 
 @dataclass(frozen=True)
@@ -37,10 +46,27 @@ class FreeMotion:
     coordinates: FloatArray
 
 
+@dataclass(frozen=True)
+class Reference:
+    """Where a servo shall have the hub at a tick.
+
+    Parameters
+    ----------
+    position, velocity, acceleration : float
+        [m], [m/s], [m/s^2]; the acceleration over the coming tick.
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+
+
 class Plant(Protocol):
     """A load on the hub that is stepped exactly with the device's period."""
 
     n_modes: int
+    has_servo: bool
+    """Whether a servo moves the hub towards its reference; else it follows exactly."""
 
     def state(self) -> FloatArray:
         """Return a copy of the elastic state at the present tick."""
@@ -59,6 +85,9 @@ class Plant(Protocol):
 
     def force_when_led(self, acceleration: float) -> float:
         """Return the force [N] that gives the hub this acceleration in the present state."""
+
+    def servo_force(self, position: float, velocity: float, reference: Reference) -> float:
+        """Let the servo see the hub, once per tick, and return the force [N] that it holds over it."""
 
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return q, shape (n_modes,), ``tau`` seconds into a tick that began in ``state``, the hub led."""
@@ -84,6 +113,7 @@ class RigidPlant:
     """
 
     n_modes = 0
+    has_servo = False
 
     def __init__(self, mass: float, period: float) -> None:
         self._mass = mass
@@ -108,6 +138,10 @@ class RigidPlant:
     def force_when_led(self, acceleration: float) -> float:
         """Return mass times acceleration [N]."""
         return self._mass * acceleration
+
+    def servo_force(self, position: float, velocity: float, reference: Reference) -> float:
+        """Return mass times acceleration [N]: there is no servo."""
+        return self._mass * reference.acceleration
 
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return the empty array: there are no modes."""
@@ -135,7 +169,9 @@ class BeamPlant:
     period : float
         The device's tick [s].
     terms : NonlinearTerms, optional
-        Air drag and large deflections, where the hub is led; a free hub's beam stays linear.
+        Air drag and large deflections.
+    mechanism : Mechanism, optional
+        Friction, stops, servo and ripple of the axis.
 
     Notes
     -----
@@ -143,8 +179,16 @@ class BeamPlant:
     acceleration that the modes left out follow, delayed by eta where there is internal damping.
     """
 
-    def __init__(self, model: BeamModel, period: float, terms: NonlinearTerms | None = None) -> None:
+    def __init__(
+        self,
+        model: BeamModel,
+        period: float,
+        terms: NonlinearTerms | None = None,
+        mechanism: Mechanism | None = None,
+    ) -> None:
         self.n_modes = model.n_modes
+        self._mechanism = mechanism = mechanism or Mechanism()
+        self.has_servo = mechanism.servo is not None
         self._period = period
 
         def stepper() -> MotionStepper | NonlinearMotionStepper:
@@ -155,7 +199,13 @@ class BeamPlant:
             )
 
         self._led, self._probe = stepper(), stepper()
-        self._free = model.force_stepper(period)
+        self._free: AxisStepper | ForceStepper = model.force_stepper(period)
+        self._servo: AxisStepper | None = None
+        if terms is not None or mechanism.resists or self.has_servo:
+            self._free = self._servo = AxisStepper(
+                model, period, mechanism.friction, mechanism.stops, mechanism.servo, terms
+            )
+        self._mass = model.parameters.total_mass
         self._hub_velocity = 0.0
         self._residual = 0.0
         self._delay = model.parameters.damping.internal
@@ -192,6 +242,7 @@ class BeamPlant:
         n = self.n_modes
         free = self._free
         self._place_free(self._led.state, position, velocity)
+        force += self._mechanism.ripple_at(position)
         free.step(force)
         state = free.state
         position, velocity = float(state[0]), float(state[n + 1])
@@ -211,6 +262,13 @@ class BeamPlant:
             + self._force_per_acceleration * acceleration
         )
 
+    def servo_force(self, position: float, velocity: float, reference: Reference) -> float:
+        """Let the servo see the hub, once per tick, and return the force [N] that it holds over it."""
+        assert self._servo is not None
+        self._place_free(self._led.state, position, velocity)
+        feedforward = self._mass * reference.acceleration
+        return self._servo.servo_force(reference.position, reference.velocity, feedforward)
+
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return q, shape (n_modes,), ``tau`` seconds into a tick that began in ``state``, the hub led."""
         self._probe.reset()
@@ -227,7 +285,7 @@ class BeamPlant:
     ) -> FreeMotion:
         """Return hub and beam ``tau`` seconds into a tick that began in ``state``, the hub free."""
         self._place_free(state[:-2], position, velocity)
-        motion = self._free.motion(tau, force)
+        motion = self._free.motion(tau, force + self._mechanism.ripple_at(position))
         return FreeMotion(
             float(motion.position), float(motion.velocity), float(motion.acceleration), motion.coordinates
         )
@@ -262,6 +320,7 @@ class PlantOnDeviceClock:
 
     def __init__(self, plant: Plant, seconds_per_device_second: float) -> None:
         self.n_modes = plant.n_modes
+        self.has_servo = plant.has_servo
         self._plant = plant
         self._second = seconds_per_device_second
 
@@ -286,6 +345,13 @@ class PlantOnDeviceClock:
         """Return the force [N] that gives the hub this acceleration in the present state."""
         return self._plant.force_when_led(self._true(acceleration))
 
+    def servo_force(self, position: float, velocity: float, reference: Reference) -> float:
+        """Let the servo see the hub, once per tick, and return the force [N] that it holds over it."""
+        true = Reference(
+            reference.position, reference.velocity / self._second, self._true(reference.acceleration)
+        )
+        return self._plant.servo_force(position, velocity / self._second, true)
+
     def coordinates(self, state: FloatArray, tau: float, acceleration: float) -> FloatArray:
         """Return q, shape (n_modes,), ``tau`` device seconds into a tick that began in ``state``, the hub led."""
         return self._plant.coordinates(state, tau * self._second, self._true(acceleration))
@@ -309,6 +375,7 @@ def beam_on_axis(
     model: BeamModel,
     parameters: AxisParameters,
     terms: NonlinearTerms | None = None,
+    mechanism: Mechanism | None = None,
     *,
     clock_drift_ppm: float = 0.0,
 ) -> Plant:
@@ -322,9 +389,11 @@ def beam_on_axis(
         The device's tick.
     terms : NonlinearTerms, optional
         Air drag and large deflections.
+    mechanism : Mechanism, optional
+        Friction, stops, servo and ripple of the axis.
     clock_drift_ppm : float, optional
         By how much the device's clock runs fast [1e-6].
     """
     second = 1.0 / (1.0 + clock_drift_ppm * 1e-6)
-    plant = BeamPlant(model, parameters.period * second, terms)
+    plant = BeamPlant(model, parameters.period * second, terms, mechanism)
     return plant if second == 1.0 else PlantOnDeviceClock(plant, second)

@@ -101,7 +101,9 @@ class SimulatedHub:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         axis = self.axis
-        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, axis.state, axis.position, axis.velocity)
+        outcome = self._gate.check_setpoint(
+            stamp_ns, value, now_ns, axis.state, axis.reference_position, axis.velocity
+        )
         if outcome.success:
             outcome = axis.setpoint(value)
         if not outcome.success:
@@ -112,7 +114,7 @@ class SimulatedHub:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         axis = self.axis
-        self._gate.add(chunk, now_ns, axis.state, axis.position, axis.velocity)
+        self._gate.add(chunk, now_ns, axis.state, axis.reference_position, axis.velocity)
 
     def poll(self, now: HostTime) -> HubReport:
         """Advance by the time that has passed, and collect what happened."""
@@ -167,6 +169,10 @@ class SimulatedHub:
         """The newest stamp [ns, UNIX] that ``snapshots`` can show."""
         return self.stamp_ns(self.axis.device_ns)
 
+    def lag_s(self, now: HostTime) -> float:
+        """Return by how much the axis is behind the time that it should have reached [s of simulated time]."""
+        return (self._host_clock(now).stamp_ns(now.steady_ns) - self.reached_ns) * 1e-9
+
     def snapshots(self, stamps_ns: Listed[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants, from the first poll to ``reached_ns``, up to 4 s ago.
 
@@ -198,7 +204,7 @@ class SimulatedHub:
 
     def _arm_checked(self, now_ns: int) -> None:
         axis = self.axis
-        sequence = self._gate.poll(now_ns, axis.state, axis.position, axis.velocity)
+        sequence = self._gate.poll(now_ns, axis.state, axis.reference_position, axis.velocity)
         if sequence is None:
             return
         outcome = axis.arm(self.device_ns(sequence.start_ns), sequence.n_ticks)

@@ -6,7 +6,9 @@ bilinearly, which moves the centre of gravity by exactly what was asked for. The
 the positions that the caller gives at ``FrameTiming.exposure_instants``, with their quadrature weights: the
 image's centre of gravity is the mean position over the exposure.
 
-The noise of a pixel is white and fresh around the markers. Elsewhere, where nobody measures, it is a random
+The noise of a pixel is white and fresh around the markers: the camera's own, and, where the renderer is given the
+sensor's full well, the shot noise of the light that falls there (the strip, which is hardly brighter than the
+background, keeps the background's). Elsewhere, where nobody measures, it is a random
 cut-out of a large prepared tile, which costs a copy. All randomness comes from the generator passed in and
 from the seed of the tile.
 """
@@ -146,6 +148,7 @@ class SceneRenderer:
     sub_instants : int -- positions per exposure; six are exact, more smooth the look of a long smear
     lens : Lens or None -- distortion of the positions in the image; None is a perfect lens
     seed : int -- seed of the prepared noise tile
+    full_well : float -- electrons at grey level 255; 0 leaves shot noise out
     """
 
     def __init__(
@@ -157,8 +160,12 @@ class SceneRenderer:
         sub_instants: int = 6,
         lens: Lens | None = None,
         seed: int = 0,
+        full_well: float = 0.0,
     ) -> None:
         self.camera = camera
+        # N electrons vary by sqrt(N): a variance of so many squared grey levels for each grey level.
+        self._shot_noise = np.float32(255.0 / full_well if full_well else 0.0)
+        self._is_noisy = camera.noise_grey > 0 or full_well > 0
         self.timing = FrameTiming(camera)
         self.marker_heights = np.atleast_1d(np.asarray(marker_heights, dtype=np.float64))
         self.strip_heights = (
@@ -191,10 +198,9 @@ class SceneRenderer:
 
     def _noise_tile(self, rng: np.random.Generator) -> ByteArray:
         camera = self.camera
-        excess = _TILE_EXCESS_PX if camera.noise_grey > 0 else 0
+        excess = _TILE_EXCESS_PX if self._is_noisy else 0
         shape = (camera.height + excess, camera.width + excess)
-        noise = rng.standard_normal(shape, dtype=np.float32) * np.float32(camera.noise_grey)
-        return np.asarray(np.clip(np.rint(noise + np.float32(camera.background)), 0, 255), dtype=np.uint8)
+        return self._exposed(np.full(shape, camera.background, dtype=np.float32), rng)
 
     def exposure_instants(self, stamp_ns: int) -> StampArray:
         """Instants at which ``render`` needs the markers' positions.
@@ -337,18 +343,17 @@ class SceneRenderer:
 
     def _background(self, rng: np.random.Generator) -> ByteArray:
         camera = self.camera
-        top, left = (
-            rng.integers(0, _TILE_EXCESS_PX, size=2, endpoint=True) if camera.noise_grey > 0 else (0, 0)
-        )
+        top, left = rng.integers(0, _TILE_EXCESS_PX, size=2, endpoint=True) if self._is_noisy else (0, 0)
         return np.array(self._tile[top : top + camera.height, left : left + camera.width])
 
     def _exposed(self, signal: Float32Array, rng: np.random.Generator) -> ByteArray:
         """Grey levels of a region: signal, white noise, rounding, saturation."""
         noisy: ImageArray = signal
-        if self.camera.noise_grey > 0:
-            noisy = signal + np.float32(self.camera.noise_grey) * rng.standard_normal(
-                signal.shape, dtype=np.float32
-            )
+        if self._is_noisy:
+            noise = np.float32(self.camera.noise_grey)
+            if self._shot_noise > 0:
+                noise = np.sqrt(noise**2 + self._shot_noise * np.clip(signal, 0, 255))
+            noisy = signal + noise * rng.standard_normal(signal.shape, dtype=np.float32)
         return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
 
     def _strip(self, strip: npt.ArrayLike) -> tuple[IndexArray, IndexArray, Float32Array]:

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from beam_model import BeamModel, BeamModelError, BeamParameterError, Damping
 from beam_model.dynamics.axis_dynamics import AxisStepper, EndStops, HubFriction, PositionServo
+from beam_model.dynamics.nonlinear import AirDrag, NonlinearMotionStepper, NonlinearTerms
 from tests.beam_model.rigs import strip
 
 PERIOD = 1e-3
@@ -54,7 +56,6 @@ def test_a_rigid_slide_comes_to_rest_where_friction_says() -> None:
     heavy = BeamModel(strip(hub_mass=50.0, damping=Damping(ratios=(0.005,))), 3)
     axis = AxisStepper(heavy, PERIOD, HubFriction(coulomb=10.0))
     axis.state[4] = 0.1
-    axis.is_held = False
     for _ in range(800):
         axis.step(0.0)
     assert axis.is_held
@@ -88,6 +89,131 @@ def test_halving_the_tick_changes_nothing(scenario: str) -> None:
     for finer in ends[1:]:
         assert np.abs(finer[:, 0] - ends[0][:, 0]).max() < 1e-9
         assert np.abs(finer[:, 1] - ends[0][:, 1]).max() < 1e-8
+
+
+@pytest.mark.parametrize("n_modes", [5, 20])
+@pytest.mark.parametrize("scenario", ["friction", "stick and slip", "stops", "both"])
+def test_reversals_and_blows_within_one_tick_are_found(n_modes: int, scenario: str) -> None:
+    # Mode 5 turns the hub round four times a tick, mode 20 ten times: an end of a tick shows none of it.
+    model = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,))), n_modes)
+    friction = HubFriction(coulomb=0.3, static=0.4 if scenario == "stick and slip" else 0.0)
+    stops = EndStops(-2e-5, 2e-5, 0.6) if scenario in ("stops", "both") else None
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        start = np.zeros(2 * n_modes + 2)
+        start[n_modes + 1 :] = 0.3 * rng.standard_normal(n_modes + 1) / np.sqrt(n_modes)
+        start[n_modes + 1] *= 0.01
+        paths = []
+        for divisor in (1, 2, 16):
+            axis = AxisStepper(model, PERIOD / divisor, None if scenario == "stops" else friction, stops)
+            axis.state[:] = start
+            path = []
+            for k in range(24):
+                for _ in range(divisor):
+                    axis.step(0.2 * np.sin(k))
+                path.append(axis.state.copy())
+            paths.append(np.array(path))
+        for finer in paths[1:]:
+            # Metres and m/s; a reversal that is missed moves the path by up to 1e-5 m.
+            assert np.abs(finer[:, 0] - paths[0][:, 0]).max() < 1e-13
+            assert np.abs(finer - paths[0]).max() < 1e-9
+
+
+def test_a_spring_driven_hub_sticks_and_slips_as_in_the_textbook() -> None:
+    # A heavy slide pulled by a spring of stiffness k at a constant speed V: it breaks loose at F_s = k V t, and
+    # slips as a half period and more of omega = sqrt(k/M) about the Coulomb force.
+    heavy = BeamModel(strip(hub_mass=500.0), 1)
+    mass, k, speed = heavy.parameters.total_mass, 2.0e6, 1e-3
+    servo = PositionServo(proportional=k, derivative=0.0)
+    period = 2e-5
+    axis = AxisStepper(heavy, period, HubFriction(coulomb=10.0, static=14.0), servo=servo)
+    positions = []
+    for tick in range(1500):
+        axis.step_servo(speed * (tick + 0.5) * period)
+        positions.append(axis.position)
+    assert np.flatnonzero(positions)[0] * period == pytest.approx(14.0 / (k * speed), abs=2 * period)
+    t = np.arange(1, 1501) * period - 14.0 / (k * speed)
+    omega = np.sqrt(k / mass)
+    # M x'' = k (V t + 14/k - x) - 10, from rest: the drop of friction, and the spring that goes on.
+    slip = speed * t + 4.0 / k - 4.0 / k * np.cos(omega * t) - speed / omega * np.sin(omega * t)
+    slipping = t > 0.0
+    assert np.array(positions)[slipping] == pytest.approx(slip[slipping], abs=2e-8 + 2e-3 * slip.max())
+
+
+def test_a_hub_with_play_lags_by_it_at_every_reversal() -> None:
+    servo = PositionServo(1e5, 400.0, backlash=2e-5)
+    axis = AxisStepper(MODEL, PERIOD, HubFriction(coulomb=1.5, static=2.0, viscous=4.0), servo=servo)
+    t = np.arange(8000) * PERIOD
+    reference = 0.002 * np.sin(2.0 * np.pi * 0.25 * t)
+    hub = []
+    for x in reference.tolist():
+        hub.append(axis.position)
+        axis.step_servo(x)
+    lag = reference - np.array(hub)
+    # In the direction of motion half the play, the friction on the servo's stiffness, and what rises with speed.
+    velocity = 0.002 * np.pi * 0.5 * np.cos(2.0 * np.pi * 0.25 * t)
+    expected = (0.5 * 2e-5 + 1.5 / 1e5) * np.sign(velocity) + 404.0 / 1e5 * velocity
+    for k in (3700, 4300, 5800, 6200, 7800):
+        assert lag[k] == pytest.approx(expected[k], abs=2e-6)
+    # At the turning point the hub waits until the drive has crossed the play and the friction.
+    turning = np.array(hub)[1000:1060]
+    assert np.ptp(turning) < 1e-7
+
+
+def test_a_flank_only_pushes_and_nothing_acts_within_the_play() -> None:
+    servo = PositionServo(1e5, 100.0, backlash=2e-5)
+    assert servo.force(0.9e-5, 1.0) == 0.0
+    assert servo.force(2e-5, 0.0) == pytest.approx(1.0)
+    assert servo.force(-2e-5, 0.0) == pytest.approx(-1.0)
+    assert servo.force(2e-5, -0.5, 1.0) == 0.0
+    assert servo.force(-2e-5, -0.5, 3.0) == pytest.approx(-48.0)
+
+
+def test_drag_and_large_deflections_act_on_a_free_hub() -> None:
+    terms = NonlinearTerms(MODEL, AirDrag(0.025, 6.0))
+    n, forces = MODEL.n_modes, np.repeat([0.4, -0.4, 0.2], 100)
+    A, B = MODEL.matrices.state_space()
+
+    def rates(_t: float, state: np.ndarray, force: float) -> np.ndarray:
+        change = A @ state + B * force
+        change[n + 1 :] += terms.accelerations_free(
+            state[1 : n + 1], state[n + 2 :], float(state[n + 1]), change[n + 1 :].copy()
+        )
+        return change
+
+    start = np.zeros(2 * n + 2)
+    start[1] = 0.012
+    truth = start.copy()
+    for force in (0.4, -0.4, 0.2):
+        truth = solve_ivp(rates, (0.0, 0.1), truth, args=(force,), rtol=1e-10, atol=1e-13, method="DOP853").y[
+            :, -1
+        ]
+    errors = []
+    for divisor in (1, 2):
+        axis = AxisStepper(MODEL, PERIOD / divisor, terms=terms)
+        axis.state[:] = start
+        for force in np.repeat(forces, divisor):
+            axis.step(float(force))
+        errors.append(np.abs(axis.state[: n + 1] - truth[: n + 1]).max())
+    linear = AxisStepper(MODEL, PERIOD)
+    linear.state[:] = start
+    for force in forces:
+        linear.step(float(force))
+    # The splitting errs by the square of the step, and by far less than the terms themselves do.
+    assert np.abs(linear.state[: n + 1] - truth[: n + 1]).max() > 300 * errors[0]
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
+
+
+def test_drag_slows_a_beam_on_a_hub_that_friction_holds_as_on_one_that_is_led() -> None:
+    terms = NonlinearTerms(MODEL, AirDrag(0.025, 6.0))
+    axis = AxisStepper(MODEL, PERIOD, HubFriction(coulomb=5.0), terms=terms)
+    led = NonlinearMotionStepper(MODEL, PERIOD, terms)
+    axis.state[1] = led.state[0] = 0.01
+    for _ in range(500):
+        axis.step(0.0)
+        led.step(0.0)
+    assert axis.position == 0.0
+    assert axis.state[1 : MODEL.n_modes + 1] == pytest.approx(led.state[: MODEL.n_modes], rel=1e-6, abs=1e-9)
 
 
 def test_the_hub_never_leaves_its_travel_and_a_blow_never_gains_energy() -> None:
@@ -154,6 +280,8 @@ def test_motion_inside_a_tick_meets_the_next_one() -> None:
     "make",
     [
         lambda: HubFriction(coulomb=-1.0),
+        lambda: HubFriction(coulomb=1.0, static=0.5),
+        lambda: PositionServo(1.0, 1.0, backlash=-1e-6),
         lambda: EndStops(0.1, 0.0),
         lambda: EndStops(-0.1, 0.1, 1.5),
         lambda: PositionServo(0.0, 1.0),

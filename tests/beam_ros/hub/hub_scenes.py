@@ -13,6 +13,7 @@ from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.faults import fault
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice

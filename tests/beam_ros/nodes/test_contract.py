@@ -228,3 +228,22 @@ def test_an_emulator_that_stood_still_for_longer_than_it_remembers_goes_on(
     before = seen[-1]
     graph.wait(lambda: seen[-1] > before + 5, "new frames", 20.0)
     assert emulator.process.poll() is None
+
+
+@pytest.mark.parametrize("executable", ["simulator", "firmware_emulator"])
+def test_a_simulation_that_cannot_keep_up_warns_in_the_diagnostics(
+    executables, graph, executable: str
+) -> None:
+    said = []
+
+    def note(message) -> None:
+        said.extend(status for status in messages.read_diagnostics(message) if status.level != "OK")
+
+    graph.listen("/diagnostics", note)
+    # Two thousand frames a second of 2 megapixels are more than any computer draws.
+    words = ("camera.rate:=2000.0", "camera.exposure:=0.0002", "camera.width:=1920", "camera.height:=1080")
+    executables.start(executable, "--ros-args", *(part for word in words for part in ("-p", word)))
+    graph.wait(lambda: any("frames were lost" in status.message for status in said), "a warning", 30.0)
+    warning = next(status for status in said if "frames were lost" in status.message)
+    assert warning.level == "WARN"
+    assert int(warning.values["dropped frames"]) > 0

@@ -115,14 +115,18 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
     slow = ("camera.rate:=10.0", "camera.width:=480")
     port = tmp_path / "controller"
     linked = (f"emulator.port_link:={port}", f"serial.port:={port}", "serial.patience:=30.0", *slow)
+    made_up = (
+        *("simulation.images:=false", "simulation.real_time_factor:=1.5"),
+        "simulation.preset:=realistic",
+    )
     runs.start("simulator", "a", *slow)
     runs.start("vision_tracker", "a", *slow, "tracker.averaged_frames:=2")
     runs.start("excitation_generator", "a", "excitation.duration:=2.0", "excitation.still:=1.0")
     runs.start("bag_recorder", "a", f"recorder.path:={tmp_path / 'recording'}", "recorder.images:=true")
     runs.start("identifier", "a", f"identifier.bag:={tmp_path / 'nowhere'}")
-    runs.start("firmware_emulator", "b", *linked)
+    runs.start("firmware_emulator", "b", *linked, "simulation.preset:=realistic")
     runs.start("hub_driver", "b", *linked)
-    runs.start("simulator", "c", "simulation.images:=false", "simulation.real_time_factor:=1.5")
+    runs.start("simulator", "c", *made_up)
     bag = write_experiment(tmp_path / "bag", batches=1500)
     runs.start("bag_player", "d", f"player.bag:={bag}")
     graph.wait(runs.is_complete, "every row of the table", 60.0)

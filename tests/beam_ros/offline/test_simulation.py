@@ -14,7 +14,8 @@ from beam_ros.bags.errors import BagError, BagExistsError, MissingTopicsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import format_table, identify_bag, load_experiment
+from beam_ros.interfaces.imperfections import PRESETS
+from beam_ros.offline.identification import described_rig, format_table, identify_bag, load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -138,7 +139,50 @@ def test_a_bag_without_the_needed_topics_is_refused_with_what_is_there(tmp_path:
 def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_it_is_not_enough(
     rig: Rig, tmp_path: Path
 ) -> None:
-    simulate(rig.with_values({"simulation.realistic": True}), tmp_path / "realistic")
+    air = {"simulation.drag_coefficient": 2.0, "simulation.large_deflections": True}
+    simulate(rig.with_values(air), tmp_path / "realistic")
     result = identify_bag(tmp_path / "realistic", n_modes=1)
     assert result["modes"][0]["damping_ratio"] > 0.0055
     assert any("not white" in warning for warning in result["warnings"])
+
+
+def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is_still_the_beams(
+    rig: Rig, tmp_path: Path
+) -> None:
+    realistic = {
+        "simulation.preset": "realistic",
+        "simulation.drag_coefficient": 0.0,
+        "simulation.large_deflections": False,
+    }
+    simulate(rig.with_values(realistic), tmp_path / "realistic")
+    with Bag(tmp_path / "realistic") as bag:
+        measured, applied = bag.hub_samples("hub/measured"), bag.hub_samples("hub/applied")
+        frames = bag.displacements().stamps_ns
+    moving = np.abs(applied.accelerations) > 0.0
+    # Friction lets the hub stick at its reversals: the servo's force is beyond what the mass alone would take.
+    assert np.max(np.abs(measured.efforts[moving])) > 1.5
+    still = measured.positions[-500:]
+    assert np.std(still) == pytest.approx(np.hypot(2e-7, 1e-7 / np.sqrt(12)), rel=0.1)
+    assert np.mean(np.diff(measured.stamps_ns)) == pytest.approx(1e6 / (1 + 35e-6), abs=1.0)
+    gaps = np.diff(frames)
+    assert np.median(gaps) == pytest.approx(10_000_000, abs=10_000)
+    assert np.std(gaps[gaps < 15_000_000]) == pytest.approx(np.sqrt(2) * 5e4, rel=0.1)
+    result = identify_bag(tmp_path / "realistic")
+    truth = rig.beam_model().natural_frequencies / (2 * math.pi)
+    # Sticking and slipping excites mode 3 beyond the sweep's end, too; nothing else is found.
+    assert len(result["modes"]) in (2, 3)
+    for k, mode in enumerate(result["modes"]):
+        assert mode["frequency_hz"] == pytest.approx(truth[k], rel=1e-3)
+        assert mode["damping_ratio"] == pytest.approx(0.005, rel=0.1 if k < 2 else 0.3)
+
+
+def test_a_bag_of_an_earlier_version_tells_its_rig_in_todays_words(rig: Rig, tmp_path: Path) -> None:
+    tree = rig.to_nested()
+    for name in PRESETS["ideal"]:
+        del tree["simulation"][name]
+    del tree["simulation"]["preset"]
+    for was, coefficient in ((False, 0.0), (True, 2.0)):
+        tree["simulation"]["realistic"] = was
+        described = described_rig(tmp_path, {"rig": tree})
+        assert described.simulation.drag_coefficient == coefficient
+        assert described.simulation.large_deflections == was

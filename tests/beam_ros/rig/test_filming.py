@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from beam_model import BeamModel
+from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.motion import Snapshots
+from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.rig.filming import Film
 from beam_ros.rig.rig import Rig
 
@@ -23,6 +29,11 @@ def _moving(rig: Rig, frequency_hz: float):
         return Snapshots(times, x, zero, zero, np.zeros((len(times), n_modes)))
 
     return snapshots
+
+
+def _rigid(snapshots: Snapshots) -> Snapshots:
+    """The same of a beam of one mode that does not bend."""
+    return replace(snapshots, coordinates=np.zeros((len(snapshots.times_ns), 1)))
 
 
 def test_displacement_is_the_mean_over_the_exposure() -> None:
@@ -74,3 +85,57 @@ def test_a_camera_that_falls_far_behind_loses_frames_and_counts_them() -> None:
     shown = list(film.due(START + 3_000_000_000))
     assert len(shown) + film.dropped_frames == 300
     assert film.dropped_frames > 0
+
+
+def test_a_fast_camera_clock_shows_in_rate_and_stamps_and_not_in_what_is_seen() -> None:
+    rig = Rig.from_file().with_values({"simulation.camera_clock_ppm": 500.0})
+    film = Film(rig, rig.beam_model(), _moving(rig, 1.0), START)
+    exposures, reached = [], START
+    for _ in range(400):
+        reached += 250_000_000
+        exposures += film.due(reached)
+    # 100 s at 100 frames a second of a clock that runs 500 ppm fast: five more frames, stamps 10 ms apart.
+    assert len(exposures) == 10_005
+    stamps = np.array([film.marker_stamps(e)[0] for e in exposures])
+    assert set(np.diff(stamps)) == {10_000_000}
+    true = (2_500_000 + (stamps - START - 2_500_000) / (1 + 500e-6)) * 1e-9
+    seen = np.array([film.mean_displacement(e)[0] for e in exposures])
+    expected = 1e-3 * np.sinc(0.005) * np.sin(2 * np.pi * true)
+    assert np.max(np.abs(seen - expected)) < 2e-11  # a nanosecond at 6 mm/s
+
+
+def test_jitter_is_in_the_stamps_alone_and_lost_frames_are_those_that_the_file_asks_for() -> None:
+    def film_of(**values: float) -> tuple[Film, dict[int, float]]:
+        rig = Rig.from_file().with_values({f"simulation.{name}": value for name, value in values.items()})
+        film = Film(rig, rig.beam_model(), _moving(rig, 10.0), START)
+        seen = {}
+        for k in range(1, 81):
+            for exposure in film.due(START + k * 250_000_000):
+                seen[exposure.stamp_ns] = film.mean_displacement(exposure)[0]
+        return film, seen
+
+    quiet, right = film_of()
+    jittering, jittered = film_of(stamp_jitter=2e-4)
+    errors = np.array(list(jittered)) - np.array(list(right))
+    assert np.std(errors) == pytest.approx(2e5, rel=0.1)
+    assert np.array_equal(list(jittered.values()), list(right.values()))
+    dropping, kept = film_of(frame_drops=0.1)
+    assert set(kept) < set(right)
+    assert dropping.frames_left_out == len(right) - len(kept) == pytest.approx(200, abs=45)
+    assert quiet.frames_left_out == jittering.frames_left_out == dropping.dropped_frames == 0
+    assert film_of(frame_drops=0.1)[1] == kept
+    assert film_of(frame_drops=0.1, seed=2)[1] != kept
+
+
+def test_frames_that_the_plant_has_forgotten_while_others_were_drawn_are_lost_and_counted() -> None:
+    """The emulator's plant runs on in a thread of its own, however slowly this computer draws."""
+    rig = Rig.from_file()
+    axis = VirtualAxis(AxisParameters(), RigidPlant(0.8, 1e-3))
+    film = Film(rig, BeamModel(rig.beam_parameters(), 1), lambda stamps: _rigid(axis.snapshots(stamps)), 0)
+    axis.advance(400_000_000)
+    frames = film.due(400_000_000)
+    next(frames)
+    axis.advance(4_200_000_000)
+    left = len(list(frames))
+    # Of the 40 frames that were due those before 0.104 s are gone: so far back the plant knows.
+    assert (left, film.dropped_frames) == (29, 10)

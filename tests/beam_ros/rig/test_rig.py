@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from beam_ros.errors import ParameterFileError
+from beam_ros.hub.contract import HostTime
+from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.simulated_hub import SimulatedHub
+from beam_ros.interfaces.imperfections import PRESETS
+from beam_ros.rig.filming import Film
 from beam_ros.rig.rig import Rig
+from beam_ros.vision.rendering.frames import SceneRenderer
 
 
 def test_the_default_rig_has_the_frequencies_that_its_theory_gives() -> None:
@@ -96,3 +105,69 @@ def test_an_axis_without_a_scale_is_refused() -> None:
     assert rig.odrive_parameters().metres_per_turn == -0.02
     assert rig.trajectory_parameters().metres_per_unit == -0.02
     assert (rig.csv_columns().position_scale, rig.csv_columns().last) == (-0.02, 3)
+
+
+def _realistic() -> Rig:
+    """A rig whose servo is weak and whose travel is short, so that the hub strikes its stops."""
+    return Rig.from_file().with_values(
+        {
+            "simulation.preset": "realistic",
+            "simulation.frame_drops": 0.1,
+            "hub.travel": 0.04,
+            "hub.max_effort": 4.0,
+            "hub.max_speed": 2.0,
+            "hub.max_acceleration": 100.0,
+        }
+    )
+
+
+@cache
+def _seen_of_the_realistic() -> bytes:
+    return _seen(_realistic())
+
+
+def _seen(rig: Rig) -> bytes:
+    """All that device and camera say of a short, violent experiment: counts, stamps and pixels."""
+    model, drift_ppm = rig.beam_model(), rig.simulation.hub_clock_ppm
+    device = rig.simulated_device(drift_ppm)
+    axis = VirtualAxis(rig.axis_parameters(), rig.simulated_plant(model, drift_ppm), device)
+    hub = SimulatedHub(axis)
+    start = 1_700_000_000_000_000_000
+    hub.poll(HostTime(0, start))
+    film = Film(rig, model, hub.snapshots, hub.reached_ns)
+    renderer = SceneRenderer(film.camera, rig.markers.heights, full_well=rig.simulation.full_well)
+    axis.request(1, "home")
+    # Hard to and fro: the weak servo cannot keep up, and runs into the stops.
+    values = np.concatenate([np.full(70, 9.0), np.full(140, -9.0), np.full(70, 9.0)])
+    digest, rng = hashlib.sha256(), np.random.default_rng(1)
+    for k in range(1, 60):
+        report = hub.poll(HostTime(k * 10_000_000, start + k * 10_000_000))
+        if k == 3:
+            axis.request(2, "enable")
+            assert axis.arm(axis.device_ns, len(values)).success
+            assert axis.append(0, values.tolist()).success
+        for batch in report.measured:
+            digest.update(batch.positions.tobytes() + str(batch.stamp_ns).encode())
+        for exposure in film.due(hub.reached_ns):
+            digest.update(renderer.render(exposure.markers, rng).tobytes())
+            digest.update(str(exposure.stamp_ns).encode())
+    return digest.digest()
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS["ideal"]))
+def test_every_imperfection_of_the_file_reaches_what_device_and_camera_say(name: str) -> None:
+    other = {
+        **{key: value for key, value in PRESETS["ideal"].items() if not isinstance(value, str)},
+        "servo_damping": 0.9,
+        "servo_frequency": 50.0,
+        "stop_restitution": 0.6,
+        "ripple_period": 0.007,
+        "friction_static": 4.5,
+        "encoder_at": "drive",
+    }[name]
+    assert _seen(_realistic().with_values({f"simulation.{name}": other})) != _seen_of_the_realistic()
+
+
+def test_a_seed_gives_the_same_imperfections_and_another_one_others() -> None:
+    assert _seen(_realistic()) == _seen_of_the_realistic()
+    assert _seen(_realistic().with_values({"simulation.seed": 2})) != _seen_of_the_realistic()

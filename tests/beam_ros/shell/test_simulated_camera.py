@@ -20,8 +20,10 @@ SPEED = 0.2  # [m/s]: a frame stamped 1 ms late shows a hub 0.3 px away
 EXPOSURE_S, READOUT_S, LATENCY_S = 0.002, 0.006, 0.003
 
 
-def published(with_images: bool, **values: object) -> tuple[Rig, dict[str, list]]:
-    """Film a hub that travels at a constant speed, the beam straight, for 50 ms; return what came on each topic."""
+def published(
+    with_images: bool, until_ns: int = 50_000_000, **values: object
+) -> tuple[Rig, dict[str, list], SimulatedCamera]:
+    """Film a hub that travels at a constant speed, the beam straight; return what came on each topic."""
     quiet = {"simulation.displacement_noise": 0.0, "camera.noise": 0.0}
     rig = Rig.from_file().with_values({"camera.exposure": EXPOSURE_S, **quiet, **values})
     model, came = rig.beam_model(), {}
@@ -37,8 +39,9 @@ def published(with_images: bool, **values: object) -> tuple[Rig, dict[str, list]
         return SimpleNamespace(publish=came.setdefault(topic, []).append)
 
     node = SimpleNamespace(rig=rig, types=BagTypes(), offer=offer)
-    SimulatedCamera(node, model, snapshots, START, with_images=with_images).publish_until(START + 50_000_000)
-    return rig, came
+    camera = SimulatedCamera(node, model, snapshots, START, with_images=with_images)
+    camera.publish_until(START + until_ns)
+    return rig, came, camera
 
 
 # From the stamp to the beginning of the first row's exposure [s].
@@ -47,7 +50,7 @@ BEGINS = {"start": 0.0, "mid": -0.5 * (READOUT_S + EXPOSURE_S), "end": -(READOUT
 
 @pytest.mark.parametrize("meaning", BEGINS)
 def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(meaning) -> None:
-    rig, came = published(
+    rig, came, _ = published(
         True, **{"camera.readout": READOUT_S, "camera.stamp": meaning, "camera.latency": LATENCY_S}
     )
     camera = rig.camera_parameters()
@@ -72,9 +75,34 @@ def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(
 
 @pytest.mark.parametrize("readout", [0.0, READOUT_S])
 def test_a_displacement_is_stamped_in_the_middle_of_its_exposure(readout) -> None:
-    rig, came = published(False, **{"camera.readout": readout})
+    rig, came, _ = published(False, **{"camera.readout": readout})
     found = [read_displacement(message) for message in came["beam/displacement"]]
     assert len(found) == 5 * (1 if readout == 0.0 else len(rig.markers.names))
     for one in found:
         np.testing.assert_allclose(one.positions, SPEED * (one.stamp_ns - START) * 1e-9, atol=1e-9)
     assert found[-1].stamp_ns - START == pytest.approx(40e6 + (1e6 if readout == 0.0 else 7e6), abs=1.2e6)
+
+
+def test_a_simulation_that_falls_behind_says_so_and_one_that_keeps_up_is_well() -> None:
+    _, _, camera = published(False)
+    camera.note_lag(0.02)
+    assert camera.health() == (
+        "OK",
+        "",
+        {"hardware": "ideal", "frames": 5, "dropped frames": 0, "frames left out": 0, "lag": 0.02},
+    )
+    camera.note_lag(0.3)
+    camera.note_lag(0.05)
+    level, sentence, _ = camera.health()
+    assert (level, sentence) == ("WARN", "the simulation falls behind: 0.30 s behind real time")
+    # A lag is told once; lost frames are told to the end, since the recording lacks them.
+    assert camera.health()[0] == "OK"
+    _, came, late = published(False, 2_000_000_000)
+    for _ in range(2):
+        level, sentence, counters = late.health()
+        lost = counters["dropped frames"]
+        assert lost == 200 - len(came["beam/displacement"]) > 100
+        assert (level, sentence) == (
+            "WARN",
+            f"the simulation falls behind: {lost} frames were lost because this computer fell behind",
+        )

@@ -47,6 +47,21 @@ def test_dark_markers_on_a_bright_background():
     assert (u, v) == pytest.approx((float(camera.columns(0.0123)), float(camera.rows(0.1))), abs=4e-3)
 
 
+def test_shot_noise_is_that_of_counted_electrons():
+    # A grey level of g is N = g/255 full_well electrons, which vary by sqrt(N): sd 255 sqrt(g/255 / full_well).
+    camera = packaged_camera(noise_grey=1.5, background=40.0)
+    renderer = SceneRenderer(camera, [0.1], full_well=8000.0)
+    rng = np.random.default_rng(7)
+    frames = np.stack([renderer.render([0.0], rng) for _ in range(400)]).astype(float)
+    row, column = round(float(camera.rows(0.1))), round(float(camera.columns(0.0)))
+    places = {220.0: (slice(row - 2, row + 3), slice(column - 2, column + 3)), 40.0: np.s_[:40, :40]}
+    for grey, place in places.items():
+        # Own noise, shot noise, and rounding to whole grey levels.
+        expected = np.sqrt(1.5**2 + 255.0 * grey / 8000.0 + 1 / 12)
+        assert frames[(slice(None), *place)].std(axis=0).mean() == pytest.approx(expected, rel=0.03)
+        assert frames[(slice(None), *place)].mean() == pytest.approx(grey, abs=0.15)
+
+
 def test_noise_is_white_of_the_stated_size_at_the_marker_and_elsewhere():
     camera = packaged_camera(noise_grey=4.0)
     renderer = SceneRenderer(camera, [0.1])
