@@ -297,6 +297,7 @@ NODES: dict[str, Node] = {
             (
                 *(*_BEAM, *_AXIS, *_GUARD, *_FILM),
                 *("simulation.images", "simulation.real_time_factor", "simulation.hub_clock_ppm"),
+                *_group("faults"),
             ),
             "the beam on its hub, integrated in real time, and the camera that films it",
         ),

@@ -9,12 +9,8 @@ from __future__ import annotations
 import os
 import time
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
-
-from beam_ros.hub.emulated.injected_faults import read_schedule
-from beam_ros.hub.errors import HubParameterError
 from beam_ros.shell.axis_emulators import emulated_axis
+from beam_ros.shell.fault_requests import FaultRequests
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
 from beam_ros.shell.simulated_camera import SimulatedCamera
@@ -28,8 +24,7 @@ class FirmwareEmulator(RigNode):
     def __init__(self) -> None:
         super().__init__("firmware_emulator")
         self._controller = emulated_axis(self)
-        self.add_on_set_parameters_callback(self._check_request)
-        self.add_post_set_parameters_callback(self._bring_about_request)
+        self._requests = FaultRequests(self, self._controller)
         self._camera = SimulatedCamera(
             self,
             self.rig.beam_model(),
@@ -39,19 +34,6 @@ class FirmwareEmulator(RigNode):
         )
         self.get_logger().info(f"motion controller on {self._controller.port}")
         self.create_timer(_FILM_S, self._film)
-
-    def _check_request(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a request for a fault that there is none of."""
-        try:
-            for text in _requests(parameters):
-                self._controller.check_faults(read_schedule(text, "faults.request"))
-        except HubParameterError as err:
-            return SetParametersResult(successful=False, reason=str(err))
-        return SetParametersResult(successful=True)
-
-    def _bring_about_request(self, parameters: list[Parameter]) -> None:
-        for text in _requests(parameters):
-            self._controller.bring_about(read_schedule(text, "faults.request", self._controller.elapsed))
 
     def _film(self) -> None:
         for note in self._controller.take_notes():
@@ -68,10 +50,6 @@ class FirmwareEmulator(RigNode):
     def close(self) -> None:
         """Switch the controller off."""
         self._controller.close()
-
-
-def _requests(parameters: list[Parameter]) -> list[str]:
-    return [str(parameter.value) for parameter in parameters if parameter.name == "faults.request"]
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ from beam_ros.hub.contract import Hub, HubReport
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 from beam_ros.rig.rig import Rig
+from beam_ros.shell.fault_requests import FaultRequests, SimulatedAxisFaults
 from beam_ros.shell.hub_topics import HubNode, host_time
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import run_node
@@ -24,6 +25,7 @@ class Simulator(HubNode):
     def __init__(self) -> None:
         self._camera: SimulatedCamera | None = None
         super().__init__("simulator", self._build)
+        self._requests = FaultRequests(self, self._faults)
         factor = self.rig.simulation.real_time_factor
         self._simulated_time = self.offer("/clock") if factor != 1.0 else None
 
@@ -33,6 +35,7 @@ class Simulator(HubNode):
         drift_ppm = rig.simulation.hub_clock_ppm
         plant = rig.simulated_plant(self._model, drift_ppm)
         axis = VirtualAxis(parameters, plant, rig.simulated_device(drift_ppm))
+        self._faults = SimulatedAxisFaults(axis)
         factor = rig.simulation.real_time_factor
         self._simulated = SimulatedHub(
             axis, real_time_factor=factor, guard=rig.beam_guard(), checks_in_background=True
@@ -42,6 +45,8 @@ class Simulator(HubNode):
     def publish_report(self, report: HubReport) -> None:
         """Publish the hub's report, and what the camera saw meanwhile."""
         super().publish_report(report)
+        for note in self._faults.happen():
+            self.get_logger().warning(note)
         reached_ns = self._simulated.reached_ns
         if self._camera is None:
             with_images = self.rig.simulation.images

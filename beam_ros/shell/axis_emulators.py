@@ -14,7 +14,7 @@ from beam_ros.bags.batches import decode_trajectory
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.errors import UsageError
 from beam_ros.hub.emulated.controller import EmulatedController, FirmwareMaker
-from beam_ros.hub.emulated.injected_faults import InjectedFault, read_schedule_file
+from beam_ros.hub.emulated.injected_faults import InjectedFault
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.emulated.servo import servo_parameters
@@ -26,6 +26,7 @@ from beam_ros.hub.simulated.plant import Plant
 from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY
 from beam_ros.messages.stamps import ros_time
 from beam_ros.rig.rig import Rig
+from beam_ros.shell.fault_requests import FaultyAxis
 from beam_ros.shell.node import RigNode
 from beam_ros.shell.trajectory_topics import CONTROLLER_QOS, OwnThread
 
@@ -36,7 +37,7 @@ _POWER_ON_NS = 123_456_000_000
 """What the device's clock reads at power-on: an epoch that nobody could mistake for the host's."""
 
 
-class EmulatedAxis(Protocol):
+class EmulatedAxis(FaultyAxis, Protocol):
     """A controller with the beam on its hub."""
 
     @property
@@ -49,16 +50,6 @@ class EmulatedAxis(Protocol):
 
     def snapshots(self, stamps_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants up to ``reached_ns``."""
-
-    @property
-    def elapsed(self) -> float:
-        """Time since the start [s], from which the times of faults count."""
-
-    def check_faults(self, faults: Sequence[InjectedFault]) -> None:
-        """Raise ``HubParameterError`` where these faults cannot happen here."""
-
-    def bring_about(self, faults: Sequence[InjectedFault]) -> None:
-        """Let faults happen that were checked."""
 
     def take_notes(self) -> list[str]:
         """Return what went wrong on request since the last call, for the log."""
@@ -91,7 +82,6 @@ def _on_port(
         plant,
         _device(rig),
         link=rig.emulator.port_link or None,
-        faults=read_schedule_file(rig.faults.schedule),
         line_baud=rig.emulator.line_baud,
         fifo_bytes=rig.emulator.fifo,
         boot=boot,
@@ -146,7 +136,6 @@ class _ControllerTopics:
         own.create_subscription(trajectory_class, topic, self._on_trajectory, CONTROLLER_QOS, raw=True)
         self._next_ns = self._controller.reached_ns + self._cycle_ns
         own.create_timer(1.0 / rig.emulator.controller_rate, self._catch_up)
-        self.check_faults(read_schedule_file(rig.faults.schedule))
         self._own.start()
 
     @property

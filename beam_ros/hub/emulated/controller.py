@@ -19,7 +19,7 @@ from typing import Protocol
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import HostTime
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
-from beam_ros.hub.emulated.injected_faults import FaultSchedule, InjectedFault
+from beam_ros.hub.emulated.injected_faults import DisturbedAxis, FaultSchedule, InjectedFault, disturb
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.host_clock import HostClock
@@ -32,7 +32,7 @@ MAX_BACKLOG = 65_536
 """Bytes that wait where the line takes no more [2.7 s of telemetry]."""
 
 
-class CarriedBeam(Protocol):
+class CarriedBeam(DisturbedAxis, Protocol):
     """The hub of an emulated device, and the beam on it, as a camera needs them."""
 
     @property
@@ -300,6 +300,10 @@ class EmulatedController:
         for fault, begins in changes:
             _HAPPENINGS[fault.kind](self, fault, begins)
 
+    def _disturb_axis(self, fault: InjectedFault, begins: bool) -> None:
+        with self._lock:
+            disturb(self._firmware.axis, fault, begins=begins)
+
     def _disturb_line(self, fault: InjectedFault, begins: bool) -> None:
         with self._lock:
             for line, direction in ((self._to_host, "to_host"), (self._to_device, "to_device")):
@@ -382,4 +386,6 @@ _HAPPENINGS: dict[str, Callable[[EmulatedController, InjectedFault, bool], None]
     "reset": EmulatedController._cut_power,
     "unplug": EmulatedController._pull_cable,
     "stall": EmulatedController._stall,
+    "lying_encoder": EmulatedController._disturb_axis,
+    "sticking_axis": EmulatedController._disturb_axis,
 }

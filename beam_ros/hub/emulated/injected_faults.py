@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -211,6 +211,16 @@ def _number(value: object, name: str, source: str, least: float, most: float) ->
     return float(value)
 
 
+class DisturbedAxis(Protocol):
+    """A simulated hub whose encoder can lie and that can stick."""
+
+    def lie(self, offset: float, scale: float) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again."""
+
+
 class FaultSchedule:
     """Faults in the order of their time.
 
@@ -237,6 +247,16 @@ class FaultSchedule:
         while self._changes and self._changes[0][0] <= now:
             _, _, fault, begins = heapq.heappop(self._changes)
             yield fault, begins
+
+
+def disturb(axis: DisturbedAxis, fault: InjectedFault, *, begins: bool) -> None:
+    """Let a fault of the axis begin or end; after a restart of the device it is over."""
+    if fault.kind == "sticking_axis":
+        axis.stick(is_stuck=begins)
+    elif begins:
+        axis.lie(fault.amounts["offset"], fault.amounts["scale"])
+    else:
+        axis.lie(0.0, 1.0)
 
 
 def documentation() -> Iterator[str]:

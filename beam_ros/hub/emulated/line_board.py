@@ -50,7 +50,7 @@ class LineBoard:
             self.axis.advance(self._next_ns)
             shown_ns = (self._next_ns + self.clock_step_ns) % (self.clock_wrap_ns or (1 << 32) * 1000)
             micros = shown_ns // 1000
-            lines.append(f"{micros},{round(self.axis.true_position / COUNT)}\r\n")
+            lines.append(f"{micros},{round(self.axis.measured_position / COUNT)}\r\n")
             self._next_ns += LINE_NS
         self.axis.advance(device_ns)
         return "".join(lines).encode()
@@ -63,6 +63,7 @@ class _SelfMoved:
         self._motion = HubMotion(parameters, plant, device)
         self._start_ns = self._motion.device_ns
         self.snapshots = self._motion.snapshots
+        self.lie, self.stick = self._motion.lie, self._motion.stick
 
     @property
     def device_ns(self) -> int:
@@ -71,6 +72,10 @@ class _SelfMoved:
     @property
     def true_position(self) -> float:
         return self._motion.hub_position
+
+    @property
+    def measured_position(self) -> float:
+        return self._motion.measured(self._motion.hub_position)
 
     def advance(self, to_ns: int) -> None:
         while self._motion.device_ns < to_ns:

@@ -75,12 +75,21 @@ class ServoAxis:
     def position_at(self, device_ns: int) -> float:
         """Return where the hub was at an instant that is reached [ns of device time], in whole counts [m]."""
         position = float(self.snapshots([min(device_ns, self.device_ns)]).positions[0])
+        position = self._motion.measured(position)
         resolution = self._parameters.encoder_resolution
         return round(position / resolution) * resolution
 
     def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants of the recent past; see ``HubMotion.snapshots``."""
         return self._motion.snapshots(times_ns)
+
+    def lie(self, offset: float, scale: float) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+        self._motion.lie(offset, scale)
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again."""
+        self._motion.stick(is_stuck=is_stuck)
 
     def advance(self, to_ns: int, command: Command) -> None:
         """Do every tick that begins before a device time [ns]."""

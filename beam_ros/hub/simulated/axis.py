@@ -236,6 +236,16 @@ class VirtualAxis:
         """Decelerate to rest, then disable, because of something the device noticed."""
         self._react("emergency stop", reason, cause)
 
+    # What goes wrong on request -----------------------------------------------------------------------
+
+    def lie(self, offset: float, scale: float) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+        self._motion.lie(offset, scale)
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again."""
+        self._motion.stick(is_stuck=is_stuck)
+
     # Ticks --------------------------------------------------------------------------------------------
 
     def advance(self, to_device_ns: int) -> TickBatch:

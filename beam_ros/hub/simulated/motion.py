@@ -88,6 +88,10 @@ class HubMotion:
         self.position = self.hub_position = device.initial_position
         self.velocity = self.hub_velocity = 0.0
         self._zero = device.initial_position
+        self._encoder_offset, self._encoder_scale = 0.0, 1.0
+        self._is_stuck = False
+        # By how much the hub lies behind its reference, without a servo that would pull it on.
+        self._lost = 0.0
         # By how much the device's home lies beside the true one: what the servo lacked when it was found.
         self._home_error = 0.0
         self._parameters = parameters
@@ -107,7 +111,11 @@ class HubMotion:
     def position_count(self) -> int:
         """What the encoder reads [encoder_resolution]."""
         position = self.position if self._measures_drive else self.hub_position - self._home_error
-        return round((position - self._zero + self._noise) / self._parameters.encoder_resolution)
+        return round(self.measured(position - self._zero + self._noise) / self._parameters.encoder_resolution)
+
+    def measured(self, position: float) -> float:
+        """Return what the encoder makes of a position [m]."""
+        return position * self._encoder_scale + self._encoder_offset
 
     @property
     def velocity_count(self) -> int:
@@ -115,10 +123,18 @@ class HubMotion:
         velocity = self.velocity if self._measures_drive else self.hub_velocity
         return round(velocity * self._parameters.period / self._parameters.encoder_resolution)
 
+    def lie(self, offset: float, scale: float) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+        self._encoder_offset, self._encoder_scale = offset, scale
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again; without a servo it has lost the steps."""
+        self._is_stuck = is_stuck
+
     def set_zero(self) -> None:
         """Take this very place for home."""
-        if self._plant.has_servo:
-            self._home_error = self.hub_position
+        if self._plant.has_servo or self._lost:
+            self._home_error, self._lost = self.hub_position, -self.hub_position
         else:
             self.hub_position = 0.0
         self.position = self._zero = 0.0
@@ -135,8 +151,10 @@ class HubMotion:
         reference = self.position
         _, effort = self.lead((command - self.position) / period)
         self.position = command
-        if not self._plant.has_servo:
-            self.hub_position = command
+        if self._is_stuck:
+            self._lost = command - self.hub_position
+        elif not self._plant.has_servo:
+            self.hub_position = command - self._lost
         return reference, effort
 
     def lead(self, velocity: float, acceleration: float | None = None) -> tuple[float, float]:
@@ -159,12 +177,17 @@ class HubMotion:
             effort = self._plant.servo_force(self.hub_position, self.hub_velocity, wanted)
             self._move(effort)
             self.position += mean_velocity * period
+        elif self._is_stuck:
+            effort = self._stand_still()
+            self.position += mean_velocity * period
+            self._lost = self.position - self.hub_position
         else:
-            if start_velocity != before:
-                self._plant.kick(start_velocity - before)
+            # What was stuck until now is taken along at once.
+            if start_velocity != self.hub_velocity:
+                self._plant.kick(start_velocity - self.hub_velocity)
             effort = self._plant.force_when_led(mean_acceleration)
             self._history[self.tick % HISTORY_TICKS] = _TickStart(
-                reference_position,
+                reference_position - self._lost,
                 start_velocity,
                 self._plant.state(),
                 acceleration,
@@ -173,7 +196,7 @@ class HubMotion:
             )
             self._plant.step_led(acceleration, mean_acceleration)
             self.position += mean_velocity * period
-            self.hub_position, self.hub_velocity = self.position, velocity
+            self.hub_position, self.hub_velocity = self.position - self._lost, velocity
             self._count_tick()
         self.velocity = velocity
         mode = self._parameters.command_mode
@@ -193,6 +216,9 @@ class HubMotion:
 
     def _move(self, force: float) -> None:
         """Integrate one period of the hub under a force that is held over it."""
+        if self._is_stuck:
+            self._stand_still()
+            return
         self._history[self.tick % HISTORY_TICKS] = _TickStart(
             self.hub_position, self.hub_velocity, self._plant.state(), force, True, 0.0
         )
@@ -200,6 +226,19 @@ class HubMotion:
             self.hub_position, self.hub_velocity, force
         )
         self._count_tick()
+
+    def _stand_still(self) -> float:
+        """Integrate one period of a hub that does not move; return the force that holds it [N]."""
+        if self.hub_velocity:
+            self._plant.kick(-self.hub_velocity)
+            self.hub_velocity = 0.0
+        effort = self._plant.force_when_led(0.0)
+        self._history[self.tick % HISTORY_TICKS] = _TickStart(
+            self.hub_position, 0.0, self._plant.state(), 0.0, False, 0.0
+        )
+        self._plant.step_led(0.0, 0.0)
+        self._count_tick()
+        return effort
 
     def _count_tick(self) -> None:
         self.tick += 1

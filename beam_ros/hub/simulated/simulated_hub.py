@@ -101,9 +101,7 @@ class SimulatedHub:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         axis = self.axis
-        outcome = self._gate.check_setpoint(
-            stamp_ns, value, now_ns, axis.state, axis.reference_position, axis.velocity
-        )
+        outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, axis.state, axis.position, axis.velocity)
         if outcome.success:
             outcome = axis.setpoint(value)
         if not outcome.success:

@@ -74,3 +74,23 @@ def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tm
         assert rig.ask("stop", 10.0).success
     finally:
         rig.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "name"),
+    [
+        ("{fault: lying_encoder, offset: 0.02}", "position_jumped"),
+        ("{fault: lying_encoder, offset: 0.2}", "beyond_travel"),
+        ("{fault: sticking_axis}", "motion_unexplained"),
+    ],
+)
+def test_an_axis_that_does_not_do_as_it_is_led_is_stopped_and_named(rig, fault, name):
+    rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now)
+    rig.run(0.1)
+    bring_about(rig, fault)
+    rig.hub.setpoint(rig.now.unix_ns, 0.05, rig.now)
+    reports = rig.until(lambda r: r.status.state == "fault")
+    assert reports[-1].status.fault.name in (name, "position_jumped")
+    rig.run(0.3)
+    assert rig.emulator.axis.velocity == 0.0
+    assert rig.emulator.axis.state != "enabled"

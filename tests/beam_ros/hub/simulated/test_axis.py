@@ -385,3 +385,34 @@ def test_a_seeded_run_is_the_same_to_the_last_bit_as_it_always_was(mode, digest)
     """All of it is sums, products, quotients and square roots, which every computer rounds alike."""
     parameters = AxisParameters(command_mode=mode)
     assert seeded_run(VirtualAxis(parameters, RigidPlant(0.8, T), buffer_samples=128), 7) == digest
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
+def test_a_hub_that_sticks_stands_still_and_lacks_the_way_afterwards(mode):
+    parameters = AxisParameters(command_mode=mode)
+    axis = enabled_axis(parameters)
+    n = 400
+    smooth = np.sin(np.pi * np.arange(n) / (n - 1)) ** 4
+    way = {"acceleration": rest_to_rest(n, 0.5), "velocity": 0.05 * smooth, "position": 0.01 * smooth}[mode]
+    assert axis.arm(axis.device_ns + TICK, n).success
+    axis.append(0, way.tolist())
+    axis.advance(axis.device_ns + 150 * TICK)
+    where = axis.true_position
+    axis.stick(is_stuck=True)
+    ticks = axis.advance(axis.device_ns + 50 * TICK)
+    assert axis.true_position == where
+    assert len(set(ticks.position_counts[1:].tolist())) == 1
+    axis.stick(is_stuck=False)
+    lost = axis.reference_position - where
+    assert abs(lost) > 1e-4
+    axis.feed()
+    axis.advance(axis.device_ns + 250 * TICK)
+    assert axis.reference_position - axis.true_position == pytest.approx(lost, abs=1e-9)
+
+
+def test_a_lying_encoder_shows_in_the_counts_alone():
+    axis = enabled_axis(AxisParameters())
+    axis.lie(0.002, 1.5)
+    (count,) = axis.advance(axis.device_ns + TICK).position_counts
+    assert count == round(0.002 / axis.parameters.encoder_resolution)
+    assert axis.true_position == 0.0
