@@ -16,7 +16,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test verify lint mutants docs dist test-matrix clean distclean
+.PHONY: help setup demo test verify lint firmware mutants docs dist test-matrix clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' Makefile
@@ -39,6 +39,9 @@ lint: ## style, types, and which room imports which
 	@$(SETUP) --extras ros,test,dev -- mypy
 	@$(SETUP) --extras ros,test,dev -- lint-imports --no-cache --no-logo
 	@$(SETUP) --extras ros,test,dev -- python .ci/rooms.py
+
+firmware: ## the firmware for all that this machine has compilers for, checked (see docs/firmware.md)
+	@$(MAKE) -C firmware
 
 mutants: ## seeded mutations of the code against its tests (ARGS="--count 200 --seed 1 --workers 2")
 	@$(SETUP) --extras ros,test,dev -- python -m tests.mutants $(ARGS)
@@ -68,7 +71,7 @@ test-matrix: ## the tests on several Pythons, newest and oldest requirements (MA
 	echo "== passed:$$tried"
 
 clean: ## remove what builds, tests and linters left; the environment and your runs stay
-	rm -rf build dist docs/api install log *.egg-info .mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist firmware/build docs/api install log *.egg-info .mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name .venv -prune -o -name '.venv-*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean ## also remove the environments

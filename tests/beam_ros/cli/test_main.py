@@ -67,6 +67,12 @@ def _write(folder: Path, text: str) -> None:
         (("design", "-p", "excitation.end_frequency:=800.0"), ("500 Hz", "hub.period")),
         (("demo", "--rig", "emulated", "-p", "simulation.real_time_factor:=0.5"), ("expected 1", "emulated")),
         (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
+        (("axis", "conformance", "/dev/nowhere"), ("5 % of its travel", "--yes", "--no-motion")),
+        (
+            ("axis", "conformance", "/dev/nowhere", "--no-motion"),
+            ("/dev/nowhere", "expected an existing port"),
+        ),
+        (("axis", "conformance", "x", "--yes", "--only", "sequences"), ("did you mean sequence?",)),
     ],
 )
 def test_a_fault_of_the_users_is_one_line_and_status_2(
