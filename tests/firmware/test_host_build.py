@@ -9,13 +9,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 import serial
 
 from beam_ros.hub.conformance.suite import ALWAYS, CHECKS, run_checks
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder, encode_frame
-from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters
+from tests.beam_ros.hub.hub_scenes import PortRig, chunks_of, rest_to_rest
 from tests.firmware.builds import built
 
 QUICK = ("handshake", "limits", "clock_rate", "telemetry", "homing", "silence_while_running", "sequence")
@@ -77,6 +79,27 @@ def test_the_host_build_keeps_the_whole_protocol_over_a_socket(mode):
         line.port.close()
     assert {result.name: result.reason for result in found if result.outcome != "passed"} == {}
     assert len(found) == len(CHECKS) + len(ALWAYS)
+
+
+def test_the_driver_runs_a_sequence_on_the_firmware():
+    parameters = AxisParameters()
+    values = rest_to_rest(1500)
+    with running("--position", "0.004") as ends:
+        rig = PortRig(parameters, LinkParameters(ends["host"]))
+        try:
+            rig.connect()
+            rig.enable()
+            for chunk in chunks_of(values, rig.now.unix_ns + 600_000_000):
+                rig.hub.load(chunk, rig.now)
+            rig.until(lambda r: any(s.state == "done" for s in r.sequences))
+            rig.run(0.1)
+        finally:
+            rig.hub.close()
+    assert [s.state for r in rig.reports for s in r.sequences][-2:] == ["running", "done"]
+    assert rig.reports[-1].status.counters["watchdog_proved"] == 1
+    applied = np.concatenate([batch.accelerations for r in rig.reports for batch in r.applied])
+    (first,) = np.flatnonzero(applied == values[0])[:1]
+    assert np.array_equal(applied[first : first + len(values)], values)
 
 
 class StillPlant:
