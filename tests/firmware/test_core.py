@@ -178,6 +178,23 @@ def test_the_core_does_not_drift_from_the_emulator_over_a_long_sequence():
     assert np.array_equal(ends[0].applied, values)
     assert np.array_equal(ends[0].applied, ends[1].applied)
     assert np.abs(ends[0].position_counts - ends[1].position_counts).max() <= 1
+    # The core's speed is half the way of two ticks, which rounds twice; the acceleration changes little in between.
+    assert np.abs(ends[0].velocity_counts - ends[1].velocity_counts).max() <= 2
+
+
+def test_a_forced_hub_is_as_fast_as_the_core_believes():
+    """The emulator knows the speed; the core has it from the encoder, and a tick changes it by 5 mm/s."""
+    speeds = []
+    with VirtualCore(COMMAND_MODES.index("effort")) as core:
+        for firmware in (core, emulated("effort")):
+            host = Host(firmware)
+            host.enable()
+            for number in range(1, 60):
+                host.say(protocol.Setpoint(number, 4.0), ticks=3)
+            status = host.rest()
+            assert (status.state, status.fault_number) == ("fault", fault("speed_limit").number)
+            speeds.append(float(re.search(r"limit: speed ([\d.]+) m/s", status.reason)[1]))
+    assert speeds[0] == pytest.approx(speeds[1], abs=1e-3)
 
 
 def play(host: Host, values: np.ndarray) -> TickBatch:
