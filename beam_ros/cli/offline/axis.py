@@ -165,7 +165,7 @@ def _check_conformance(arguments: argparse.Namespace) -> int:
 
 
 class _PortLine:
-    """A serial port as the checks need it; implements ``Line``."""
+    """A serial port as the checks need it; implements ``DeviceLine``."""
 
     def __init__(self, url: str, baud: int) -> None:
         from beam_ros.hub.line.transport import SerialTransport

@@ -32,7 +32,7 @@ _ONE_SAMPLE = np.zeros(1)
 _Answer = TypeVar("_Answer")
 
 
-class Line(Protocol):
+class DeviceLine(Protocol):
     """Bytes to and from a device, and the time that passes meanwhile."""
 
     def send(self, data: bytes) -> None:
@@ -59,7 +59,7 @@ class Dialogue:
 
     Parameters
     ----------
-    line : Line
+    line : DeviceLine
         To the device.
 
     Attributes
@@ -72,7 +72,7 @@ class Dialogue:
         What was seen that must never be: by the name of the check, in words.
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: DeviceLine) -> None:
         self.identity: protocol.Identity | None = None
         self.status: protocol.Status | None = None
         self.limits = protocol.DeviceLimits()

@@ -8,7 +8,7 @@ from typing import Literal
 
 from beam_ros.hub.conformance import line_checks, motion_checks, sequence_checks, session_checks
 from beam_ros.hub.conformance.check import Check
-from beam_ros.hub.conformance.dialogue import Dialogue, Line
+from beam_ros.hub.conformance.dialogue import DeviceLine, Dialogue
 from beam_ros.hub.errors import ConformanceError
 
 ALWAYS: dict[str, str] = {
@@ -50,13 +50,13 @@ class CheckResult:
 
 
 def run_checks(
-    line: Line, *, moves: bool, names: Sequence[str] = (), progress: Callable[[Check], None] | None = None
+    line: DeviceLine, *, moves: bool, names: Sequence[str] = (), progress: Callable[[Check], None] | None = None
 ) -> Iterator[CheckResult]:
     """Do the checks one after the other, and leave the axis stopped.
 
     Parameters
     ----------
-    line : Line
+    line : DeviceLine
         To the device.
     moves : bool
         Whether the axis may move.
