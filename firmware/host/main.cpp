@@ -2,8 +2,8 @@
 //
 //     beam-firmware [--listen PORT] [--plant PORT] [--mode MODE] [--position METRES]
 //
-// It prints one line for each end that can be opened ("host URL", "plant URL"), and runs until it is ended. Without
-// --plant an ideal axis stands behind it, with a rigid mass.
+// It prints one line for each end that can be opened ("host URL", "plant URL"), and runs until it or the program that
+// started it is ended. Without --plant an ideal axis stands behind it, with a rigid mass.
 
 #include <arpa/inet.h>
 #include <fcntl.h>
@@ -220,6 +220,7 @@ int main(int argc, char** argv) {
     std::signal(SIGPIPE, SIG_IGN);
     std::signal(SIGHUP, SIG_DFL);
     const Options options = read_options(argc, argv);
+    const pid_t parent = getppid();
     const auto line = options.listen < 0 ? std::make_unique<Stream>() : std::make_unique<Stream>(options.listen);
     const auto plant = options.plant < 0 ? nullptr : std::make_unique<Stream>(options.plant);
     std::printf("host %s\n", line->url().c_str());
@@ -232,14 +233,14 @@ int main(int argc, char** argv) {
     settings.name = "beam firmware, host build";
     settings.mode = options.mode;
     beam::PlantPort port(settings, static_cast<std::uint32_t>(getpid()));
-    while (plant && !port.is_set_up()) {
+    while (plant && !port.is_set_up() && getppid() == parent) {
         serve(plant.get(), port, -1, steady_ns(), 20'000'000);
     }
     beam::IdealAxis axis(port.settings(), options.position, ideal_mass);
     HostBoard board(*line, &port, plant ? nullptr : &axis);
     const auto core = std::make_unique<beam::Core>(board, port.settings());
     core->start();
-    while (true) {
+    while (getppid() == parent) {
         while (board.is_ready(core->next_tick()) && core->tick()) {
             core->poll();
         }

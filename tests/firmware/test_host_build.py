@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import struct
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,6 +157,24 @@ def test_a_plant_says_what_axis_it_is_and_keeps_step_with_the_ticks():
     assert len(ticks) > 300
     assert plant.boots >= 1
     assert {drive[2] for drive in plant.drives} == {0}  # nothing is powered
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process runs; one that nobody has buried does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_the_program_ends_with_the_one_that_started_it():
+    script = "import subprocess as s, sys; print(s.Popen(sys.argv[1:], stdout=s.DEVNULL).pid, flush=True)"
+    words = [sys.executable, "-c", script, str(built("beam-firmware")), "--listen", "0"]
+    pid = int(subprocess.run(words, capture_output=True, text=True, timeout=10, check=True).stdout)
+    end = time.monotonic() + 5.0
+    while is_alive(pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not is_alive(pid)
 
 
 @pytest.mark.parametrize("n_bytes", [3e6, pytest.param(1e8, marks=pytest.mark.verify)])
