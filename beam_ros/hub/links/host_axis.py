@@ -38,6 +38,10 @@ AT_REST = 0.002
 """A slower measured hub is taken for one at rest [m/s]: what a drive's speed estimate shows of a standing motor."""
 SETTLING_NS = 100_000_000
 """So long the motor holds the hub after a plan has come to rest, before it may be switched off [ns]."""
+MAX_LATE_NS = 100_000_000
+"""A command that is later than this while the hub is to move has broken the pace ..."""
+MAX_JUMP = 0.005
+"""... and so has one that is further than this from where the last one was due [m]."""
 LAG_NS = 150_000_000
 """A drive may be this much behind its commands, and a measurement behind the hub [ns]."""
 HELD = 0.001
@@ -91,7 +95,7 @@ class HostAxis:
         self._gate = CommandGate(parameters, guard, in_background=True)
         self._homes_here = homes_here
         self._objection = objection
-        self._machine = AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None})
+        self._machine = _machine()
         self._clock: HostClock | None = None
         self._polled_ns = 0
         self._lapse_ns = 0
@@ -105,6 +109,7 @@ class HostAxis:
         self._led: deque[tuple[int, float]] = deque()
         self._fault: Fault = fault("no_answer")
         self._reason = "the controller has not answered yet"
+        self._told = ""
         self._is_connected = False
         self._is_broken = False
 
@@ -257,12 +262,14 @@ class HostAxis:
     def connect(self) -> None:
         """Note that the controller answers."""
         self._is_connected = True
+        self._told = ""
         self._fault, self._reason = NO_FAULT, ""
 
     def disconnect(self, name: str, reason: str) -> None:
         """Note that the controller cannot be reached: nothing is known of the hub any more."""
-        if self._is_connected:
+        if name != self._told:
             self.journal.tell("error", reason)
+        self._told = name
         self._is_connected = False
         self._fault, self._reason = fault(name), reason
         self.deny(reason)
@@ -270,7 +277,9 @@ class HostAxis:
             self._machine.react("emergency stop", 0, reason, fault=fault(name))
             self._machine.react("rest", 0)
         self._gate.finish("aborted", reason)
-        self._machine = AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None})
+        for number, _ in self._machine.take_completed():
+            self._complete(number, False, f"the controller is disconnected: {reason}")
+        self._machine = _machine()
 
     def fail(self, name: str, reason: str, now_ns: int, *, is_limp: bool = False) -> None:
         """Stop because of something that the host noticed, which stays until it is cleared.
@@ -299,12 +308,18 @@ class HostAxis:
                 self._react("rest", now_ns)
 
     def note_late(self, late_ns: int, now_ns: int) -> None:
-        """Stop if the host was so late with a command that the pace is lost; of a sequence, the rest is lost."""
-        is_running = self._machine.condition is RUNNING
-        is_moving = any(self.reference(instant)[1:] != (0.0, 0.0) for instant in (now_ns - late_ns, now_ns))
-        if is_running or (is_moving and self.activity != "stopping"):
+        """Stop if the host was so late with a command that the pace is lost; of a sequence, the rest is lost.
+
+        The stop begins where the hub was just measured: the plan has gone on without it.
+        """
+        before, after = self.reference(now_ns - late_ns), self.reference(now_ns)
+        is_still = before[1:] == after[1:] == (0.0, 0.0) and before[0] == after[0]
+        is_far = abs(after[0] - before[0]) > MAX_JUMP or late_ns > MAX_LATE_NS
+        if is_far and not is_still and self.is_powered:
+            is_running = self._machine.condition is RUNNING
             reason = f"the host was {late_ns * 1e-9:.3f} s late with a position"
             self._react("underrun" if is_running else "emergency stop", now_ns, reason, fault("underrun"))
+            self._brake_where_it_is(now_ns)
 
     def observe(self, raw_position: float, velocity: float) -> None:
         """Note what was measured: position on the controller's own scale [m], velocity [m/s]."""
@@ -347,7 +362,7 @@ class HostAxis:
         watchdog_ns = round(self.parameters.watchdog_s * 1e9)
         if self.activity not in ("idle", "stopping") and now_ns - self._polled_ns > watchdog_ns:
             reason = f"the host's program stood still for {self.parameters.watchdog_s:g} s"
-            self._react("silence", now_ns, reason, fault("host_frozen"))
+            self._react("silence", now_ns, reason, fault("host_silent"))
         elif condition is ARMED and now_ns >= self.plan_ns:
             self._react("start", now_ns)
         elif condition is RUNNING and is_over:
@@ -454,3 +469,8 @@ class HostAxis:
     def _set_plan(self, plan: MotionPlan, start_ns: int) -> None:
         self.plan, self.plan_ns = plan, start_ns
         self.revision += 1
+
+
+def _machine() -> AxisStateMachine:
+    """Return the states of an axis of which nothing is known yet; what its effects do, the axis does itself."""
+    return AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None})

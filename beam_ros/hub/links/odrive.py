@@ -30,8 +30,8 @@ ANSWER_S = 0.1
 MISSES = 5
 """So many answers in a row that did not come are a lost controller."""
 RECONNECT_S = 0.3
-MAX_LATE_NS = 100_000_000
-"""A write that is later than this while the hub is to move has broken the pace: the axis stops."""
+LATE_NS = 20_000_000
+"""A write that is later than this is looked at before anything else is written [ns]."""
 LOOK_EVERY = 10
 """The ODrive's state and faults are read once in so many writes."""
 FLOOD_BYTES = 200_000
@@ -296,9 +296,11 @@ class OdriveHub(HostPacedHub):
             if late_ns > period_ns:
                 self.axis.journal.counters["late_writes"] += 1
             try:
-                if self._is_on and late_ns > MAX_LATE_NS:
+                if self._is_on and late_ns > LATE_NS:
                     self._check()
+                    turns, speed, _ = self._odrive.feedback()
                     with self.lock:
+                        self._observe(turns, speed)
                         self.axis.note_late(late_ns, now_ns)
                 elif turn % LOOK_EVERY == 0:
                     self._check()

@@ -194,7 +194,7 @@ def test_an_executor_that_stands_still_stops_the_axis(start) -> None:
     rig.run(0.1)
     time.sleep(0.6)
     report = rig.run(0.05)[-1]
-    assert (report.status.state, report.status.fault.name) == ("homed", "host_frozen")
+    assert (report.status.state, report.status.fault.name) == ("homed", "host_silent")
     stopped = report.status.position
     assert rig.run(0.2)[-1].status.position == pytest.approx(stopped, abs=2e-4)
     assert stopped < 0.03

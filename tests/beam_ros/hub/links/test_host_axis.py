@@ -1,0 +1,180 @@
+"""The motion controller in the host, in virtual time: states, plans, lateness, faults."""
+
+from __future__ import annotations
+
+import pytest
+
+from beam_ros.hub.contract import HostTime, HubReport, Outcome
+from beam_ros.hub.links.host_axis import HostAxis
+from beam_ros.hub.parameters import AxisParameters
+
+MS = 1_000_000
+START_NS = 7_000 * MS
+UNIX = 1_700_000_000_000_000_000
+
+
+class _Axis:
+    """A host axis whose drive follows at once, stepped every 5 ms and polled every 10 ms."""
+
+    def __init__(self, mode: str = "velocity", raw: float = 0.3, *, homes_here: bool = True) -> None:
+        parameters = AxisParameters(command_mode=mode, stop_deceleration=2.0)
+        self.axis = HostAxis(parameters, homes_here=homes_here)
+        self.now_ns = START_NS
+        self.raw = raw
+        self.follows = True
+        self.is_polled = True
+        self.reports: list[HubReport] = []
+        self.axis.observe(raw, 0.0)
+        self.poll()
+        self.axis.connect()
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(self.now_ns, UNIX + self.now_ns)
+
+    def poll(self) -> HubReport:
+        self.reports.append(self.axis.poll(self.now))
+        return self.reports[-1]
+
+    def run(self, ms: int) -> None:
+        for _ in range(ms // 5):
+            self.now_ns += 5 * MS
+            if self.axis.powering:
+                self.axis.grant(self.now_ns)
+            self.axis.step(self.now_ns)
+            position, velocity, _ = self.axis.reference(self.now_ns)
+            if self.axis.is_powered and self.follows:
+                self.raw = position + self.axis.zero
+                self.axis.observe(self.raw, velocity)
+            if self.is_polled and self.now_ns // (5 * MS) % 2:
+                self.poll()
+
+    def ask(self, kind: str) -> Outcome:
+        number = self.axis.request(kind, self.now_ns)
+        for _ in range(400):
+            self.run(10)
+            for report in self.reports[-2:]:
+                if number in dict(report.completed):
+                    return dict(report.completed)[number]
+        raise AssertionError(f"{kind} did not end")
+
+    def enabled(self) -> _Axis:
+        for kind in ("home", "enable"):
+            assert self.ask(kind).success
+        return self
+
+    def setpoint(self, value: float) -> Outcome:
+        return self.axis.setpoint(UNIX + self.now_ns, value, self.now)
+
+
+def test_home_is_here_or_the_controllers_own_zero() -> None:
+    here = _Axis()
+    assert here.ask("home").success
+    assert (here.axis.position, here.axis.zero, here.raw) == (0.0, 0.3, 0.3)
+    there = _Axis(raw=0.03, homes_here=False)
+    assert there.ask("home").success
+    assert there.axis.zero == 0.0
+    assert there.raw == pytest.approx(0.0, abs=1e-12)
+    # 30 mm at 20 mm/s, and what it takes to get there and to settle.
+    assert there.axis.state == "homed"
+
+
+def test_a_hub_beyond_its_travel_is_not_led_home_by_force() -> None:
+    outcome = _Axis(raw=0.08, homes_here=False).ask("home")
+    assert not outcome.success
+    assert "stands at 0.080000 m, expected within +-0.05 m" in outcome.message
+
+
+def test_set_points_age_and_silence_of_the_executor_stops() -> None:
+    rig = _Axis().enabled()
+    assert rig.setpoint(0.04).success
+    rig.run(600)
+    assert rig.reports[-1].status.fault.name == "setpoint_old"
+    assert rig.axis.state == "homed"
+    # 0.25 s at 0.04 m/s (of which 4 ms are the ramp up), then 0.04 m/s at 2 m/s^2.
+    assert rig.axis.position == pytest.approx(0.04 * (0.25 - 0.002) + 0.04**2 / 4, abs=0.04 * 0.006)
+    rig = _Axis("position").enabled()
+    assert rig.setpoint(0.03).success
+    rig.run(100)
+    rig.is_polled = False
+    rig.run(600)
+    assert rig.poll().status.fault.name == "host_silent"
+    assert rig.axis.state == "homed"
+    assert rig.axis.position < 0.03
+
+
+def test_what_would_leave_the_travel_before_it_stops_is_refused() -> None:
+    rig = _Axis().enabled()
+    outcome = rig.setpoint(0.3)
+    assert not outcome.success
+    assert "would take the hub to" in outcome.message
+    assert rig.axis.activity == "hold"
+
+
+def test_a_late_host_stops_the_hub_from_where_it_was_measured() -> None:
+    rig = _Axis().enabled()
+    for _ in range(4):
+        assert rig.setpoint(0.1).success
+        rig.run(50)
+    measured = rig.axis.position
+    late_ns = 80 * MS
+    rig.now_ns += late_ns
+    rig.axis.observe(rig.raw + 0.001, 0.05)
+    rig.axis.note_late(late_ns, rig.now_ns)
+    # Not from the plan, which is 8 mm further on.
+    position, velocity, _ = rig.axis.reference(rig.now_ns)
+    assert (position, velocity) == pytest.approx((measured + 0.001, 0.05))
+    rig.run(300)
+    assert rig.reports[-1].status.fault.name == "underrun"
+    assert rig.axis.state == "homed"
+
+
+@pytest.mark.parametrize(("value", "late_ms"), [(0.0, 240), (0.02, 60)])
+def test_lateness_that_moves_nothing_far_is_forgiven(value: float, late_ms: int) -> None:
+    rig = _Axis().enabled()
+    assert rig.setpoint(value).success
+    rig.run(100)
+    rig.now_ns += late_ms * MS
+    rig.axis.note_late(late_ms * MS, rig.now_ns)
+    assert rig.axis.activity == "setpoint"
+
+
+def test_a_hub_that_does_not_follow_is_a_fault_that_stays() -> None:
+    rig = _Axis().enabled()
+    rig.follows = False
+    for _ in range(20):
+        rig.setpoint(0.03)
+        rig.run(50)
+    status = rig.reports[-1].status
+    assert (status.state, status.fault.name) == ("fault", "motion_unexplained")
+    assert "clear the fault first" in rig.ask("enable").message
+    assert rig.ask("clear_fault").success
+    rig.follows = True
+    assert rig.ask("enable").success
+
+
+def test_a_lost_controller_ends_everything_and_nothing_comes_back_by_itself() -> None:
+    rig = _Axis().enabled()
+    rig.setpoint(0.03)
+    rig.run(50)
+    number = rig.axis.request("stop", rig.now_ns)
+    rig.axis.disconnect("port_lost", "the port vanished")
+    rig.axis.disconnect("port_lost", "the port is still away")
+    report = rig.poll()
+    assert [event.text for event in report.events if event.level == "error"] == ["the port vanished"]
+    outcome = dict(report.completed)[number]
+    assert outcome == Outcome(False, "the controller is disconnected: the port vanished")
+    assert (report.status.state, report.status.fault.name) == ("disconnected", "port_lost")
+    assert "disconnected: the port is still away" in rig.ask("enable").message
+    rig.axis.connect()
+    assert rig.poll().status.state == "identified"
+    assert not rig.axis.is_powered
+    assert not rig.setpoint(0.01).success
+
+
+def test_what_waits_for_the_motor_is_answered_when_it_is_denied() -> None:
+    rig = _Axis()
+    number = rig.axis.request("home", rig.now_ns)
+    rig.axis.deny("the drive is locked")
+    assert dict(rig.poll().completed)[number] == Outcome(False, "cannot home: the drive is locked")
+    assert rig.axis.state == "identified"
