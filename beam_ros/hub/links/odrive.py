@@ -11,6 +11,8 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
+from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +36,10 @@ LATE_NS = 20_000_000
 """A write that is later than this is looked at before anything else is written [ns]."""
 LOOK_EVERY = 10
 """The ODrive's state and faults are read once in so many writes."""
+RTTS = 200
+"""Exchanges of which the shortest counts."""
+MAX_EXCESS_NS = 2_000_000
+"""A measurement whose exchange took longer than the shortest by this has no time, and is not reported [ns]."""
 FLOOD_BYTES = 200_000
 """More bytes in a second than an ODrive answers."""
 POWER_S = 1.0
@@ -58,6 +64,27 @@ CAPABILITIES = HubCapabilities(
 )
 
 
+@dataclass(frozen=True)
+class Feedback:
+    """Where the motor is.
+
+    Parameters
+    ----------
+    turns, speed : float
+        Position [turns] and velocity [turns/s].
+    middle_ns : int
+        Steady time in the middle of question and answer [ns].
+    excess_ns : int
+        By how much both took longer than the shortest of late [ns]: the time is wrong by half of it at the most,
+        besides what all exchanges share.
+    """
+
+    turns: float
+    speed: float
+    middle_ns: int
+    excess_ns: int
+
+
 class Odrive:
     """Questions and answers over an open port.
 
@@ -72,6 +99,7 @@ class Odrive:
     def __init__(self, transport: SerialTransport, axis: int) -> None:
         self._transport = transport
         self._buffer = b""
+        self._rtts_ns: deque[int] = deque(maxlen=RTTS)
         self.axis = axis
 
     def tell(self, command: str) -> None:
@@ -135,11 +163,13 @@ class Odrive:
                 "set; update the ODrive's firmware"
             )
 
-    def feedback(self) -> tuple[float, float, int]:
-        """Return position [turns], velocity [turns/s], and the steady time in the middle of the exchange [ns]."""
+    def feedback(self) -> Feedback:
+        """Ask where the motor is."""
         text, sent_ns, came_ns = self.ask(f"f {self.axis}")
         position, velocity = ascii_protocol.numbers(text, 2)
-        return position, velocity, (sent_ns + came_ns) // 2
+        self._rtts_ns.append(came_ns - sent_ns)
+        excess_ns = came_ns - sent_ns - min(self._rtts_ns)
+        return Feedback(position, velocity, (sent_ns + came_ns) // 2, excess_ns)
 
     def faults(self) -> list[str]:
         """Return the names of all faults of the axis."""
@@ -175,7 +205,7 @@ class OdriveHub(HostPacedHub):
             parameters,
             guard,
             homes_here=odrive.homes_here,
-            counters=("late_writes", "lost_answers", "connections"),
+            counters=("late_writes", "lost_answers", "untimed_answers", "connections"),
         )
         super().__init__(axis, dataclasses.replace(CAPABILITIES, rate=odrive.rate))
         self._parameters = parameters
@@ -246,9 +276,9 @@ class OdriveHub(HostPacedHub):
         odrive.write("config.enable_watchdog", 1)
         if self._link.prove_watchdog:
             self._prove_watchdog()
-        position, velocity, _ = odrive.feedback()
+        seen = odrive.feedback()
         with self.lock:
-            self._observe(position, velocity)
+            self._observe(seen)
             self.axis.connect()
             self.axis.journal.counters["connections"] += 1
             self.axis.journal.tell("info", f"connected: ODrive axis {n} on {self._link.serial_port}")
@@ -298,9 +328,9 @@ class OdriveHub(HostPacedHub):
             try:
                 if self._is_on and late_ns > LATE_NS:
                     self._check()
-                    turns, speed, _ = self._odrive.feedback()
+                    seen = self._odrive.feedback()
                     with self.lock:
-                        self._observe(turns, speed)
+                        self._observe(seen)
                         self.axis.note_late(late_ns, now_ns)
                 elif turn % LOOK_EVERY == 0:
                     self._check()
@@ -337,16 +367,19 @@ class OdriveHub(HostPacedHub):
             self._odrive.tell(f"p {self._settings.axis} {raw / per_turn:.9f} {velocity / per_turn:.6f}")
         else:
             self._odrive.tell(f"u {self._settings.axis}")
-        turns, speed, middle_ns = self._odrive.feedback()
+        seen = self._odrive.feedback()
         with self.lock:
-            self._observe(turns, speed)
+            self._observe(seen)
             stamps = self.axis.stamps
-            if stamps is not None:
-                self.axis.add_measured(stamps.stamp_ns(middle_ns), turns * per_turn, speed * per_turn, None)
+            if seen.excess_ns > MAX_EXCESS_NS:
+                self.axis.journal.counters["untimed_answers"] += 1
+            elif stamps is not None:
+                stamp_ns = stamps.stamp_ns(seen.middle_ns)
+                self.axis.add_measured(stamp_ns, seen.turns * per_turn, seen.speed * per_turn, None)
 
-    def _observe(self, turns: float, speed: float) -> None:
+    def _observe(self, seen: Feedback) -> None:
         per_turn = self._settings.metres_per_turn
-        self.axis.observe(turns * per_turn, speed * per_turn)
+        self.axis.observe(seen.turns * per_turn, seen.speed * per_turn)
 
     def _note_written(self, now_ns: int, position: float, velocity: float) -> None:
         """Report one written position, with the time at which it was written."""
@@ -384,13 +417,15 @@ class OdriveHub(HostPacedHub):
         odrive, n = self._odrive, self._settings.axis
         odrive.tell("sc")
         odrive.tell(f"u {n}")
-        turns, speed, _ = odrive.feedback()
+        seen = odrive.feedback()
         with self.lock:
-            self._observe(turns, speed)
+            self._observe(seen)
             if self.axis.is_moving:
-                self.axis.deny(f"the hub moves with {abs(speed * self._settings.metres_per_turn):.3g} m/s")
+                self.axis.deny(
+                    f"the hub moves with {abs(seen.speed * self._settings.metres_per_turn):.3g} m/s"
+                )
                 return
-        odrive.tell(f"p {n} {turns:.9f} 0")
+        odrive.tell(f"p {n} {seen.turns:.9f} 0")
         odrive.tell(f"w axis{n}.requested_state {ascii_protocol.CLOSED_LOOP}")
         end = time.monotonic() + POWER_S
         while int(odrive.read("current_state")) != ascii_protocol.CLOSED_LOOP:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from beam_ros import messages
 from beam_ros.bags.batches import decode_batch
+from beam_ros.hub.faults import fault
 from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY
+from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.messages import Health, StampedSetpoint
 from beam_ros.messages.stamps import stamp_ns
+from beam_ros.rig.rig import Rig
 
 pytestmark = pytest.mark.ros
 
@@ -193,3 +199,33 @@ def test_an_emulator_of_a_kind_that_a_package_adds_is_refused(executables) -> No
     running = executables.run("firmware_emulator", *_words("axis.kind:=toy"))
     assert running.wait() == 2
     assert "there is no emulator of it" in running.output()
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "connect-your-axis.md").read_text(encoding="utf-8")
+
+
+def test_the_page_has_a_row_for_every_kind_and_rig_files_that_are_right() -> None:
+    from beam_ros.shell.axis_emulators import AXIS_EMULATORS
+    from beam_ros.shell.axis_links import AXIS_LINKS
+
+    assert set(AXIS_EMULATORS) == set(AXIS_LINKS)
+    for kind in AXIS_LINKS:
+        assert f"| `{kind}` |" in PAGE
+    examples = re.findall(r"```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
+    kinds = set()
+    for example in examples:
+        groups = YAML(typ="safe", pure=True).load(example)["/**"]["ros__parameters"]
+        kinds.add(Rig.from_nested(groups).axis.kind)
+    assert kinds == set(AXIS_LINKS) - {"beam"}
+
+
+def test_the_page_names_no_parameter_and_no_fault_that_there_is_not() -> None:
+    groups = "axis|hub|serial|trajectory|odrive|csv|emulator"
+    named = set(re.findall(rf"`((?:{groups})\.[a-z_]+)", PAGE))
+    assert named - set(RIG_PARAMETERS) == set()
+    assert {
+        f"axis.{field}" for field in ("home", "metres_per_unit", "rate", "options", "prove_watchdog")
+    } <= named
+    for name in ("beyond_travel", "motion_unexplained"):
+        assert f"`{name}`" in PAGE
+        assert fault(name)
