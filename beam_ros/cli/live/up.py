@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--record {arguments.record}: exists already; give a folder that does not")
         executables.append("bag_recorder")
         changes["recorder.path"] = str(arguments.record.resolve())
-    if kind is RigKind.REAL and rig.axis.kind == "beam" and not rig.serial.port:
+    if kind is RigKind.REAL and rig.axis.kind in ("beam", "odrive", "csv") and not rig.serial.port:
         raise UsageError(
             "--rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"

@@ -38,8 +38,8 @@ AT_REST = 0.002
 """A slower measured hub is taken for one at rest [m/s]: what a drive's speed estimate shows of a standing motor."""
 SETTLING_NS = 100_000_000
 """So long the motor holds the hub after a plan has come to rest, before it may be switched off [ns]."""
-MAX_LATE_NS = 100_000_000
-"""A command that is later than this while the hub is to move has broken the pace ..."""
+MAX_LATENESS = 0.5
+"""A command that is later than this share of the watchdog's time while the hub is to move has lost the pace ..."""
 MAX_JUMP = 0.005
 """... and so has one that is further than this from where the last one was due [m]."""
 LAG_NS = 150_000_000
@@ -314,7 +314,9 @@ class HostAxis:
         """
         before, after = self.reference(now_ns - late_ns), self.reference(now_ns)
         is_still = before[1:] == after[1:] == (0.0, 0.0) and before[0] == after[0]
-        is_far = abs(after[0] - before[0]) > MAX_JUMP or late_ns > MAX_LATE_NS
+        is_far = (
+            abs(after[0] - before[0]) > MAX_JUMP or late_ns * 1e-9 > MAX_LATENESS * self.parameters.watchdog_s
+        )
         if is_far and not is_still and self.is_powered:
             is_running = self._machine.condition is RUNNING
             reason = f"the host was {late_ns * 1e-9:.3f} s late with a position"
