@@ -50,7 +50,11 @@ class CheckResult:
 
 
 def run_checks(
-    line: DeviceLine, *, moves: bool, names: Sequence[str] = (), progress: Callable[[Check], None] | None = None
+    line: DeviceLine,
+    *,
+    moves: bool,
+    names: Sequence[str] = (),
+    progress: Callable[[Check], None] | None = None,
 ) -> Iterator[CheckResult]:
     """Do the checks one after the other, and leave the axis stopped.
 
