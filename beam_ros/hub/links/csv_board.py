@@ -161,6 +161,7 @@ class CsvHub:
     # The thread ----------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        patient_until = time.monotonic() + self._link.patience_s
         while not self._ending.is_set():
             try:
                 self._transport.open()
@@ -173,8 +174,9 @@ class CsvHub:
                         self._take(data, came_ns)
             except HubConnectionError as err:
                 self._transport.close()
-                with self._lock:
-                    self._lose(err.fault.name, str(err))
+                if err.fault.name != "port_unavailable" or time.monotonic() > patient_until:
+                    with self._lock:
+                        self._lose(err.fault.name, str(err))
                 self._ending.wait(RECONNECT_S)
         self._transport.dispose()
 

@@ -229,13 +229,15 @@ class OdriveHub(HostPacedHub):
     # The thread ----------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        patient_until = time.monotonic() + self._link.patience_s
         while not self._ending.is_set():
             try:
                 self._transport.open()
                 self._prepare()
                 self._lead()
             except HubConnectionError as err:
-                self._lose(err.fault.name, err)
+                if err.fault.name != "port_unavailable" or time.monotonic() > patient_until:
+                    self._lose(err.fault.name, err)
             except _UnprovedError as err:
                 self._lose("watchdog_unproved", err)
             except HubProtocolError as err:
