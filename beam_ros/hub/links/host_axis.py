@@ -44,6 +44,8 @@ MAX_JUMP = 0.005
 """... and so has one that is further than this from where the last one was due [m]."""
 LAG_NS = 150_000_000
 """A drive may be this much behind its commands, and a measurement behind the hub [ns]."""
+FOLLOWED_TICKS = 1000
+"""So many ticks of the past at most are shown to the gate in one poll."""
 HELD = 0.001
 """A hub that is further than this from where it is held does not follow [m]."""
 
@@ -99,6 +101,7 @@ class HostAxis:
         self._clock: HostClock | None = None
         self._polled_ns = 0
         self._lapse_ns = 0
+        self._followed_ns = 0
         self._next_request = 1
         self._completed: list[tuple[int, Outcome]] = []
         self._applied: list[SampleBatch] = []
@@ -384,6 +387,7 @@ class HostAxis:
         """Note that the host is alive, and collect what happened."""
         clock = self.clock(now)
         self._polled_ns = now.steady_ns
+        self._let_gate_follow(now.steady_ns, clock)
         self.journal.watch_clock(clock, now)
         self._take_checked(now)
         for event in self._machine.take_events():
@@ -402,6 +406,30 @@ class HostAxis:
         )
 
     # Inside --------------------------------------------------------------------------------------------
+
+    def _let_gate_follow(self, now_ns: int, clock: HostClock) -> None:
+        """Show the gate what was commanded since the last poll, tick by tick, for its model of the beam."""
+        period_ns, mode = self.parameters.period_ns, self.parameters.command_mode
+        begin_ns = max(self._followed_ns, now_ns - FOLLOWED_TICKS * period_ns)
+        if self.plan_ns <= now_ns:
+            begin_ns = max(begin_ns, self.plan_ns)
+        first = -((self.plan_ns - begin_ns) // period_ns)
+        last = (now_ns - self.plan_ns) // period_ns
+        if last <= first:
+            return
+        self._followed_ns = self.plan_ns + last * period_ns
+        ticks = np.arange(first, last) * (period_ns * 1e-9)
+        positions, velocities, accelerations = self.plan.sample(np.asarray(ticks, dtype=np.float64))
+        stamp_ns = clock.stamp_ns(self.plan_ns + first * period_ns)
+        applied = SampleBatch(
+            stamp_ns,
+            period_ns,
+            1,
+            velocities=None if mode == "acceleration" else velocities,
+            accelerations=accelerations if mode == "acceleration" else None,
+        )
+        measured = SampleBatch(stamp_ns, period_ns, 1, positions=positions, velocities=velocities)
+        self._gate.follow([(applied, measured)])
 
     def _watch(self, now_ns: int) -> None:
         """Compare what was measured with what was commanded."""

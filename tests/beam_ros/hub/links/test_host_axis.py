@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
 
 from beam_ros.hub.contract import HostTime, HubReport, Outcome
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.simulated.plant import Plant, beam_on_axis
+from beam_ros.rig.rig import Rig
+from tests.beam_ros.hub.hub_scenes import chunks_of
 
 MS = 1_000_000
 START_NS = 7_000 * MS
@@ -16,9 +22,24 @@ UNIX = 1_700_000_000_000_000_000
 class _Axis:
     """A host axis whose drive follows at once, stepped every 5 ms and polled every 10 ms."""
 
-    def __init__(self, mode: str = "velocity", raw: float = 0.3, *, homes_here: bool = True) -> None:
+    def __init__(
+        self,
+        mode: str = "velocity",
+        raw: float = 0.3,
+        *,
+        homes_here: bool = True,
+        rig: Rig | None = None,
+    ) -> None:
         parameters = AxisParameters(command_mode=mode, stop_deceleration=2.0)
         self.axis = HostAxis(parameters, homes_here=homes_here)
+        self.tip = 0.0
+        self.plant: Plant | None = None
+        if rig is not None:
+            rig = rig.with_values({"hub.command_mode": mode})
+            parameters, model = rig.axis_parameters(), rig.beam_model()
+            self.axis = HostAxis(parameters, rig.beam_guard())
+            self.plant = beam_on_axis(model, parameters)
+            self.tip_shape = model.shape([model.parameters.length])[0]
         self.now_ns = START_NS
         self.raw = raw
         self.follows = True
@@ -38,6 +59,7 @@ class _Axis:
 
     def run(self, ms: int) -> None:
         for _ in range(ms // 5):
+            self._bend()
             self.now_ns += 5 * MS
             if self.axis.powering:
                 self.axis.grant(self.now_ns)
@@ -48,6 +70,14 @@ class _Axis:
                 self.axis.observe(self.raw, velocity)
             if self.is_polled and self.now_ns // (5 * MS) % 2:
                 self.poll()
+
+    def _bend(self) -> None:
+        """Let the beam follow the hub for the next 5 ms, in ticks of 1 ms."""
+        for k in range(5) if self.plant is not None else ():
+            before, after = (self.axis.reference(self.now_ns + (k + j) * MS)[1] for j in (0, 1))
+            acceleration = (after - before) / 1e-3
+            self.plant.step_led(acceleration, acceleration)
+            self.tip = max(self.tip, abs(float(self.plant.state()[: self.plant.n_modes] @ self.tip_shape)))
 
     def ask(self, kind: str) -> Outcome:
         number = self.axis.request(kind, self.now_ns)
@@ -109,6 +139,37 @@ def test_what_would_leave_the_travel_before_it_stops_is_refused() -> None:
     assert not outcome.success
     assert "would take the hub to" in outcome.message
     assert rig.axis.activity == "hold"
+
+
+@pytest.mark.parametrize(("mode", "size"), [("acceleration", 0.6), ("velocity", 0.03), ("position", 0.001)])
+def test_set_points_that_would_bend_the_beam_too_far_are_refused(mode: str, size: float) -> None:
+    """At the first resonance, 4.38 Hz, the tip would reach far beyond hub.max_tip_deflection = 30 mm."""
+    rig = _Axis(mode, rig=Rig.from_file()).enabled()
+    outcomes = []
+    for k in range(200):
+        outcomes.append(rig.setpoint(size * np.sin(2 * np.pi * 4.38 * k * 0.02 + 0.3)))
+        rig.run(20)
+    rig.run(1000)
+    assert any("predicted tip deflection" in outcome.message for outcome in outcomes)
+    assert 0.02 < rig.tip < 0.030
+
+
+def test_the_beam_that_a_sequence_left_swinging_is_remembered() -> None:
+    taken = []
+    for ringing in (0.0, 1.0):
+        rig = _Axis("acceleration", rig=Rig.from_file()).enabled()
+        t = np.arange(2000) * 1e-3
+        values = ringing * np.sin(2 * np.pi * 4.38 * t) * np.sin(np.pi * t / 2.0) ** 2
+        values -= np.hanning(2000) * values.sum() / np.hanning(2000).sum()
+        for chunk in chunks_of(values, UNIX + rig.now_ns + 500 * MS):
+            rig.axis.load(chunk, rig.now)
+        for _ in range(100):
+            rig.run(100)
+            if any(s.state == "done" for r in rig.reports[-10:] for s in r.sequences):
+                break
+            time.sleep(0.01)  # the check of the sequence runs in a thread, in real time
+        taken.append(rig.setpoint(1.1).success)
+    assert taken == [True, False]
 
 
 def test_a_late_host_stops_the_hub_from_where_it_was_measured() -> None:
