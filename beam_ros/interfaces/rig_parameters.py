@@ -158,6 +158,7 @@ class CsvSettings:
 class EmulatorSettings:
     """The emulated motion controller: of the kind that axis.kind names."""
 
+    firmware: str = setting("python, or the file of a built firmware with a plant port")
     port_link: str = setting("path that links to the pseudo-terminal")
     controller_rate: float = setting("control cycles of an emulated trajectory_controller", "Hz", 10.0, 1e3)
     clock_drift_ppm: float = setting("device clock against the host's", "ppm", -1e3, 1e3)

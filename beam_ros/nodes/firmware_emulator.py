@@ -44,6 +44,8 @@ class FirmwareEmulator(RigNode):
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report where the controller is and how the camera keeps up."""
         level, sentence, counters = self._camera.health()
+        if self._controller.trouble:
+            return "ERROR", self._controller.trouble, counters
         place = f"controller on {self._controller.port}"
         return level, f"{sentence}; {place}" if sentence else place, counters
 

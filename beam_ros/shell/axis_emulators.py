@@ -20,6 +20,7 @@ from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.emulated.servo import servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
 from beam_ros.hub.errors import HubParameterError
+from beam_ros.hub.firmware.built_firmware import BuiltFirmware
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.hub.simulated.plant import Plant
@@ -30,6 +31,8 @@ from beam_ros.shell.fault_requests import FaultyAxis
 from beam_ros.shell.node import RigNode
 from beam_ros.shell.trajectory_topics import CONTROLLER_QOS, OwnThread
 
+PYTHON = "python"
+"""The word of ``emulator.firmware`` for the suite's own emulator of one."""
 _HEADROOM = 2.0
 """By how much the device could do more than the rig file allows: limits that are not handed over would show."""
 
@@ -54,6 +57,10 @@ class EmulatedAxis(FaultyAxis, Protocol):
     def take_notes(self) -> list[str]:
         """Return what went wrong on request since the last call, for the log."""
 
+    @property
+    def trouble(self) -> str:
+        """Why the controller goes on no more; empty while it does."""
+
     def close(self) -> None:
         """Switch it off."""
 
@@ -64,9 +71,17 @@ def _device(rig: Rig) -> SimulatedDevice:
 
 def _beam(node: RigNode) -> EmulatedAxis:
     rig = node.rig
-    parameters = rig.axis_parameters()
-    plant = rig.simulated_plant(rig.beam_model(), rig.emulator.clock_drift_ppm)
-    return _on_port(rig, parameters.widened(_HEADROOM), plant)
+    widest = rig.axis_parameters().widened(_HEADROOM)
+    built = rig.emulator.firmware
+    if built == PYTHON:
+        return _on_port(rig, widest, rig.simulated_plant(rig.beam_model(), rig.emulator.clock_drift_ppm))
+    # A built firmware has the clock of what it runs on.
+    plant = rig.simulated_plant(rig.beam_model(), 0.0)
+
+    def boot(device: SimulatedDevice, boot_id: int) -> BuiltFirmware:
+        return BuiltFirmware(built, widest, plant, device, n_starts=boot_id)
+
+    return _on_port(rig, widest, plant, boot, rig.simulated_device(0.0, 0))
 
 
 def _servo_plant(rig: Rig, clock_drift_ppm: float) -> Plant:
@@ -75,12 +90,16 @@ def _servo_plant(rig: Rig, clock_drift_ppm: float) -> Plant:
 
 
 def _on_port(
-    rig: Rig, parameters: AxisParameters, plant: Plant, boot: FirmwareMaker | None = None
+    rig: Rig,
+    parameters: AxisParameters,
+    plant: Plant,
+    boot: FirmwareMaker | None = None,
+    device: SimulatedDevice | None = None,
 ) -> EmulatedAxis:
     return EmulatedController(
         parameters,
         plant,
-        _device(rig),
+        device or _device(rig),
         link=rig.emulator.port_link or None,
         line_baud=rig.emulator.line_baud,
         fifo_bytes=rig.emulator.fifo,
@@ -154,6 +173,10 @@ class _ControllerTopics:
 
     def take_notes(self) -> list[str]:
         return []
+
+    @property
+    def trouble(self) -> str:
+        return ""
 
     @property
     def reached_ns(self) -> int:

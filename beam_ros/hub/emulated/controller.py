@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import os
 import select
+import socket
 import threading
 import time
 import tty
@@ -19,9 +20,16 @@ from typing import Protocol
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import HostTime
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
-from beam_ros.hub.emulated.injected_faults import DisturbedAxis, FaultSchedule, InjectedFault, disturb
+from beam_ros.hub.emulated.injected_faults import (
+    KINDS,
+    DisturbedAxis,
+    FaultSchedule,
+    InjectedFault,
+    disturb,
+)
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
-from beam_ros.hub.errors import HubConnectionError
+from beam_ros.hub.errors import HubConnectionError, HubParameterError
+from beam_ros.hub.firmware.built_firmware import BuiltFirmware
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
@@ -127,6 +135,7 @@ class EmulatedController:
         self._lock = threading.Lock()
         self._boots = 1
         self._firmware = self._boot(self._device)
+        self.check_faults(faults)
         self._rate_ppb = round(self._device.clock_drift_ppm * 1000)
         self._start_ns = self._boot_steady_ns = time.monotonic_ns()
         self._boot_device_ns = self._device.clock_start_ns
@@ -152,6 +161,11 @@ class EmulatedController:
         axis = self._firmware.axis
         assert isinstance(axis, VirtualAxis)
         return axis
+
+    @property
+    def trouble(self) -> str:
+        """Why the firmware goes on no more; empty while it does."""
+        return self._firmware.trouble if isinstance(self._firmware, BuiltFirmware) else ""
 
     # The camera's side --------------------------------------------------------------------------------
 
@@ -217,6 +231,7 @@ class EmulatedController:
         with self._lock:
             where = self._firmware.axis.true_position
             self._boots += 1
+            self._switch_off()
             self._firmware = self._boot(dataclasses.replace(self._device, initial_position=where))
             self._boot_steady_ns, self._boot_device_ns = time.monotonic_ns(), self._device.clock_start_ns
 
@@ -226,7 +241,13 @@ class EmulatedController:
             self._write(data)
 
     def check_faults(self, faults: Sequence[InjectedFault]) -> None:
-        """Take note of faults that are to happen: on a line all can."""
+        """Raise ``HubParameterError`` where these faults cannot happen here: a built firmware's clock is its own."""
+        of_clock = [fault.kind for fault in faults if KINDS[fault.kind].place == "clock"]
+        if of_clock and isinstance(self._firmware, BuiltFirmware):
+            raise HubParameterError(
+                f"fault {of_clock[0]}: nobody can disturb the clock of a built firmware; leave the fault out, or "
+                "set emulator.firmware to python"
+            )
 
     def bring_about(self, faults: Sequence[InjectedFault]) -> None:
         """Let faults happen, their times counted from the start."""
@@ -252,6 +273,7 @@ class EmulatedController:
         self._is_closing = True
         self._wake()
         self._thread.join(timeout=2.0)
+        self._switch_off()
         self.unplug()
         os.close(self._wake_read)
         os.close(self._wake_write)
@@ -262,7 +284,11 @@ class EmulatedController:
         while not self._is_closing:
             pause_s = self._pause_s()
             master = self._master
-            watched = [self._wake_read] if master is None else [self._wake_read, master]
+            watched: list[int | socket.socket] = [self._wake_read]
+            if master is not None:
+                watched.append(master)
+            if isinstance(self._firmware, BuiltFirmware) and not self._is_stalled:
+                watched += self._firmware.sources
             try:
                 ready, _, _ = select.select(watched, [], [], pause_s)
             except (OSError, ValueError):
@@ -350,6 +376,10 @@ class EmulatedController:
 
     def _boot(self, device: SimulatedDevice) -> Firmware:
         return self._maker(device, (os.getpid() << 12 | self._boots) & 0xFFFFFFFF)
+
+    def _switch_off(self) -> None:
+        if isinstance(self._firmware, BuiltFirmware):
+            self._firmware.close()
 
     def _device_ns(self, steady_ns: int) -> int:
         elapsed_ns = steady_ns - self._boot_steady_ns

@@ -159,19 +159,39 @@ class HubMotion:
 
     def lead(self, velocity: float, acceleration: float | None = None) -> tuple[float, float]:
         """Integrate one period that leads the hub to a velocity; return reference and force."""
-        period = self._parameters.period
-        before = self.velocity
-        reference_position = self.position
-        if self._parameters.is_ramped:
-            if acceleration is None:
-                acceleration = (velocity - before) / period
-            start_velocity = before
-            mean_acceleration = acceleration
-            mean_velocity = before + acceleration * (period / 2)
-        else:
+        before, reference_position = self.velocity, self.position
+        if not self._parameters.is_ramped:
             acceleration = 0.0
-            mean_acceleration = (velocity - before) / period
-            start_velocity = mean_velocity = velocity
+            effort = self.carry(velocity, acceleration, velocity)
+        else:
+            if acceleration is None:
+                acceleration = (velocity - before) / self._parameters.period
+            effort = self.carry(before, acceleration, velocity)
+        mode = self._parameters.command_mode
+        if mode == "acceleration":
+            return acceleration, effort
+        if mode == "velocity":
+            return velocity, effort
+        if mode == "position":
+            return reference_position - self._zero, effort
+        return effort, effort
+
+    def carry(self, start_velocity: float, acceleration: float, end_velocity: float) -> float:
+        """Integrate one period whose reference begins with a velocity, after any jump, and holds an acceleration.
+
+        Parameters
+        ----------
+        start_velocity, acceleration, end_velocity : float
+            Of the reference at the tick's beginning [m/s], over the tick [m/s^2], and at its end [m/s].
+
+        Returns
+        -------
+        float -- the force at the tick's beginning, any jump spread over the tick [N]
+        """
+        period = self._parameters.period
+        reference_position = self.position
+        mean_acceleration = acceleration + (start_velocity - self.velocity) / period
+        mean_velocity = start_velocity + acceleration * (period / 2)
         if self._plant.has_servo:
             wanted = Reference(reference_position + self._home_error, start_velocity, mean_acceleration)
             effort = self._plant.servo_force(self.hub_position, self.hub_velocity, wanted)
@@ -196,17 +216,10 @@ class HubMotion:
             )
             self._plant.step_led(acceleration, mean_acceleration)
             self.position += mean_velocity * period
-            self.hub_position, self.hub_velocity = self.position - self._lost, velocity
+            self.hub_position, self.hub_velocity = self.position - self._lost, end_velocity
             self._count_tick()
-        self.velocity = velocity
-        mode = self._parameters.command_mode
-        if mode == "acceleration":
-            return acceleration, effort
-        if mode == "velocity":
-            return velocity, effort
-        if mode == "position":
-            return reference_position - self._zero, effort
-        return effort, effort
+        self.velocity = end_velocity
+        return effort
 
     def push(self, force: float) -> tuple[float, float]:
         """Integrate one period of the free hub under a force."""
