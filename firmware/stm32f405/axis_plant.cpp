@@ -41,6 +41,7 @@ constexpr std::uint32_t bell = 1U << 13U | 1U << 5U | 1U << 2U;
 std::uint32_t input = 0;
 std::uint32_t output = 0;
 PlantPort* plant = nullptr;
+std::uint64_t next_tick = 0;
 
 void send() {
     call_debugger(Call::write, {output, address(plant->output()), static_cast<std::uint32_t>(plant->output_size())});
@@ -52,6 +53,17 @@ void receive() {
     std::uint8_t data[chunk];
     const std::uint32_t missing = call_debugger(Call::read, {input, address(data), chunk});
     plant->receive(data, chunk - missing);
+}
+
+/// Takes what the plant has sent, after a wait for it or for any other interrupt.
+void await_bell() {
+    // Interrupts are held, so that none comes between the look and the wait; a held one still ends the wait.
+    hold_interrupts();
+    receive();
+    if (!plant->is_set_up() || !plant->has_reading(next_tick)) {
+        wait_for_interrupt();
+    }
+    release_interrupts();
 }
 
 }  // namespace
@@ -67,17 +79,10 @@ Settings begin_axis(std::uint32_t boot_id) {
     enable_interrupt(usart2_interrupt);
     plant->poll(clock_ns());
     send();
-    while (true) {
-        // Interrupts are held, so that none comes between the look and the wait; a held one still ends the wait.
-        hold_interrupts();
-        receive();
-        if (plant->is_set_up()) {
-            release_interrupts();
-            return plant->settings();
-        }
-        rest_until_interrupt();
-        release_interrupts();
+    while (!plant->is_set_up()) {
+        await_bell();
     }
+    return plant->settings();
 }
 
 void acknowledge() {
@@ -88,11 +93,18 @@ void acknowledge() {
 
 bool has_reading(std::uint64_t tick) {
     const Rest rest;
-    do {
-        if (!plant->has_reading(tick)) {
-            receive();
+    if (!plant->has_reading(tick)) {
+        receive();
+    }
+    if (is_paced()) {
+        // Without a timer that is due, paced time stands still until the line or the bell has a byte.
+        const std::uint32_t running = system_timer().control;
+        system_timer().control = 0;
+        while (!plant->has_reading(tick)) {
+            await_bell();
         }
-    } while (is_paced() && !plant->has_reading(tick));
+        system_timer().control = running;
+    }
     return plant->has_reading(tick);
 }
 
@@ -100,6 +112,7 @@ Reading measure() { return plant->reading(); }
 
 void drive(const Drive& drive) {
     const Rest rest;
+    next_tick = drive.tick + 1;
     plant->drive(drive, clock_ns());
     send();
 }

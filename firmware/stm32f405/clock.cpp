@@ -29,7 +29,8 @@ constexpr std::uint32_t emulated_prescaler = 9;
 
 /// What stands in memory where an emulator paces the time.
 constexpr std::uint32_t paced = 0x50414345;
-constexpr std::uint32_t instructions_between_looks = 2000;
+/// QEMU's idle processor misses every other interrupt of this timer where time is paced; one too many does no harm.
+constexpr std::uint32_t paced_interrupts_per_tick = 4;
 
 std::uint32_t rate = counts_per_us;
 std::uint64_t counted = 0;
@@ -69,7 +70,10 @@ bool begin_clocks() {
     rate = is_emulated ? emulated_counts_per_us : counts_per_us;
     rcc().apb1_enable |= timer2_enable;
     timer2().prescaler = is_emulated ? emulated_prescaler : 0;
-    timer2().reload = 0xFFFFFFFFU;
+    if (!is_emulated) {
+        // QEMU counts up to 32 bits also without; with it, a paced processor at rest would skip to the overflow.
+        timer2().reload = 0xFFFFFFFFU;
+    }
     // An update takes prescaler and reload over, and begins at 0.
     timer2().events = 1;
     timer2().control1 = 1;
@@ -95,7 +99,7 @@ bool begin_ticks(std::uint32_t period_ns) {
     }
     // The first tick after this moment begins when `period_ns` divides the clock; the timer begins just after it.
     const std::uint64_t begin_ns = (clock_ns() / period_ns + 1) * period_ns;
-    system_timer().reload = static_cast<std::uint32_t>(cycles) - 1;
+    system_timer().reload = static_cast<std::uint32_t>(cycles) / (is_paced() ? paced_interrupts_per_tick : 1) - 1;
     while (clock_ns() < begin_ns) {
     }
     system_timer().count = 0;
@@ -104,17 +108,5 @@ bool begin_ticks(std::uint32_t period_ns) {
 }
 
 bool is_paced() { return pacing == paced; }
-
-void rest_until_interrupt() {
-    if (!is_paced()) {
-        wait_for_interrupt();
-        return;
-    }
-    while (!has_interrupt()) {
-        for (std::uint32_t i = 0; i < instructions_between_looks / 2; ++i) {
-            asm volatile("");
-        }
-    }
-}
 
 }  // namespace beam::stm32

@@ -28,11 +28,7 @@ std::uint64_t clock_ns_of(std::uint32_t count);
 /// Returns false where the timer cannot have that period: whole microseconds up to 99 ms.
 bool begin_ticks(std::uint32_t period_ns);
 
-/// Waits for an interrupt while all are held; it is let in when they are released.
-void rest_until_interrupt();
-
-/// Whether time is counted in instructions, by an emulator that goes on only when its plant has answered: then nothing may
-/// wait by sleeping.
+/// Whether time is counted in instructions, by an emulator that goes on only when its plant has answered.
 bool is_paced();
 
 }  // namespace beam::stm32

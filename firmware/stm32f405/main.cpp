@@ -57,7 +57,7 @@ public:
     Reading measure() override { return stm32::measure(); }
     void drive(const Drive& drive) override { stm32::drive(drive); }
     void feed_watchdog() override { watchdog().key = watchdog_feed; }
-    void hold_ticks() override { mask_from(tick_priority); }
+    void hold_ticks() override { mask_from(axis_priority); }
     void release_ticks() override { mask_from(0); }
 
 private:
@@ -69,11 +69,18 @@ Core* core = nullptr;
 
 std::uint32_t period_ns = 0;
 
-/// Does the ticks that are due and whose readings have come.
+volatile bool is_ticking = false;
+
+/// Does the ticks that are due and whose readings have come; an interrupt that finds them under way leaves them alone.
 void do_ticks() {
-    while (core != nullptr && clock_ns() >= core->next_tick() * period_ns && has_reading(core->next_tick())) {
+    if (core == nullptr || is_ticking) {
+        return;
+    }
+    is_ticking = true;
+    while (clock_ns() >= core->next_tick() * period_ns && has_reading(core->next_tick())) {
         core->tick();
     }
+    is_ticking = false;
 }
 
 void begin_line() {
@@ -117,7 +124,7 @@ void run() {
         hold_interrupts();
         if (!line.has_received()) {
             const Rest rest;
-            rest_until_interrupt();
+            wait_for_interrupt();
         }
         release_interrupts();
         std::uint8_t data[chunk];

@@ -68,26 +68,23 @@ inline SerialRegisters& usart2() { return at<SerialRegisters>(0x40004400); }
 inline WatchdogRegisters& watchdog() { return at<WatchdogRegisters>(0x40003000); }
 inline RandomGenerator& random_generator() { return at<RandomGenerator>(0x50060800); }
 inline SystemTimer& system_timer() { return at<SystemTimer>(0xE000E010); }
-inline Register& interrupt_state() { return at<Register>(0xE000ED04); }
 inline Register& coprocessor_access() { return at<Register>(0xE000ED88); }
 
 constexpr unsigned usart1_interrupt = 37;
 constexpr unsigned usart2_interrupt = 38;
 
-/// Priorities: the host's line goes before the tick, so that a long tick loses no byte.
-constexpr std::uint8_t serial_priority = 0x40;
+/// Priorities: the host's line goes before the tick, so that a long tick loses no byte; so does a plant that is waited for.
+constexpr std::uint8_t line_priority = 0x40;
+constexpr std::uint8_t axis_priority = 0x60;
 constexpr std::uint8_t tick_priority = 0x80;
 
 inline void set_priorities() {
-    at<volatile std::uint8_t>(0xE000E400U + usart1_interrupt) = serial_priority;
-    at<volatile std::uint8_t>(0xE000E400U + usart2_interrupt) = tick_priority;
+    at<volatile std::uint8_t>(0xE000E400U + usart1_interrupt) = line_priority;
+    at<volatile std::uint8_t>(0xE000E400U + usart2_interrupt) = axis_priority;
     at<volatile std::uint8_t>(0xE000ED23U) = tick_priority;
 }
 
 inline void enable_interrupt(unsigned number) { at<Register>(0xE000E100U + number / 32 * 4) = 1U << (number % 32); }
-
-/// Whether the tick's or a serial port's interrupt waits to be let in.
-inline bool has_interrupt() { return (interrupt_state() & (1U << 22U | 1U << 26U)) != 0; }
 
 inline void wait_for_interrupt() { asm volatile("dsb\n\twfi\n\tisb" ::: "memory"); }
 inline void hold_interrupts() { asm volatile("cpsid i" ::: "memory"); }

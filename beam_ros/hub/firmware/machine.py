@@ -23,8 +23,8 @@ STARTS_ADDRESS = 0x2001FFF8
 PACING_ADDRESS = STARTS_ADDRESS + 4
 """Where it looks whether an emulator paces the time."""
 PACED = 0x50414345
-INSTRUCTION_SHIFT = 3
-"""Where time is counted in instructions, one takes 2^3 ns."""
+INSTRUCTION_SHIFT = 0
+"""Where time is counted in instructions, one takes 2^0 ns."""
 
 _ELF_MACHINE = slice(18, 20)
 _ARM = (40).to_bytes(2, "little")
@@ -72,7 +72,6 @@ class FirmwareMachine:
         self._file = file
         self._process: subprocess.Popen[bytes] | None = None
         self._bell: socket.socket | None = None
-        self._its_plant: socket.socket | None = None
         with contextlib.ExitStack() as stack:
             self._log = stack.enter_context(tempfile.TemporaryFile())
             stack.callback(self._end)
@@ -85,11 +84,6 @@ class FirmwareMachine:
         """Whether the firmware still runs."""
         return self._process is not None and self._process.poll() is None
 
-    def let_wait(self, is_waiting: bool) -> None:
-        """Let a paced firmware stand still until the plant answers, or let it live on with its interrupts meanwhile."""
-        if self._its_plant is not None:
-            self._its_plant.setblocking(is_waiting)
-
     def ring(self) -> None:
         """Let a firmware look for a message of the plant before its next tick."""
         if self._bell is not None:
@@ -99,9 +93,8 @@ class FirmwareMachine:
     def close(self) -> None:
         """Switch it off."""
         self._resources.close()
-        for end in (self._bell, self._its_plant):
-            if end is not None:
-                end.close()
+        if self._bell is not None:
+            self._bell.close()
 
     def _start_qemu(self, n_starts: int, is_paced: bool) -> tuple[socket.socket, socket.socket]:
         """Start a processor that runs the firmware instruction by instruction.
@@ -112,9 +105,8 @@ class FirmwareMachine:
         # pair it can be seen when they have been taken.
         line, its_line = socket.socketpair() if is_paced else _tcp_pair()
         (plant, its_plant), (self._bell, its_bell) = socket.socketpair(), socket.socketpair()
-        self._its_plant = its_plant
-        its_plant.setblocking(is_paced)
-        with its_line, its_bell:
+        its_plant.setblocking(False)
+        with its_line, its_plant, its_bell:
             self._popen(
                 [
                     *(_QEMU, "-machine", "netduinoplus2", "-kernel", str(self._file)),

@@ -65,16 +65,13 @@ class PacedFirmware:
         self._period_ns = parameters.period_ns
         self._frames = FrameDecoder()
         self._machine = FirmwareMachine(file, n_starts, is_paced=True)
-        self._start_ns: int | None = None
         self._said = bytearray()
+        self._tick = 0
         try:
-            self._machine.let_wait(False)
             while not isinstance(self._hear(), Boot):
                 pass
-            self._machine.plant.sendall(encode_setup(parameters) + encode_reading(self.axis.reading))
-            self._machine.ring()
+            self._answer(encode_setup(parameters))
             self._note(self._hear())
-            self._machine.let_wait(True)
         except BaseException:
             self._machine.close()
             raise
@@ -85,20 +82,20 @@ class PacedFirmware:
         Parameters
         ----------
         data : bytes
-            Received; any bytes at all.
+            Received; any bytes at all. They are heard after the last tick; without one, one more is done.
         device_ns : int
-            The caller's clock now [ns], never earlier than before; the firmware's has an origin of its own.
+            Until which time of the firmware's clock it lives [ns]; it is at 0 when it starts.
 
         Raises
         ------
         HubConnectionError
             The firmware has come to its end.
         """
-        if self._start_ns is None:
-            self._start_ns = device_ns - self._tick * self._period_ns
-        self._hand_over(data)
-        while self._start_ns + self._tick * self._period_ns < device_ns:
-            self._machine.plant.sendall(encode_reading(self.axis.reading))
+        due = max(-(-device_ns // self._period_ns) - self._tick, 1 if data else 0)
+        for left in range(due, 0, -1):
+            if left == 1:
+                self._hand_over(data)
+            self._answer()
             self._note(self._hear())
         # All that a tick has said was written before the next one began.
         self._listen()
@@ -109,6 +106,10 @@ class PacedFirmware:
         """Switch it off; the hub stops where it is."""
         self._machine.close()
         self.axis.reset()
+
+    def _answer(self, setup: bytes = b"") -> None:
+        self._machine.plant.sendall(setup + encode_reading(self.axis.reading))
+        self._machine.ring()
 
     def _note(self, message: Boot | Drive) -> None:
         """Move through the tick that has begun; the firmware now waits for the reading of the next one."""
@@ -122,14 +123,12 @@ class PacedFirmware:
             return
         line = self._machine.line
         deadline = time.monotonic() + START_S
-        self._machine.let_wait(False)
-        self._machine.plant.sendall(b"\0")
         line.sendall(data)
         while struct.unpack("i", fcntl.ioctl(line, termios.TIOCOUTQ, bytes(4)))[0]:
             if time.monotonic() > deadline or not self._machine.is_running:
                 raise self._end()
+            self._listen()
             time.sleep(5e-5)
-        self._machine.let_wait(True)
 
     def _hear(self) -> Boot | Drive:
         while True:
