@@ -35,8 +35,8 @@ constexpr std::uint32_t for_reading = 0;
 constexpr std::uint32_t for_writing = 4;
 constexpr std::size_t chunk = 256;
 constexpr std::uint32_t has_byte = 1U << 5U;
-/// Enabled, with its receiver and the interrupt of a received byte.
-constexpr std::uint32_t bell = 1U << 13U | 1U << 5U | 1U << 2U;
+/// Enabled, with its sender, its receiver and the interrupt of a received byte.
+constexpr std::uint32_t bell = 1U << 13U | 1U << 5U | 1U << 3U | 1U << 2U;
 
 std::uint32_t input = 0;
 std::uint32_t output = 0;
@@ -100,6 +100,8 @@ bool has_reading(std::uint64_t tick) {
         // Without a timer that is due, paced time stands still until the line or the bell has a byte.
         const std::uint32_t running = system_timer().control;
         system_timer().control = 0;
+        // Told that all is done until this tick, the plant may answer.
+        usart2().data = 0;
         while (!plant->has_reading(tick)) {
             await_bell();
         }

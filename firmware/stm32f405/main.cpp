@@ -79,6 +79,7 @@ void do_ticks() {
     is_ticking = true;
     while (clock_ns() >= core->next_tick() * period_ns && has_reading(core->next_tick())) {
         core->tick();
+        load.turn();
     }
     is_ticking = false;
 }
@@ -142,7 +143,6 @@ void run() {
 extern "C" {
 
 void on_system_tick() {
-    beam::stm32::load.turn();
     beam::stm32::do_ticks();
 }
 

@@ -16,9 +16,10 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 @cache
 def built(name: str) -> Path:
     """Return a program of ``firmware/build``, made now if it must be; skips the test where nothing can make it."""
-    for tool in ("make", "g++"):
+    tools = ("make", "arm-none-eabi-gcc", "qemu-system-arm") if name.endswith(".elf") else ("make", "g++")
+    for tool in tools:
         if shutil.which(tool) is None:
-            pytest.skip(f"no {tool} on this machine: the firmware's host build needs it")
+            pytest.skip(f"no {tool} on this machine: the firmware {name} needs it")
     made = subprocess.run(
         ["make", "-C", str(FIRMWARE), f"build/{name}"],
         capture_output=True,

@@ -75,7 +75,15 @@ class BuiltFirmware:
     @property
     def trouble(self) -> str:
         """Why it goes on no more; empty while it does."""
-        return "" if self._machine.is_running else f"the firmware has ended ({self._machine.last_words})"
+        machine = self._machine
+        return (
+            "" if machine.is_running else f"the firmware (process {machine.pid}) ended: {machine.last_words}"
+        )
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._machine.pid
 
     def exchange(self, data: bytes, device_ns: int) -> bytes:
         """Let the plant answer the firmware, hand over what the line brought, and return what to send.

@@ -40,6 +40,8 @@ class FirmwareMachine:
         The built firmware with a plant port, an ELF file for the STM32F405 or for this computer.
     n_starts : int
         Another one for every start, from which the firmware makes its boot id.
+    options : sequence of str
+        More arguments for QEMU or for the program.
     is_paced : bool
         Whether time goes on only when the plant has answered, counted in instructions; an STM32F405's alone can.
 
@@ -47,6 +49,9 @@ class FirmwareMachine:
     ----------
     line, plant : socket
         The host's line and the plant port.
+    bell : socket or None
+        Where a byte tells a microcontroller's firmware that the plant has said something, and where a paced one
+        tells that it waits for the plant; a program has none.
 
     Raises
     ------
@@ -56,7 +61,9 @@ class FirmwareMachine:
         QEMU is missing, or the firmware does not start.
     """
 
-    def __init__(self, file: str | Path, n_starts: int = 0, *, is_paced: bool = False) -> None:
+    def __init__(
+        self, file: str | Path, n_starts: int = 0, options: Sequence[str] = (), *, is_paced: bool = False
+    ) -> None:
         file = Path(file)
         is_for_arm = _is_for_arm(file)
         if is_for_arm and shutil.which(_QEMU) is None:
@@ -69,9 +76,9 @@ class FirmwareMachine:
                 f"firmware {file}: runs in real time on this computer; expected one for the STM32F405, which an "
                 "emulator can pace"
             )
-        self._file = file
+        self._file, self._options = file, options
         self._process: subprocess.Popen[bytes] | None = None
-        self._bell: socket.socket | None = None
+        self.bell: socket.socket | None = None
         with contextlib.ExitStack() as stack:
             self._log = stack.enter_context(tempfile.TemporaryFile())
             stack.callback(self._end)
@@ -84,27 +91,33 @@ class FirmwareMachine:
         """Whether the firmware still runs."""
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        assert self._process is not None
+        return self._process.pid
+
     def ring(self) -> None:
         """Let a firmware look for a message of the plant before its next tick."""
-        if self._bell is not None:
+        if self.bell is not None:
             with contextlib.suppress(OSError):
-                self._bell.sendall(b"\x01")
+                self.bell.sendall(b"\x01")
 
     def close(self) -> None:
         """Switch it off."""
         self._resources.close()
-        if self._bell is not None:
-            self._bell.close()
+        if self.bell is not None:
+            self.bell.close()
 
     def _start_qemu(self, n_starts: int, is_paced: bool) -> tuple[socket.socket, socket.socket]:
         """Start a processor that runs the firmware instruction by instruction.
 
         Its plant port is the debugger's channel; a byte on the second serial port says that a message waits.
         """
-        # The serial port sends every byte by itself. TCP puts them together, and so holds far more of them; of a local
-        # pair it can be seen when they have been taken.
+        # The serial port sends every byte by itself. TCP puts them together, and so holds far more of them; a local
+        # pair tells when they have been taken.
         line, its_line = socket.socketpair() if is_paced else _tcp_pair()
-        (plant, its_plant), (self._bell, its_bell) = socket.socketpair(), socket.socketpair()
+        (plant, its_plant), (self.bell, its_bell) = socket.socketpair(), socket.socketpair()
         its_plant.setblocking(False)
         with its_line, its_plant, its_bell:
             self._popen(
@@ -147,7 +160,7 @@ class FirmwareMachine:
         # The kernel ends it with this process, however that ends.
         with_parent = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
         self._process = subprocess.Popen(
-            [*with_parent, *command],
+            [*with_parent, *command, *self._options],
             stdin=subprocess.DEVNULL if channel is None else channel,
             stdout=self._log if channel is None else channel,
             stderr=self._log,

@@ -10,17 +10,21 @@ import select
 import struct
 import termios
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.firmware.driven_hub import DrivenHub
 from beam_ros.hub.firmware.machine import START_S, FirmwareMachine
-from beam_ros.hub.firmware.plant_port import Boot, Drive, decode, encode_reading, encode_setup
+from beam_ros.hub.firmware.plant_port import Drive, decode, encode_reading, encode_setup
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import Plant
 
 _CHUNK = 65_536
+_NUDGE_S = 0.1
+_PIECE = 1024
+"""Bytes that the firmware's buffer surely holds in one tick."""
 
 
 class PacedFirmware:
@@ -38,6 +42,8 @@ class PacedFirmware:
         Where the hub stands at power-on, seen from home [m].
     n_starts : int
         Another one for every start.
+    options : sequence of str
+        More arguments for QEMU.
 
     Attributes
     ----------
@@ -60,18 +66,16 @@ class PacedFirmware:
         initial_position: float = 0.0,
         *,
         n_starts: int = 0,
+        options: Sequence[str] = (),
     ) -> None:
         self.axis = DrivenHub(parameters, plant, initial_position)
         self._period_ns = parameters.period_ns
         self._frames = FrameDecoder()
-        self._machine = FirmwareMachine(file, n_starts, is_paced=True)
+        self._machine = FirmwareMachine(file, n_starts, options, is_paced=True)
         self._said = bytearray()
         self._tick = 0
         try:
-            while not isinstance(self._hear(), Boot):
-                pass
             self._answer(encode_setup(parameters))
-            self._note(self._hear())
         except BaseException:
             self._machine.close()
             raise
@@ -82,7 +86,8 @@ class PacedFirmware:
         Parameters
         ----------
         data : bytes
-            Received; any bytes at all. They are heard after the last tick; without one, one more is done.
+            Received; any bytes at all. They are heard in the last tick, long ones in several; if none is due, more
+            ticks are done.
         device_ns : int
             Until which time of the firmware's clock it lives [ns]; it is at 0 when it starts.
 
@@ -91,14 +96,12 @@ class PacedFirmware:
         HubConnectionError
             The firmware has come to its end.
         """
-        due = max(-(-device_ns // self._period_ns) - self._tick, 1 if data else 0)
+        pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
+        due = max(-(-device_ns // self._period_ns) - self._tick, len(pieces))
         for left in range(due, 0, -1):
-            if left == 1:
-                self._hand_over(data)
+            if left <= len(pieces):
+                self._hand_over(pieces[-left])
             self._answer()
-            self._note(self._hear())
-        # All that a tick has said was written before the next one began.
-        self._listen()
         said, self._said = bytes(self._said), bytearray()
         return said
 
@@ -108,19 +111,37 @@ class PacedFirmware:
         self.axis.reset()
 
     def _answer(self, setup: bytes = b"") -> None:
+        """Give the reading that the firmware waits for, and wait until it waits for the next one."""
+        machine = self._machine
+        assert machine.bell is not None
+        deadline = time.monotonic() + START_S
+        is_told = not setup
+        if is_told:
+            self._tell()
+        while time.monotonic() < deadline and machine.is_running:
+            ready = select.select([machine.plant, machine.line, machine.bell], [], [], _NUDGE_S)[0]
+            if machine.plant in ready:
+                for message in map(decode, self._frames.feed(machine.plant.recv(_CHUNK))):
+                    if isinstance(message, Drive):
+                        self.axis.move(message, message.tick * self._period_ns)
+                        self._tick = message.tick + 1
+                    elif not is_told:
+                        is_told = True
+                        self._tell(setup)
+            self._listen()
+            if machine.bell in ready and machine.bell.recv(_CHUNK) and self._tick:
+                return
+            if not ready:
+                # Rarely an emulated processor sleeps through an interrupt. The end of no frame wakes it.
+                machine.line.sendall(b"\0")
+        raise self._end()
+
+    def _tell(self, setup: bytes = b"") -> None:
         self._machine.plant.sendall(setup + encode_reading(self.axis.reading))
         self._machine.ring()
 
-    def _note(self, message: Boot | Drive) -> None:
-        """Move through the tick that has begun; the firmware now waits for the reading of the next one."""
-        if isinstance(message, Drive):
-            self.axis.move(message, message.tick * self._period_ns)
-            self._tick = message.tick + 1
-
     def _hand_over(self, data: bytes) -> None:
         """Send bytes, and wait until the serial port has taken them; the firmware takes them and waits meanwhile."""
-        if not data:
-            return
         line = self._machine.line
         deadline = time.monotonic() + START_S
         line.sendall(data)
@@ -129,21 +150,6 @@ class PacedFirmware:
                 raise self._end()
             self._listen()
             time.sleep(5e-5)
-
-    def _hear(self) -> Boot | Drive:
-        while True:
-            ready = select.select([self._machine.plant, self._machine.line], [], [], START_S)[0]
-            if self._machine.line in ready:
-                self._listen()
-            if self._machine.plant in ready:
-                heard = self._machine.plant.recv(_CHUNK)
-                payloads = self._frames.feed(heard)
-                if payloads:
-                    return decode(payloads[-1])
-                if not heard:
-                    raise self._end()
-            elif not ready:
-                raise self._end()
 
     def _listen(self) -> None:
         while select.select([self._machine.line], [], [], 0.0)[0] and self._machine.is_running:
