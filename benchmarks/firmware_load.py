@@ -40,14 +40,18 @@ class FirmwareLoad:
 
     Parameters
     ----------
-    mean_instructions, most_instructions : float
-        Per tick, while a sequence runs: on average, and in the busiest one since power-on.
+    in_tick : float
+        Instructions of a tick itself, at most since power-on.
+    mean, most : float
+        Instructions from one tick to the next, telemetry and messages included: on average while a sequence runs, and
+        at most since power-on.
     stack_bytes : int
         Deepest use of the stack since power-on.
     """
 
-    mean_instructions: float
-    most_instructions: float
+    in_tick: float
+    mean: float
+    most: float
     stack_bytes: int
 
 
@@ -140,9 +144,11 @@ def measure(file: Path, folder: Path, seconds: float = SECONDS) -> FirmwareLoad:
         monitor = _Monitor(path)
         host = _Host(firmware)
 
-        def load() -> tuple[int, int, int]:
-            ticks, worked, most = struct.unpack("<3Q", monitor.read(symbols["beam::stm32::load"], 24))
-            return ticks, worked, most
+        def load() -> tuple[int, int, int, int]:
+            ticks, worked, most, in_tick = struct.unpack(
+                "<4Q", monitor.read(symbols["beam::stm32::load"], 32)
+            )
+            return ticks, worked, most, in_tick
 
         host.say(protocol.Hello(), ms=100)
         host.say(protocol.SetLimits(1, _LIMITS), protocol.Request(1, "home"), ms=2000)
@@ -157,6 +163,7 @@ def measure(file: Path, folder: Path, seconds: float = SECONDS) -> FirmwareLoad:
     per_ns = 2.0**-INSTRUCTION_SHIFT
     untouched = int(np.argmax(words != _PAINT))
     return FirmwareLoad(
+        after[3] * per_ns,
         (after[1] - before[1]) / (after[0] - before[0]) * per_ns,
         after[2] * per_ns,
         top - limit - 4 * untouched,

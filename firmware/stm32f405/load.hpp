@@ -9,27 +9,35 @@
 
 namespace beam::stm32 {
 
-/// From one tick to the next: the time that was not spent waiting. A debugger reads it.
+/// The time that was not spent waiting. A debugger reads it.
 struct Load {
     std::uint64_t ticks = 0;
-    std::uint64_t worked_ns = 0;       ///< in all of these ticks
-    std::uint64_t most_worked_ns = 0;  ///< in one of them
+    std::uint64_t worked_ns = 0;       ///< from the first tick to the last, with all that lies between them
+    std::uint64_t most_worked_ns = 0;  ///< from one tick to the next, at most
+    std::uint64_t most_tick_ns = 0;    ///< in a tick itself, at most
 
     std::uint64_t begun_ns = 0;
     std::uint64_t rested_ns = 0;
 
-    /// Ends a tick and begins the next one.
-    void turn() {
+    void begin_tick() { begin_ = clock_ns() - rested_ns; }
+
+    /// Ends a tick, and with it the time since the one before.
+    void end_tick() {
         const std::uint64_t now_ns = clock_ns();
-        const std::uint64_t worked = now_ns - begun_ns - rested_ns;
-        if (begun_ns != 0) {
-            ++ticks;
+        most_tick_ns = greater(most_tick_ns, now_ns - rested_ns - begin_);
+        if (ticks++ != 0) {
+            const std::uint64_t worked = now_ns - begun_ns - rested_ns;
             worked_ns += worked;
-            most_worked_ns = worked > most_worked_ns ? worked : most_worked_ns;
+            most_worked_ns = greater(most_worked_ns, worked);
         }
         begun_ns = now_ns;
         rested_ns = 0;
     }
+
+private:
+    static std::uint64_t greater(std::uint64_t a, std::uint64_t b) { return a < b ? b : a; }
+
+    std::uint64_t begin_ = 0;
 };
 
 extern Load load;

@@ -78,8 +78,9 @@ void do_ticks() {
     }
     is_ticking = true;
     while (clock_ns() >= core->next_tick() * period_ns && has_reading(core->next_tick())) {
+        load.begin_tick();
         core->tick();
-        load.turn();
+        load.end_tick();
     }
     is_ticking = false;
 }

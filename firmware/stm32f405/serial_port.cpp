@@ -26,22 +26,31 @@ void SerialPort::begin(std::uint32_t bus_hz, std::uint32_t baud) {
 std::size_t SerialPort::read(std::uint8_t* data, std::size_t size, std::uint64_t& begun_ns) {
     std::size_t n = 0;
     bool is_zero = false;
-    while (n < size && !is_zero && received_.pop(data[n])) {
-        is_zero = data[n++] == 0;
+    received_.pop_while([&](std::uint8_t byte) {
+        if (n == size || is_zero) {
+            return false;
+        }
+        data[n++] = byte;
+        is_zero = byte == 0;
         if (was_between_frames_ && !is_zero) {
-            beginnings_.pop(begun_);
+            bool is_taken = false;
+            beginnings_.pop_while([&](std::uint32_t count) {
+                if (is_taken) {
+                    return false;
+                }
+                begun_ = count;
+                return is_taken = true;
+            });
         }
         was_between_frames_ = is_zero;
-    }
+        return true;
+    });
     begun_ns = clock_ns_of(begun_);
     return n;
 }
 
 std::size_t SerialPort::write(const std::uint8_t* data, std::size_t size) {
-    std::size_t n = 0;
-    while (n < size && to_send_.push(data[n])) {
-        ++n;
-    }
+    const std::size_t n = to_send_.push(data, size);
     // The first bytes go at once; where the port is busy, its interrupt goes on with the rest.
     const Exclusive alone;
     registers_.control1 = listening | interrupt_on_room;
@@ -60,13 +69,15 @@ void SerialPort::on_interrupt() {
             is_between_frames_ = byte == 0;
         }
     }
-    std::uint8_t byte = 0;
-    while ((registers_.status & takes_byte) != 0) {
-        if (!to_send_.pop(byte)) {
-            registers_.control1 = listening;
-            return;
+    to_send_.pop_while([this](std::uint8_t byte) {
+        if ((registers_.status & takes_byte) == 0) {
+            return false;
         }
         registers_.data = byte;
+        return true;
+    });
+    if (to_send_.is_empty()) {
+        registers_.control1 = listening;
     }
 }
 

@@ -11,37 +11,48 @@
 namespace beam::stm32 {
 
 /// A ring with one writer and one reader, of which one may be an interrupt.
-template <typename Item, std::size_t size>
+template <typename Item, std::uint32_t size>
 class Ring {
     static_assert((size & (size - 1)) == 0, "the size must be a power of two");
 
 public:
-    bool push(Item item) {
-        if (written_ - read_ == size) {
-            return false;
+    /// Takes as many items as there is room for; returns how many.
+    std::size_t push(const Item* items, std::size_t n) {
+        const std::uint32_t written = written_;
+        const std::size_t room = size - (written - read_);
+        n = n < room ? n : room;
+        for (std::uint32_t i = 0; i < n; ++i) {
+            items_[(written + i) % size] = items[i];
         }
-        items_[written_ % size] = item;
-        written_ = written_ + 1;
-        return true;
+        settle();
+        written_ = written + static_cast<std::uint32_t>(n);
+        return n;
     }
+    bool push(Item item) { return push(&item, 1) == 1; }
 
-    bool pop(Item& item) {
-        if (written_ == read_) {
-            return false;
+    /// Hands items to `take` in their order, as long as it returns true.
+    template <typename Take>
+    void pop_while(Take take) {
+        std::uint32_t read = read_;
+        const std::uint32_t written = written_;
+        settle();
+        while (read != written && take(items_[read % size])) {
+            ++read;
         }
-        item = items_[read_ % size];
-        read_ = read_ + 1;
-        return true;
+        settle();
+        read_ = read;
     }
 
     bool is_empty() const { return written_ == read_; }
-    std::size_t room() const { return size - (written_ - read_); }
 
 private:
+    /// Nothing that is written before this is written after it: one processor, but its compiler moves things about.
+    static void settle() { asm volatile("" ::: "memory"); }
+
     // Each index has one writer, and a store of 32 bits is whole: nothing has to be locked.
     volatile std::uint32_t written_ = 0;
     volatile std::uint32_t read_ = 0;
-    volatile Item items_[size] = {};
+    Item items_[size] = {};
 };
 
 class SerialPort {
