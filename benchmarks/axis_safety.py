@@ -6,6 +6,7 @@ the host's executor or the whole host; or the host is a foreign one that sends f
 is by how much the plant has left the rig's travel, as a share of what the stop ramp needs from the speed limit.
 
     python -m benchmarks.axis_safety --streams 1000 --seed 1
+    python -m benchmarks.axis_safety --streams 100 --firmware firmware/build/stm32f405-plant.elf
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import math
 import random
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.injected_faults import InjectedFault
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.faults import fault
+from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, LinkParameters, SimulatedDevice
@@ -98,9 +101,13 @@ class Stream:
     ----------
     seed : int
         Of everything.
+    built : path, optional
+        A built firmware for the STM32F405 as the device; nobody can set its clock.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, built: Path | None = None) -> None:
+        self._built = built
+        self.firmware: EmulatedFirmware | PacedFirmware | None = None
         self.rng = rng = random.Random(seed)
         self.accident = ACCIDENTS[seed % len(ACCIDENTS)]
         self.axis = random_axis(rng)
@@ -122,8 +129,19 @@ class Stream:
         self.boots += 1
         plant = RigidPlant(0.8, self.axis.period)
         device = replace(self.device, initial_position=position)
-        self.firmware = EmulatedFirmware(self.axis.widened(20.0), plant, device, boot_id=self.boots)
+        widest = self.axis.widened(20.0)
+        self.close()
         self.boot_ns = self.now_ns
+        if self._built is not None:
+            self.firmware = PacedFirmware(self._built, widest, plant, position, n_starts=self.boots)
+            return
+        self.boot_ns -= device.clock_start_ns
+        self.firmware = EmulatedFirmware(widest, plant, device, boot_id=self.boots)
+
+    def close(self) -> None:
+        """Switch the device off."""
+        if isinstance(self.firmware, PacedFirmware):
+            self.firmware.close()
 
     @property
     def now(self) -> HostTime:
@@ -138,8 +156,7 @@ class Stream:
                 self._host()
             heard = b"" if self.is_stalled else self.to_device.take(self.now_ns)
             if not self.is_stalled:
-                device_ns = self.device.clock_start_ns + self.now_ns - self.boot_ns
-                said = self.firmware.exchange(heard, device_ns)
+                said = self.firmware.exchange(heard, self.now_ns - self.boot_ns)
                 if self.is_plugged:
                     self.to_host.put(said, self.now_ns)
             self.worst = max(self.worst, abs(self.firmware.axis.true_position))
@@ -207,7 +224,7 @@ class Stream:
             self.is_stalled = True
         elif kind == "reset":
             self.boot(self.firmware.axis.true_position)
-        elif kind == "step":
+        elif kind == "step" and isinstance(self.firmware, EmulatedFirmware):
             self.firmware.clock_step_ns += round(rng.uniform(-2e9, 2e9))
         elif kind == "unplug":
             self.is_plugged = False
@@ -249,13 +266,24 @@ class Stream:
         )
 
 
+def excursion(seed: int, built: Path | None = None) -> Excursion:
+    """Play one stream."""
+    stream = Stream(seed, built)
+    try:
+        return stream.play()
+    finally:
+        stream.close()
+
+
 def main(argv: list[str] | None = None) -> None:
     """Play the streams and print what was worst."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--streams", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--firmware", type=Path, help="a built firmware for the STM32F405 as the device")
     options = parser.parse_args(argv)
-    results = [Stream(options.seed * 1_000_003 + k).play() for k in range(options.streams)]
+    first = options.seed * 1_000_003
+    results = [excursion(seed, options.firmware) for seed in range(first, first + options.streams)]
     print("accident          streams  beyond the travel / ramp  speed / limit  reached  at rest")
     for accident in ACCIDENTS:
         rows = [r for r in results if r.accident == accident]

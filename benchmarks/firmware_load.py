@@ -178,10 +178,10 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         load = measure(options.file, Path(folder), options.seconds)
-    print(
-        f"instructions per tick: {load.mean_instructions:.0f} on average, {load.most_instructions:.0f} at most"
-    )
-    print(f"share of a tick's cycles: {load.mean_instructions / CYCLES_PER_TICK:.3f}, with one cycle each")
+    print("                 instructions  share of a tick's 168 000 cycles, at one each")
+    rows = (("a tick, at most", load.in_tick), ("mean of 1 ms", load.mean), ("most in 1 ms", load.most))
+    for what, count in rows:
+        print(f"{what:15}  {count:12.0f}  {count / CYCLES_PER_TICK:.3f}")
     print(f"stack: {load.stack_bytes} bytes at the deepest")
 
 

@@ -72,6 +72,7 @@ TESTED_IN = (
         "check dialogue line_checks motion_checks motions playing sequence_checks session_checks",
         "hub/conformance/test_suite",
     ),
+    ("beam_ros/hub/firmware", "built_firmware paced_firmware", "hub/firmware/test_stm32f405"),
     ("beam_ros/hub/line", "connection", "hub/line/test_client"),
     ("beam_ros/hub", "errors", "hub/line/test_driver"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
