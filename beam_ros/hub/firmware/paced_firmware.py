@@ -18,7 +18,7 @@ from beam_ros.hub.firmware.driven_hub import DrivenHub
 from beam_ros.hub.firmware.machine import START_S, FirmwareMachine
 from beam_ros.hub.firmware.plant_port import Drive, decode, encode_reading, encode_setup
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import Plant
 
 _CHUNK = 65_536
@@ -68,7 +68,7 @@ class PacedFirmware:
         n_starts: int = 0,
         options: Sequence[str] = (),
     ) -> None:
-        self.axis = DrivenHub(parameters, plant, initial_position)
+        self.axis = DrivenHub(parameters, plant, SimulatedDevice(initial_position))
         self._period_ns = parameters.period_ns
         self._frames = FrameDecoder()
         self._machine = FirmwareMachine(file, n_starts, options, is_paced=True)

@@ -7,7 +7,7 @@ import pytest
 
 from beam_ros.hub.firmware.driven_hub import DrivenHub
 from beam_ros.hub.firmware.plant_port import Drive
-from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 
 AXIS = AxisParameters()
@@ -19,7 +19,7 @@ def drive(tick, velocity=0.0, acceleration=0.0, effort=None):
 
 
 def at_rest(position=0.0, first=100, delay_ns=0):
-    hub = DrivenHub(AXIS, RigidPlant(0.8, T), position)
+    hub = DrivenHub(AXIS, RigidPlant(0.8, T), SimulatedDevice(position))
     hub.move(drive(first), first * AXIS.period_ns + delay_ns)
     return hub
 

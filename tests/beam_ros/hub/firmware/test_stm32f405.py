@@ -75,7 +75,7 @@ def test_the_firmware_serves_a_port_in_real_time_and_restarts_with_another_boot_
 
     def boot(device, boot_id):
         file = built("stm32f405-plant.elf")
-        return BuiltFirmware(file, axis, plant, device.initial_position, n_starts=boot_id)
+        return BuiltFirmware(file, axis, plant, device, n_starts=boot_id)
 
     controller = EmulatedController(axis, plant, link=tmp_path / "hub", boot=boot)
     try:
