@@ -65,7 +65,10 @@ def _write(folder: Path, text: str) -> None:
         (("demo", "--out", "rig.yaml/run"), ("rig.yaml/run", "no folder for results")),
         (("model", "--plot", "rig.yaml/plots"), ("no folder for results",)),
         (("design", "-p", "excitation.end_frequency:=800.0"), ("500 Hz", "hub.period")),
-        (("demo", "--rig", "emulated", "-p", "simulation.real_time_factor:=0.5"), ("expected 1", "simulated rig")),
+        (
+            ("demo", "--rig", "emulated", "-p", "simulation.real_time_factor:=0.5"),
+            ("expected 1", "simulated rig"),
+        ),
         (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
         (("axis", "conformance", "/dev/nowhere"), ("5 % of its travel", "--yes", "--no-motion")),
         (
