@@ -15,7 +15,7 @@ import time
 import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import HostTime
@@ -29,7 +29,6 @@ from beam_ros.hub.emulated.injected_faults import (
 )
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.errors import HubConnectionError, HubParameterError
-from beam_ros.hub.firmware.built_firmware import BuiltFirmware
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
@@ -75,6 +74,22 @@ class Firmware(Protocol):
 
     def exchange(self, data: bytes, device_ns: int) -> bytes:
         """Take bytes from the line and advance to a device time [ns]; return the bytes for the host."""
+
+
+@runtime_checkable
+class RunningFirmware(Protocol):
+    """A firmware that is a program of its own, with a clock that nobody can disturb."""
+
+    @property
+    def sources(self) -> tuple[socket.socket, ...]:
+        """What to wait for: where one of these can be read, ``exchange`` has something to do."""
+
+    @property
+    def trouble(self) -> str:
+        """Why it goes on no more; empty while it does."""
+
+    def close(self) -> None:
+        """Switch it off."""
 
 
 FirmwareMaker = Callable[[SimulatedDevice, int], Firmware]
@@ -165,7 +180,7 @@ class EmulatedController:
     @property
     def trouble(self) -> str:
         """Why the firmware goes on no more; empty while it does."""
-        return self._firmware.trouble if isinstance(self._firmware, BuiltFirmware) else ""
+        return self._firmware.trouble if isinstance(self._firmware, RunningFirmware) else ""
 
     # The camera's side --------------------------------------------------------------------------------
 
@@ -243,7 +258,7 @@ class EmulatedController:
     def check_faults(self, faults: Sequence[InjectedFault]) -> None:
         """Raise ``HubParameterError`` where these faults cannot happen here: a built firmware's clock is its own."""
         of_clock = [fault.kind for fault in faults if KINDS[fault.kind].place == "clock"]
-        if of_clock and isinstance(self._firmware, BuiltFirmware):
+        if of_clock and isinstance(self._firmware, RunningFirmware):
             raise HubParameterError(
                 f"fault {of_clock[0]}: nobody can disturb the clock of a built firmware; leave the fault out, or "
                 "set emulator.firmware to python"
@@ -287,7 +302,7 @@ class EmulatedController:
             watched: list[int | socket.socket] = [self._wake_read]
             if master is not None:
                 watched.append(master)
-            if isinstance(self._firmware, BuiltFirmware) and not self._is_stalled:
+            if isinstance(self._firmware, RunningFirmware) and not self._is_stalled:
                 watched += self._firmware.sources
             try:
                 ready, _, _ = select.select(watched, [], [], pause_s)
@@ -378,7 +393,7 @@ class EmulatedController:
         return self._maker(device, (os.getpid() << 12 | self._boots) & 0xFFFFFFFF)
 
     def _switch_off(self) -> None:
-        if isinstance(self._firmware, BuiltFirmware):
+        if isinstance(self._firmware, RunningFirmware):
             self._firmware.close()
 
     def _device_ns(self, steady_ns: int) -> int:
