@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -35,6 +36,9 @@ PYTHON = "python"
 """The word of ``emulator.firmware`` for the suite's own emulator of one."""
 _HEADROOM = 2.0
 """By how much the device could do more than the rig file allows: limits that are not handed over would show."""
+
+_TURN_S = 1e-4
+"""How long one thread of the interpreter keeps another one waiting, with a built firmware [s]."""
 
 _POWER_ON_NS = 123_456_000_000
 """What the device's clock reads at power-on: an epoch that nobody could mistake for the host's."""
@@ -75,6 +79,8 @@ def _beam(node: RigNode) -> EmulatedAxis:
     built = rig.emulator.firmware
     if built == PYTHON:
         return _on_port(rig, widest, rig.simulated_plant(rig.beam_model(), rig.emulator.clock_drift_ppm))
+    # In every tick it waits for the plant's thread, which would else wait 5 ms for the thread that draws frames.
+    sys.setswitchinterval(_TURN_S)
     # A built firmware has the clock of what it runs on.
     plant = rig.simulated_plant(rig.beam_model(), 0.0)
 
