@@ -17,7 +17,7 @@ from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
 from beam_ros.hub.gate.sequence_assembly import MAX_CHUNK_POINTS
 from beam_ros.messages import MessageContentError
 from beam_ros.shell.freeze_watch import FreezeWatch
-from beam_ros.shell.node import RigNode, run_node
+from beam_ros.shell.node import REQUEST_SENT_NS, RigNode, run_node
 
 _CHUNKS_PER_TICK = 4
 _TICK_S = 0.02
@@ -82,7 +82,7 @@ class ExcitationGenerator(RigNode):
         return response
 
     def _start_refusal(self) -> str | None:
-        objection = self._freeze.objection(time.monotonic_ns())
+        objection = self._freeze.objection(time.monotonic_ns(), REQUEST_SENT_NS.get())
         if objection:
             return f"start refused: the excitation's process {objection}"
         if self._planning is not None:

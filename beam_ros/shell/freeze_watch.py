@@ -1,10 +1,11 @@
-"""Was this process frozen, and may a request have been waiting for it meanwhile?
+"""Was this process frozen, and was a request sent before it woke?
 
-A service's request carries no stamp. What was asked while the process did not come round (stopped, suspended, or
-kept busy by something else) lies in a queue when it does, and would move the axis long after somebody wanted it.
-The executor's steady timer shows the gap. It may be called before the requests that waited or after them, and the
-middleware may deliver them a little later still: so the gap is looked for at every beat and at every request, and
-for a moment after it nothing that moves the axis is taken.
+What was asked while the process did not come round (stopped, suspended, or kept busy by something else) lies in a
+queue when it does, and would move the axis long after somebody wanted it. The executor's steady timer shows the gap.
+It may be called before the requests that waited or after them, and the middleware may deliver them seconds later
+still, when it repeats what nobody acknowledged: so the gap is looked for at every beat and at every request, and the
+time at which a request was sent decides. Whose clock is not quite ours is covered by a moment after the gap, in which
+nothing that moves the axis is taken.
 """
 
 from __future__ import annotations
@@ -29,9 +30,15 @@ class FreezeWatch:
             self._gap_ns, self._woke_ns = now_ns - self._beat_ns, now_ns
         self._beat_ns = now_ns
 
-    def objection(self, now_ns: int) -> str | None:
-        """Return why a request that is taken up at steady time ``now_ns`` may be an old one, or None."""
+    def objection(self, now_ns: int, sent_ns: int) -> str | None:
+        """Return why a request may be an old one, or None.
+
+        Parameters
+        ----------
+        now_ns, sent_ns : int
+            Steady times at which it is taken up and was sent [ns].
+        """
         self.beat(now_ns)
-        if self._gap_ns and now_ns - self._woke_ns <= WAKING_NS:
+        if self._gap_ns and (sent_ns <= self._woke_ns or now_ns - self._woke_ns <= WAKING_NS):
             return f"was frozen for {self._gap_ns * 1e-9:.1f} s; ask again"
         return None

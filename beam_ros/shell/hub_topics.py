@@ -21,7 +21,7 @@ from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus,
 from beam_ros.messages import MessageContentError
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.freeze_watch import FreezeWatch
-from beam_ros.shell.node import RigNode
+from beam_ros.shell.node import REQUEST_SENT_NS, RigNode
 
 _POLL_S = 0.01
 _ALWAYS_TAKEN: tuple[RequestKind, ...] = ("stop", "disable")
@@ -81,7 +81,9 @@ class HubNode(RigNode):
         return await self._ask("enable" if request.data else "disable", response)
 
     async def _ask(self, kind: RequestKind, response: Any) -> Any:
-        objection = None if kind in _ALWAYS_TAKEN else self._freeze.objection(time.monotonic_ns())
+        objection = None
+        if kind not in _ALWAYS_TAKEN:
+            objection = self._freeze.objection(time.monotonic_ns(), REQUEST_SENT_NS.get())
         if objection:
             response.success, response.message = False, f"{kind} refused: the hub's process {objection}"
             self.get_logger().warning(response.message)

@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Coroutine, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,8 @@ import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterNotDeclaredException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import InvalidHandle, ParameterNotDeclaredException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -39,8 +41,29 @@ from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import NO_CLOCK, check_time
 
 FAULT_OF_THE_USER = 2
+REQUEST_SENT_NS: ContextVar[int] = ContextVar("REQUEST_SENT_NS")
+"""Steady time [ns] at which the request was sent that a callback begins to answer, by the clock of who sent it."""
 _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
 """What rclpy raises in a callback when a signal shuts the graph down between two of its lines."""
+
+
+class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
+    """Hands on when a request was sent, which rclpy receives beside it and keeps to itself."""
+
+    def _take_service(self, srv: Service) -> Callable[[], Coroutine[Any, Any, None]] | None:
+        try:
+            with srv.handle:
+                request, header = srv.handle.service_take_request(srv.srv_type.Request)
+        except InvalidHandle:
+            return None  # The service was taken away meanwhile.
+
+        async def answer() -> None:
+            if header is not None:
+                REQUEST_SENT_NS.set(time.monotonic_ns() - (time.time_ns() - header.source_timestamp))
+                response = await await_or_execute(srv.callback, request, srv.srv_type.Response())
+                srv.send_response(response, header)
+
+        return answer
 
 
 def qos_profile(qos: graph.QualityOfService) -> QoSProfile:
@@ -237,11 +260,11 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
     arguments = sys.argv if argv is None else ["node", *argv]
     status = 0
     node: RigNode | None = None
-    executor: SingleThreadedExecutor | None = None
+    executor: _Executor | None = None
     try:
         _initialise(arguments)
         node = build()
-        executor = SingleThreadedExecutor()
+        executor = _Executor()
         executor.add_node(node)
         executor.spin()
     except ExternalShutdownException:

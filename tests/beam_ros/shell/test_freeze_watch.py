@@ -21,26 +21,29 @@ def awake_watch() -> FreezeWatch:
 
 
 def test_requests_in_time_are_taken() -> None:
-    assert awake_watch().objection(995 * MS) is None
-    assert awake_watch().objection(990 * MS + FROZEN_NS) is None
+    assert awake_watch().objection(995 * MS, 994 * MS) is None
+    assert awake_watch().objection(990 * MS + FROZEN_NS, 990 * MS) is None
     # Nobody was frozen before the first beat.
-    assert FreezeWatch().objection(10**15) is None
+    assert FreezeWatch().objection(10**15, 0) is None
 
 
 def test_a_request_after_a_gap_is_refused_whoever_notices_it_first() -> None:
     watch = awake_watch()
-    assert watch.objection(990 * MS + 3000 * MS) == "was frozen for 3.0 s; ask again"
-    watch = awake_watch()
-    watch.beat(990 * MS + 3000 * MS)
-    assert watch.objection(990 * MS + 3001 * MS) == "was frozen for 3.0 s; ask again"
-    # Delivered late: refused for a moment more, and then not.
-    for k in range(1, 200):
-        watch.beat(3990 * MS + k * 10 * MS)
-    assert watch.objection(3990 * MS + 1990 * MS) is None
+    assert watch.objection(3990 * MS, 2000 * MS) == "was frozen for 3.0 s; ask again"
     watch = awake_watch()
     watch.beat(3990 * MS)
-    assert watch.objection(3990 * MS + WAKING_NS) is not None
-    assert watch.objection(3990 * MS + WAKING_NS + 1) is None
+    assert watch.objection(3991 * MS, 2000 * MS) == "was frozen for 3.0 s; ask again"
+    # Of a clock that is a little ahead of ours it may look fresh: refused for a moment more, and then not.
+    assert watch.objection(3990 * MS + WAKING_NS, 3990 * MS + WAKING_NS) is not None
+    assert watch.objection(3990 * MS + WAKING_NS + 1, 3990 * MS + WAKING_NS) is None
+
+
+def test_what_was_sent_before_the_process_woke_is_refused_however_late_it_is_delivered() -> None:
+    watch = awake_watch()
+    for k in range(1000):
+        watch.beat(3990 * MS + k * 10 * MS)
+    assert watch.objection(13990 * MS, 3990 * MS) == "was frozen for 3.0 s; ask again"
+    assert watch.objection(13990 * MS, 3990 * MS + 1) is None
 
 
 @pytest.mark.ros
@@ -84,8 +87,8 @@ def _frozen_and_asked(graph, hub) -> None:
     graph.spin(1.0)
     assert len(set(positions)) == 1, positions
     sentences.clear()
-    graph.wait(lambda: any(s.startswith(("homed", "enabled")) for s in sentences), "a state", 5.0)
-    assert not any(s.startswith("enabled") for s in sentences)
+    graph.wait(lambda: any("homed" in s or "enabled" in s for s in sentences), "a state", 5.0)
+    assert not any("enabled" in s for s in sentences)
     assert _ask(graph, "hub/enable").success
 
 
