@@ -185,7 +185,7 @@ def publish_frames(size: str, transport: str, rate: float, seconds: float, *, is
     rclpy.try_shutdown()
 
 
-def _processor_seconds(pid: int) -> float:
+def processor_seconds(pid: int) -> float:
     """Processor time of a process with all its threads, to the nanosecond, unlike the ticks of /proc."""
     return time.clock_gettime((~pid << 3) | 2)  # what clock_getcpuclockid(3) returns on Linux
 
@@ -279,10 +279,10 @@ def measure(
         camera.stdin.write(b"counting\n")
         camera.stdin.flush()
         answers.spin(0.6)
-        before, begun = _processor_seconds(tracker.pid), time.monotonic()
+        before, begun = processor_seconds(tracker.pid), time.monotonic()
         while camera.poll() is None and time.monotonic() - begun < seconds:
             answers.spin(0.05)
-        spent = (_processor_seconds(tracker.pid) - before) / (time.monotonic() - begun)
+        spent = (processor_seconds(tracker.pid) - before) / (time.monotonic() - begun)
         while camera.poll() is None and time.monotonic() < limit:
             answers.spin(0.1)
         assert camera.stdout is not None
