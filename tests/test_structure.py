@@ -74,6 +74,7 @@ TESTED_IN = (
     ),
     ("beam_ros/hub/firmware", "built_firmware paced_firmware", "hub/firmware/test_stm32f405"),
     ("beam_ros/hub/line", "connection", "hub/line/test_client"),
+    ("beam_ros/hub", "link_parameters", "hub/links/test_odrive"),
     ("beam_ros/hub", "errors", "hub/line/test_driver"),
     ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/cli/offline", "axis", "hub/links/test_probe"),

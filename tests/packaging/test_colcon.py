@@ -59,7 +59,9 @@ def in_workspace(workspace: Path, line: str, **environment: str) -> subprocess.P
     )
 
 
-def test_ros2_finds_the_package_its_files_and_its_executables(workspace: Path) -> None:
+def test_ros2_finds_the_package_its_files_and_its_executables(
+    workspace: Path, request: pytest.FixtureRequest
+) -> None:
     prefix = workspace / "install" / "beam_ros"
     for path in (
         "share/ament_index/resource_index/packages/beam_ros",
@@ -72,7 +74,11 @@ def test_ros2_finds_the_package_its_files_and_its_executables(workspace: Path) -
         assert (prefix / path).is_file(), path
     executables = [path for path in (prefix / "lib" / "beam_ros").iterdir() if os.access(path, os.X_OK)]
     assert {path.name for path in executables} == set(MODULES)
-    if subprocess.call(["/usr/bin/env", "--block-signal=INT", "true"], stderr=subprocess.DEVNULL) == 0:
+    can_block = (
+        subprocess.call(["/usr/bin/env", "--block-signal=INT", "true"], stderr=subprocess.DEVNULL) == 0
+    )
+    # In a linked workspace newer setuptools let pip write the scripts, with first lines of its own.
+    if can_block and request.node.callspec.id == "copied":
         assert all("--block-signal=INT" in path.read_text().partition("\n")[0] for path in executables)
 
 

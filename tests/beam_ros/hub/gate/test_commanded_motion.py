@@ -92,7 +92,7 @@ def test_whatever_is_streamed_hub_and_beam_stay_within_their_limits(mode: str) -
             if rng.uniform() < 0.3:
                 rig.watch(0.5)
             status = rig.reports[-1].status
-            assert status.state != "fault", status.fault
+            assert status.state != "fault", status.reason
             if status.state == "homed":
                 assert rig.ask("enable").success
         assert rig.travel < 0.050 + 1e-5
@@ -150,7 +150,7 @@ def test_a_refused_set_point_leaves_the_one_before_it_to_age_and_the_axis_stops_
     assert not rig.send(0.4)
     rig.watch(1.0)
     assert rig.reports[-1].status.state == "homed"
-    assert "not refreshed" in rig.reports[-1].status.fault
+    assert "not refreshed" in rig.reports[-1].status.reason
     assert 0.02 < rig.travel < 0.03
 
 

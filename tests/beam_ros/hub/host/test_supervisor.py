@@ -397,7 +397,7 @@ def test_a_real_ports_clock_of_32_bits_wraps_under_a_sequence(live):
     values = 0.02 * np.sin(np.pi * np.arange(5001) / 2500) * (np.arange(5001) < 5000)
     for chunk in chunks_of(values, live.now.unix_ns + 400_000_000):
         live.hub.load(chunk, live.now)
-    reports = live.until(lambda r: "done" in [s.state for s in r.sequences], 12.0)
+    reports = [*live.until(lambda r: "done" in [s.state for s in r.sequences], 12.0), *live.run(0.1)]
     assert seen(reports) == []
     applied = np.concatenate([b.velocities for r in reports for b in r.applied])
     first = np.flatnonzero(applied)[0] - 1

@@ -119,7 +119,7 @@ def script_of_a_fault(rig: Rig) -> list[object]:
         if rig.run(0.05)[-1].status.state == "fault":
             break
         rig.hub.setpoint(rig.now.unix_ns, 0.8, rig.now)
-    answers += rig.reports[-1].status.state, rig.reports[-1].status.fault.split(":")[0]
+    answers += rig.reports[-1].status.state, rig.reports[-1].status.reason.split(":")[0]
     rig.run(0.2)
     answers += rig.ask("enable").success, rig.ask("clear_fault"), rig.reports[-1].status.state
     answers.append(rig.ask("enable"))
@@ -227,7 +227,7 @@ def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
         if "loading" not in states([report]) and states([report]):
             break
     assert states([report]) == ["ready"], report.sequences
-    assert report.status.state == "enabled", report.status.fault
+    assert report.status.state == "enabled", report.status.reason
     # The host's patience with its own executor is 0.2 s.
     assert sorted(pauses)[-2] < 0.2
     assert rig.ask("stop").success

@@ -71,7 +71,7 @@ def test_positions_are_those_of_their_stamps_by_the_boards_own_clock(start) -> N
     assert 0.0 < delay < 3e-3
     assert np.std(error + delay * velocity) < 3e-6
     assert np.max(np.abs(truth)) > 0.001
-    assert np.median(np.diff(stamps)) == pytest.approx(5e6 / 1.0002, rel=1e-4)
+    assert np.median(np.diff(stamps)) == pytest.approx(5e6 / 1.0002, rel=1e-3)
 
 
 def test_without_a_clock_a_line_is_stamped_when_it_came(start) -> None:
