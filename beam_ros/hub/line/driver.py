@@ -21,8 +21,8 @@ from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 RECONNECT_S = 0.3
-READ_S = 0.01
-"""Longest wait for bytes [s]; commands end it early, a sign of life (every 50 ms) may be late by it."""
+READ_S = 0.005
+"""Longest wait for bytes [s]; commands end it early. A new connection asks the clock every 10 ms."""
 FLOOD_BYTES, FLOOD_BYTES_PER_TICK = 100_000, 240
 """More than this in a second is a flood: what waits after a pause, and ten times what telemetry needs."""
 CLOSE_S = 1.0
