@@ -92,7 +92,13 @@ class TrajectoryLink(TrajectoryHub):
         columns = {"positions": knots.positions}
         if knots.velocities is not None:
             columns["velocities"] = knots.velocities
-        self._trajectories.publish(encode_trajectory(self._joint, knots.start_ns, knots.times_ns, columns))
+        message = encode_trajectory(self._joint, knots.start_ns, knots.times_ns, columns)
+        try:
+            self._trajectories.publish(message)
+        except RuntimeError:
+            if rclpy.ok():
+                raise
+            # The process ends, and ROS is gone: set-points stop by themselves, a sequence runs to its end.
 
     def _on_joint_state(self, message: Any) -> None:
         if self._joint not in message.name:
