@@ -129,7 +129,7 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
     runs.start("simulator", "c", *made_up)
     bag = write_experiment(tmp_path / "bag", batches=1500)
     runs.start("bag_player", "d", f"player.bag:={bag}")
-    graph.wait(runs.is_complete, "every row of the table", 60.0)
+    graph.wait(runs.is_complete, "every row of the table", 120.0)
     graph.spin(1.0)
     runs.look()
     for name, row in NODES.items():
