@@ -48,7 +48,7 @@ class Runs:
         words = [word for parameter in parameters for word in ("-p", parameter)]
         program = [sys.executable, str(READING_NODE), executable, str(reads)]
         arguments = ("--ros-args", "-r", f"__ns:=/{namespace}", *words)
-        running = self._executables.start(executable, *arguments, program=program, timeout_s=120.0)
+        running = self._executables.start(executable, *arguments, program=program, timeout_s=180.0)
         self._running.append((executable, f"/{namespace}", running, reads))
         return running
 
