@@ -253,7 +253,8 @@ class Stream:
             if event is not None:
                 event()
         self.client.request("stop")
-        self.run(2.0 * self.axis.watchdog_s + 2.0 * self.axis.max_speed / self.axis.stop_deceleration)
+        # The stop itself may be half a second under way.
+        self.run(1.0 + 2.0 * self.axis.watchdog_s + 2.0 * self.axis.max_speed / self.axis.stop_deceleration)
         axis = self.axis
         return Excursion(
             axis.command_mode,
