@@ -14,6 +14,7 @@ from beam_ros.hub.emulated.injected_faults import (
     FaultSchedule,
     InjectedFault,
     disturb,
+    note,
     read_schedule,
     read_schedule_file,
 )
@@ -108,7 +109,7 @@ class SimulatedAxisFaults:
         notes = []
         for fault, begins in self._schedule.changes(self.elapsed):
             disturb(self._axis, fault, begins=begins)
-            notes.append(f"{'fault' if begins else 'end of fault'}: {fault}")
+            notes.append(note(fault, begins=begins))
         return notes
 
 

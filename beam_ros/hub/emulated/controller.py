@@ -26,6 +26,7 @@ from beam_ros.hub.emulated.injected_faults import (
     FaultSchedule,
     InjectedFault,
     disturb,
+    note,
 )
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.errors import HubConnectionError, HubParameterError
@@ -109,8 +110,6 @@ class EmulatedController:
         The controller's start, buffer and clock.
     link : path, optional
         A symbolic link to keep pointing at the pseudo-terminal, which has another name after every ``plug``.
-    faults : sequence of InjectedFault, optional
-        What is to go wrong, in seconds since the start.
     line_baud : int, optional
         Bits per second at which bytes travel; 0: as fast as USB.
     fifo_bytes : int, optional
@@ -131,13 +130,12 @@ class EmulatedController:
         device: SimulatedDevice | None = None,
         *,
         link: str | Path | None = None,
-        faults: Sequence[InjectedFault] = (),
         line_baud: int = 0,
         fifo_bytes: int = MAX_BACKLOG,
         boot: FirmwareMaker | None = None,
     ) -> None:
         self._parameters = parameters
-        self._faults = FaultSchedule(faults)
+        self._faults = FaultSchedule()
         self._to_host = UnrulyLine(line_baud, fifo_bytes, seed=1)
         self._to_device = UnrulyLine(line_baud, fifo_bytes, seed=2)
         self._is_stalled = False
@@ -150,7 +148,6 @@ class EmulatedController:
         self._lock = threading.Lock()
         self._boots = 1
         self._firmware = self._boot(self._device)
-        self.check_faults(faults)
         self._rate_ppb = round(self._device.clock_drift_ppm * 1000)
         self._start_ns = self._boot_steady_ns = time.monotonic_ns()
         self._boot_device_ns = self._device.clock_start_ns
@@ -337,7 +334,7 @@ class EmulatedController:
     def _let_faults_happen(self) -> None:
         with self._lock:
             changes = list(self._faults.changes(self.elapsed))
-            self._notes += [f"{'fault' if begins else 'end of fault'}: {fault}" for fault, begins in changes]
+            self._notes += [note(fault, begins=begins) for fault, begins in changes]
         for fault, begins in changes:
             _HAPPENINGS[fault.kind](self, fault, begins)
 

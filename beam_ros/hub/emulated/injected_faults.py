@@ -249,6 +249,11 @@ class FaultSchedule:
             yield fault, begins
 
 
+def note(fault: InjectedFault, *, begins: bool) -> str:
+    """Return the line of a log on a fault that begins or ends."""
+    return f"{'fault' if begins else 'end of fault'}: {fault}"
+
+
 def disturb(axis: DisturbedAxis, fault: InjectedFault, *, begins: bool) -> None:
     """Let a fault of the axis begin or end; after a restart of the device it is over."""
     if fault.kind == "sticking_axis":

@@ -20,7 +20,7 @@ from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import SampleBatch
 from beam_ros.hub.gate.beam_guard import BeamGuard
-from beam_ros.hub.gate.motion_phases import Phase, move_ticks, phases_towards, stop, stop_deceleration
+from beam_ros.hub.gate.motion_phases import Phase, move_ticks, phases_towards, stop
 from beam_ros.hub.gate.sequence_check import POSITION_TOLERANCE, RELATIVE_TOLERANCE
 from beam_ros.hub.parameters import AxisParameters
 
@@ -262,7 +262,7 @@ class _Future:
         """Return why a stop from here would leave a limit, or None."""
         parameters, guard, instant = self._parameters, self._guard, self._instant
         speed = abs(instant.velocity)
-        way = instant.velocity * speed / (2 * stop_deceleration(parameters))
+        way = instant.velocity * speed / (2 * parameters.stop_deceleration)
         objection = self._beyond([instant.position + way])
         if objection or guard is None:
             return objection

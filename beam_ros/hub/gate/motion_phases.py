@@ -19,11 +19,6 @@ class Phase(NamedTuple):
     drive: float
 
 
-def stop_deceleration(parameters: AxisParameters) -> float:
-    """Return at what every stop decelerates [m/s^2]."""
-    return parameters.stop_deceleration
-
-
 def ramp(velocity: float, goal: float, acceleration: float, period: float) -> Phase:
     """Return the phase from one velocity to another [m/s] at an acceleration [m/s^2]."""
     change = goal - velocity
@@ -33,7 +28,7 @@ def ramp(velocity: float, goal: float, acceleration: float, period: float) -> Ph
 
 def stop(velocity: float, parameters: AxisParameters) -> Phase:
     """Return the phase in which a stop brings a velocity [m/s] to rest."""
-    return ramp(velocity, 0.0, stop_deceleration(parameters), parameters.period)
+    return ramp(velocity, 0.0, parameters.stop_deceleration, parameters.period)
 
 
 def phases_towards(
