@@ -86,7 +86,8 @@ class Rig:
 
     def enable(self) -> None:
         for kind in ("home", "enable"):
-            assert self.ask(kind).success
+            outcome = self.ask(kind)
+            assert outcome.success, outcome.message
 
     def until(self, condition: Callable[[HubReport], bool], timeout_s: float = 5.0) -> list[HubReport]:
         """Poll until a report fulfils a condition; return all reports until then."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.parameters import AxisParameters
 from tests.beam_ros.hub.hub_scenes import DriverRig
@@ -57,8 +58,8 @@ def test_a_late_line_is_slow_but_works(rig):
 def test_the_clock_runs_fast_from_then_on(rig):
     bring_about(rig, "{fault: drift, ppm: 10000}")
     syncs = [sync for report in rig.run(2.5) for sync in report.clock][2:]
-    elapsed = [syncs[-1].device_ns - syncs[0].device_ns, syncs[-1].host_ns - syncs[0].host_ns]
-    assert elapsed[0] / elapsed[1] == pytest.approx(1.010035, abs=3e-3)
+    # The fit weighs by the round trips, which a busy computer makes long.
+    assert 1.0 / fit_affine(syncs).rate == pytest.approx(1.010035, abs=3e-3)
 
 
 def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tmp_path):
