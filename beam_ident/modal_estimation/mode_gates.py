@@ -18,6 +18,7 @@ from beam_ident.modal_estimation.variable_projection import MIN_DAMPING, ModalPr
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
+_SAME_SHAPE = 0.98  # modal assurance criterion beyond which outputs do not tell two shapes apart
 
 
 def mode_complaint(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> str:
@@ -67,4 +68,31 @@ def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]
         complaint = mode_complaint(fit, problem, mode, band)
         if complaint:
             warnings.append(f"Mode {mode + 1}: {complaint}.")
+    for group in _alike(fit, problem, band):
+        names = ", ".join(str(mode + 1) for mode in group)
+        warnings.append(
+            f"Modes {names} overlap and move the outputs alike. Two modes may do so, but so does a single one whose "
+            "damping or stiffness depends on its amplitude (air drag, friction): compare with a run of half the "
+            f"amplitude; n_modes={len(fit.omegas) - len(group) + 1} gives one mode in their place."
+        )
     return warnings
+
+
+def _alike(fit: ModalFit, problem: ModalProblem, band: Band) -> list[list[int]]:
+    """Return groups of modes that overlap, each with another of its group, and have the same shape."""
+    column = 0 if band.is_excited else problem.n_forced
+    shapes = np.array(
+        [
+            found[columns[:, column]] / sigma
+            for found, columns, sigma in zip(fit.coefficients, fit.mode_columns, fit.sigmas, strict=True)
+        ]
+    )
+    shapes /= np.maximum(np.linalg.norm(shapes, axis=0), 1e-300)
+    widths = 2.0 * fit.zetas * fit.omegas
+    apart = np.abs(np.subtract.outer(fit.omegas, fit.omegas))
+    linked = (apart < np.add.outer(widths, widths)) & (np.square(shapes.T @ shapes) > _SAME_SHAPE)
+    groups: list[list[int]] = []
+    for mode in range(len(fit.omegas)):
+        own = [group for group in groups if np.any(linked[mode, group])]
+        groups = [group for group in groups if group not in own] + [sorted(sum(own, [mode]))]
+    return [group for group in groups if len(group) > 1]

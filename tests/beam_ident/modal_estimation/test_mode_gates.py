@@ -135,3 +135,46 @@ def test_noise_alone_is_refused_with_the_same_words(make):
     fit = make((12.1, 0.01, 0.1), 100.0, 0)  # drowns the first mode too
     with pytest.raises(EstimationError, match=r"no mode between .* Hz stands out of the noise"):
         fit(None)
+
+
+def _swept(outputs: Callable[[np.ndarray], np.ndarray]) -> TimeRecord:
+    """Return a record of two outputs, 4 um of noise, under a swept force that is held between ticks."""
+    ticks = chirp(TICK_S * np.arange(2002), 3.0, TICK_S * 2001, 8.0)
+    ticks[1600:] = 0.0
+    seen = outputs(ticks) + 4e-6 * np.random.default_rng(0).standard_normal((2002, 2))
+    drive = InputSignal("f", "N", (0.0, TICK_S), ticks, "zoh")
+    stamps = TICK_S * np.arange(2002)
+    return TimeRecord(
+        (drive,), tuple(OutputSignal(name, "m", stamps, seen[:, k]) for k, name in enumerate("ab"))
+    )
+
+
+def test_one_mode_under_drag_that_passes_for_several_is_named() -> None:
+    def dragged(ticks: np.ndarray) -> np.ndarray:
+        omega, moved = 2.0 * np.pi * 5.0, np.zeros((len(ticks), 2))
+        here, speed, n = 0.0, 0.0, 20
+        for k, force in enumerate(ticks):
+            moved[k] = here * np.array([1.0, 0.6])
+            for _ in range(n):
+                drag = 2.0 * 0.01 * omega * speed + 8.0 * abs(speed) * speed
+                speed += TICK_S / n * (3.0 * force - drag - omega**2 * here)
+                here += TICK_S / n * speed
+        return moved
+
+    result = identify(_swept(dragged), PLAIN, 2, Prior(), Prior())
+    assert any("Modes 1, 2 overlap and move the outputs alike" in said for said in result.warnings)
+    assert any("n_modes=1" in said for said in result.warnings)
+
+
+def test_two_close_modes_of_different_shapes_are_believed() -> None:
+    def coupled(ticks: np.ndarray) -> np.ndarray:
+        moved = np.zeros((len(ticks), 2))
+        for hertz, shape in ((5.0, [1.0, 0.6]), (5.05, [0.6, -1.0])):
+            omega = 2.0 * np.pi * hertz
+            numerator, denominator, _ = cont2discrete(([1.0], [1.0, 0.02 * omega, omega**2]), TICK_S, "zoh")
+            moved += np.outer(lfilter(np.squeeze(numerator), denominator, ticks), shape)
+        return moved
+
+    result = identify(_swept(coupled), PLAIN, None, Prior(), Prior())
+    assert result.model.n_modes == 2
+    assert not any("overlap" in said for said in result.warnings)
