@@ -185,6 +185,9 @@ class CameraSettings:
     readout: float = setting("first to last row; 0: global shutter", "s", 0.0, 0.1)
     stamp: Literal["start", "mid", "end", "arrival"] = setting("what a stamp means")
     latency: float = setting("known delay of the stamps", "s", -1.0, 1.0)
+    clock_tolerance: float = setting(
+        "rate of its clock, relative to the host's; 0: the host stamps", "", 0.0, 0.01
+    )
     pixels_per_metre: float = setting("scale in the plane of the beam", "px/m", 1.0, 1e7)
     origin_u: float = setting("column of the beam at rest at home", "px", -1e5, 1e5)
     origin_v: float = setting("row of the clamp", "px", -1e5, 1e5)

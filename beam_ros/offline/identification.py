@@ -140,6 +140,8 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         # The frames run on the camera's own clock, which is known as well as the low marker tells.
         drift_sd = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
         clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, drift_sd))
+    else:
+        clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, rig.camera.clock_tolerance))
     origin_ns = int(samples.stamps_ns[part.start])
     times = _device_times(samples, part, rate, origin_ns)
     hold = rig.hub.measured_hold if topic == "hub/measured" else rig.hub.applied_hold
