@@ -41,6 +41,9 @@ STRANGE_RATE = 1e-2
 """No clock is further off than this; of a crystal it is a hundred times what its maker promises."""
 STRANGE_CHANGE = 2e-3
 """The rate of a clock that has been fitted is not further from the fit than this."""
+COMPARED_NS = 1_000_000_000
+"""A reading is held against the newest one and one that is older than this [ns]: what a resolution excuses from one
+question to the next adds up over a second."""
 
 
 @dataclass(frozen=True)
@@ -217,25 +220,34 @@ class ClockMapping:
     def possible_ns(self, sent_ns: int, received_ns: int) -> tuple[int, int] | None:
         """Return least and greatest device time [ns] that an exchange can show, None without an earlier one.
 
-        A device reads its clock between question and answer, in the newest exchange and in this one: that
+        A device reads its clock between question and answer, in an earlier exchange and in this one: that
         bounds the time between the two readings, whatever the line did.
         """
         if not self._exchanges:
             return None
-        last = self._exchanges[-1]
-        shortest_ns = sent_ns - last.host_ns - last.rtt_ns / 2
-        longest_ns = received_ns - last.host_ns + last.rtt_ns / 2
+        newest = self._exchanges[-1]
+        before_ns = sent_ns - COMPARED_NS
+        older = next((other for other in reversed(self._exchanges) if other.host_ns <= before_ns), newest)
+        least, greatest = zip(
+            *(self._possible_after(known, sent_ns, received_ns) for known in (newest, older)), strict=True
+        )
+        return max(least), min(greatest)
+
+    def _possible_after(self, known: ClockSync, sent_ns: int, received_ns: int) -> tuple[int, int]:
+        """Return what one earlier exchange leaves possible, by itself [ns of device time]."""
+        shortest_ns = sent_ns - known.host_ns - known.rtt_ns / 2
+        longest_ns = received_ns - known.host_ns + known.rtt_ns / 2
         rate, strange = (1.0, STRANGE_RATE) if self._fit is None else (1.0 / self._fit.rate, STRANGE_CHANGE)
         slack_ns = RESOLUTION_NS + strange * max(abs(shortest_ns), abs(longest_ns))
         return (
-            last.device_ns + round(shortest_ns * rate - slack_ns),
-            last.device_ns + round(longest_ns * rate + slack_ns),
+            known.device_ns + round(shortest_ns * rate - slack_ns),
+            known.device_ns + round(longest_ns * rate + slack_ns),
         )
 
     def add(self, sent_ns: int, received_ns: int, device_ns: int) -> ClockSync:
         """Take one exchange: host times of question and answer, and the device's clock in between [ns].
 
-        One that cannot be true beside the newest (``possible_ns``), or that came too late, changes nothing.
+        One that cannot be true beside those before (``possible_ns``), or that came too late, changes nothing.
         """
         sync = ClockSync((sent_ns + received_ns) // 2, device_ns, self.epoch, max(0, received_ns - sent_ns))
         possible = self.possible_ns(sent_ns, received_ns)

@@ -211,3 +211,36 @@ def test_what_an_exchange_can_show_is_bounded_by_the_one_before():
     # 0.1 s later, less one way or more two: 99.8 to 100.3 ms, a millisecond and one per cent.
     assert least == pytest.approx(DEVICE_START + 97_797_000, abs=5_000)
     assert greatest == pytest.approx(DEVICE_START + 102_303_000, abs=5_000)
+
+
+def outside(line: Line, ppm_later: float, step_ns: int, *, seconds: float = 3.0) -> int | None:
+    """Return after what time [ns] with a clock that runs faster an exchange was not possible; None: never."""
+    mapping = ClockMapping(1)
+    turn_ns = HOST_START + 2 * 10**9
+    for k in range(round((2.0 + seconds) * 1e9) // step_ns):
+        sent, received, device_ns = line.exchange(HOST_START + k * step_ns)
+        device_ns += round(max(0, sent - turn_ns) * ppm_later * 1e-6)
+        possible = mapping.possible_ns(sent, received)
+        if possible is not None and not possible[0] <= device_ns <= possible[1]:
+            return sent - turn_ns
+        mapping.add(sent, received, device_ns)
+    return None
+
+
+@pytest.mark.parametrize("step_ns", [10_000_000, 40_000_000, 200_000_000])
+@pytest.mark.parametrize("ppm", [-10_000, 10_000])
+def test_a_clock_that_drifts_by_a_hundredth_is_noticed_however_often_it_is_asked(ppm, step_ns):
+    # 1 ms of resolution, 2 ms for a rate that may be wrong over a second, and what a round trip leaves open.
+    for seed in range(3):
+        noticed_ns = outside(Line(35.0, seed), ppm, step_ns)
+        assert noticed_ns is not None
+        assert 0 < noticed_ns < 800_000_000
+
+
+@pytest.mark.parametrize("step_ns", [10_000_000, 40_000_000, 200_000_000])
+@pytest.mark.parametrize("ppm", [-1000, 1000])
+def test_no_crystal_slewed_host_or_hiccup_is_taken_for_a_clock_that_is_wrong(ppm, step_ns):
+    # Crystals, and a host whose time service turns its clock by 500 ppm: together less than 1000 ppm. The
+    # line's hiccups of tens of milliseconds, and long ways, leave more open, never less.
+    for base_ns in (100_000, 50_000_000):
+        assert outside(Line(60.0, 3, base_ns=base_ns), ppm, step_ns, seconds=6.0) is None

@@ -377,6 +377,7 @@ def live(tmp_path):
         ("{fault: step, seconds: 30}", "clock_jumped"),
         ("{fault: step, seconds: -30}", "clock_backwards"),
         ("{fault: wrap, bits: 36}", "clock_backwards"),
+        ("{fault: drift, ppm: 10000}", "clock_jumped"),
     ],
 )
 def test_a_real_ports_clock_that_goes_wrong_stops_the_axis(live, fault, name):
