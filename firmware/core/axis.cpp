@@ -64,6 +64,7 @@ Axis::Axis(const Settings& settings)
       tick_speed_(settings.encoder_resolution / period_),
       greatest_step_(as_count(rounded(lesser(2.0 * settings.widest.max_speed / tick_speed_ + 100.0, 1e9)))),
       profiles_(settings.mode, period_),
+      forecast_(tick_speed_),
       limits_(settings.widest),
       watchdog_ticks_(whole_periods(settings.widest.watchdog_ns, settings.period_ns)),
       encoder_(settings.counter_bits) {}
@@ -87,7 +88,10 @@ const Drive& Axis::tick(const Reading& reading) {
     bool is_led = true;
     if (next_command(command)) {
         Breach breach;
-        if (profiles_.is_beyond(command, motion_, limits_, breach)) {
+        const double change = settings_.mode == CommandMode::effort
+                                  ? forecast_.change(command, motion_.velocity, limits_)
+                                  : 0.0;
+        if (profiles_.is_beyond(command, change, motion_, limits_, breach)) {
             react(Cause::limit, breach.fault, breach.reason);
         } else {
             follow(command);
@@ -95,6 +99,7 @@ const Drive& Axis::tick(const Reading& reading) {
         }
     }
     if (is_led) {
+        forecast_.forget();
         lead(own_velocity());
     }
     drive_.tick = tick_;
@@ -299,6 +304,7 @@ void Axis::obey(const Limits& wanted) {
     }
     limits_ = narrower(wanted, settings_.widest);
     has_limits_ = true;
+    forecast_.forget_mobility();
     watchdog_ticks_ = whole_periods(limits_.watchdog_ns, settings_.period_ns);
 }
 

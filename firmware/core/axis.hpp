@@ -104,6 +104,7 @@ private:
     const double tick_speed_;  ///< one count per tick [m/s]
     const std::int32_t greatest_step_;  ///< counts that the hub can really move in a tick
     Profiles profiles_;
+    SpeedForecast forecast_;
 
     Limits limits_;
     bool has_limits_ = false;

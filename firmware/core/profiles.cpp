@@ -9,6 +9,12 @@ namespace {
 /// Relative slack of the device's own limits over the host's, so that a checked sequence never trips them.
 constexpr double slack = 1e-5;
 
+/// The hub's mobility is learned from a change of the force by at least this share of the greatest ...
+constexpr double least_jump = 0.1;
+
+/// ... which changes the speed by at least so many counts per tick more than the tick before did.
+constexpr double least_counts = 16.0;
+
 /// Returns the n for which n (n + 1)/2 <= size < (n + 1)(n + 2)/2.
 double whole_ticks(double size) {
     const float root = std::sqrt(1.0F + 8.0F * static_cast<float>(size));
@@ -23,6 +29,29 @@ double whole_ticks(double size) {
 }
 
 }  // namespace
+
+void SpeedForecast::forget() {
+    has_begun_ = false;
+    changed_ = effort_before_ = last_effort_ = 0.0;
+}
+
+double SpeedForecast::change(double effort, double velocity, const Limits& limits) {
+    if (has_begun_) {
+        const double changed = velocity - begun_;
+        const double jump = magnitude(last_effort_ - effort_before_);
+        const double answer = magnitude(changed - changed_);
+        if (jump >= least_jump * limits.max_effort && answer >= least_counts * tick_speed_ &&
+            answer > mobility_ * jump) {
+            mobility_ = answer / jump;
+        }
+        changed_ = changed;
+    }
+    has_begun_ = true;
+    begun_ = velocity;
+    effort_before_ = last_effort_;
+    last_effort_ = effort;
+    return changed_ + mobility_ * (effort - effort_before_);
+}
 
 double Profiles::towards(double distance, double velocity, double speed, double acceleration) const {
     const double unit = acceleration * period_;
@@ -63,7 +92,7 @@ double Profiles::command_towards(double setpoint, const Motion& motion, const Li
     return motion.position + velocity * period_;
 }
 
-bool Profiles::is_beyond(double command, Motion motion, const Limits& limits, Breach& breach) const {
+bool Profiles::is_beyond(double command, double change, Motion motion, const Limits& limits, Breach& breach) const {
     if (!std::isfinite(command)) {
         breach = {Fault::command_not_finite, Text("limit: command ") << command};
         return true;
@@ -92,7 +121,8 @@ bool Profiles::is_beyond(double command, Motion motion, const Limits& limits, Br
                       Text("limit: effort ") << command << " N beyond " << limits.max_effort << " N"};
             return true;
         }
-        motion.position += begun * period_;
+        motion.velocity = begun + change;
+        motion.position += (begun + motion.velocity) * (period_ * 0.5);
         break;
     }
     if (magnitude(acceleration) > limits.max_acceleration * (1.0 + slack)) {

@@ -35,6 +35,34 @@ struct Breach {
     Text reason;
 };
 
+/// By how much a force will change the hub's speed within a tick, from what the last ones did.
+///
+/// A device does not know the mass that it moves. The speed goes on changing as it did in the last tick; where the
+/// force itself jumps, the jump's share is what earlier jumps taught.
+class SpeedForecast {
+public:
+    /// `tick_speed` is one count per tick [m/s].
+    explicit SpeedForecast(double tick_speed) : tick_speed_(tick_speed) {}
+
+    /// Begins anew: no force led the hub to where it is.
+    void forget();
+
+    /// Learns another axis.
+    void forget_mobility() { mobility_ = 0.0; }
+
+    /// Returns the change [m/s] of the coming tick, at whose beginning the hub has `velocity` [m/s].
+    double change(double effort, double velocity, const Limits& limits);
+
+private:
+    const double tick_speed_;
+    double mobility_ = 0.0;
+    bool has_begun_ = false;
+    double begun_ = 0.0;
+    double changed_ = 0.0;
+    double effort_before_ = 0.0;
+    double last_effort_ = 0.0;
+};
+
 /// The axis's limits with its mode and its tick.
 class Profiles {
 public:
@@ -54,8 +82,8 @@ public:
     double command_towards(double setpoint, const Motion& motion, const Limits& limits) const;
 
     /// Whether following a command for a tick would pass a limit, or leave no way to stop within the travel; says
-    /// why in `breach`.
-    bool is_beyond(double command, Motion motion, const Limits& limits, Breach& breach) const;
+    /// why in `breach`. A force changes the speed by `change` within the tick [m/s].
+    bool is_beyond(double command, double change, Motion motion, const Limits& limits, Breach& breach) const;
 
     /// Whether the velocity runs linearly through a tick; else it jumps at its beginning and stays.
     bool is_ramped() const { return mode_ == CommandMode::acceleration || mode_ == CommandMode::effort; }

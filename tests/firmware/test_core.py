@@ -197,6 +197,20 @@ def test_a_forced_hub_is_as_fast_as_the_core_believes():
     assert speeds[0] == pytest.approx(speeds[1], abs=1e-3)
 
 
+@pytest.mark.parametrize("forces", [[20.0], [20.0, -12.0, 20.0], [3.0, 20.0]])
+def test_no_force_drives_the_cores_hub_beyond_its_speed_limit(forces):
+    # The core has the speed from the encoder, which shows three quarters of a jump of the force within its tick.
+    with VirtualCore(COMMAND_MODES.index("effort")) as core:
+        host = Host(core)
+        host.enable()
+        for number in range(1, 120):
+            host.say(protocol.Setpoint(number, forces[number % len(forces)]), ticks=7)
+        status = host.rest()
+    assert status.fault_number == fault("speed_limit").number
+    speeds = host.telemetry(2000).velocity_counts * 1e-7 / 1e-3
+    assert 0.46 < np.max(np.abs(speeds)) <= 1.005 * 0.5
+
+
 def play(host: Host, values: np.ndarray) -> TickBatch:
     """Play a sequence; return its ticks."""
     start = host.tick + 100

@@ -23,6 +23,7 @@ from beam_ros.hub.simulated.motion import HubMotion, Snapshots
 from beam_ros.hub.simulated.plant import Plant
 from beam_ros.hub.simulated.profiles import (
     ARRIVED,
+    SpeedForecast,
     braked_velocity,
     command_towards,
     limit_reason,
@@ -77,6 +78,7 @@ class VirtualAxis:
         self.device = device or SimulatedDevice()
         self._motion = HubMotion(parameters, plant, self.device)
         self._machine = AxisStateMachine({"watchdog fed": self.feed, "zero set": self._motion.set_zero})
+        self._forecast = SpeedForecast(parameters)
         self._buffer = SequenceBuffer(buffer_samples, looks_ahead=parameters.command_mode == "position")
         self.silences = 0
         self.silence_tick = 0
@@ -183,6 +185,7 @@ class VirtualAxis:
             With the tick, the mode and the resolution of those before.
         """
         self.parameters = parameters
+        self._forecast = SpeedForecast(parameters)
         self.feed()
 
     def request(self, request_id: int, kind: RequestKind) -> None:
@@ -292,10 +295,14 @@ class VirtualAxis:
         elif machine.condition is FOLLOWING:
             command = command_towards(self._setpoint, motion.position, motion.velocity, self.parameters)
         if command is not None:
-            breach = limit_reason(command, motion.position, motion.velocity, self.parameters)
+            change = 0.0
+            if self.parameters.command_mode == "effort":
+                change = self._forecast.change(command, motion.velocity)
+            breach = limit_reason(command, motion.position, motion.velocity, self.parameters, change=change)
             if breach is None:
                 return motion.follow(command)
             self._react("limit", breach[1], breach[0])
+        self._forecast.forget()
         return motion.lead(self._own_velocity())
 
     def _note_silence(self) -> None:

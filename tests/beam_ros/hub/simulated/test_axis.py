@@ -339,6 +339,21 @@ def test_a_command_at_its_limit_is_obeyed_and_one_beyond_it_is_a_fault(mode, lim
     assert "limit" in reason
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_no_force_drives_the_hub_beyond_its_speed_limit(seed):
+    # A tick of the greatest force changes the speed by 5 %: the axis stops before it, not after it.
+    parameters = AxisParameters(command_mode="effort", travel=0.4)
+    axis = enabled_axis(parameters)
+    rng = np.random.default_rng(seed)
+    # Held forces, steps, and a swing: what pushes a hub to its limit.
+    steps = np.repeat(rng.choice([-20.0, 2.0, 12.0, 20.0], 100), rng.integers(4, 8))
+    swing = 20.0 * np.sin(2 * np.pi * rng.uniform(3, 6) * T * np.arange(300))
+    record = run_sequence(axis, [np.full(100, 20.0), steps, swing][seed % 3], extra_ticks=100)
+    assert axis.fault.name == "speed_limit"
+    # A swing that still grows changes the force by 0.75 N a tick, too little to learn from: 1 mm/s.
+    assert 0.94 * parameters.max_speed < np.max(np.abs(record["v"])) <= 1.002 * parameters.max_speed
+
+
 def seeded_run(axis, seed):
     """Ask, command and neglect an axis at random for 1500 steps; return a digest of all that it does."""
     rng = random.Random(seed)
