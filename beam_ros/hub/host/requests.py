@@ -9,9 +9,14 @@ from beam_ros.hub.contract import REQUEST_KINDS, Outcome, RequestKind
 from beam_ros.hub.gate.stamps import MAX_AGE_NS
 from beam_ros.hub.parameters import AxisParameters
 
-RETRY_NS = 100_000_000
-ASK_AGAIN_NS = 500_000_000
-"""A request that was acknowledged is asked for again after this time, and until then every ``RETRY_NS``."""
+STOPS: tuple[RequestKind, ...] = ("stop", "disable")
+"""What stops the axis: repeated without mercy, and never too old."""
+STOP_RETRY_NS = 13_000_000
+"""A stop is repeated after this time until it is done. It is out of step with the batches of samples (20 ms): on a
+line that they flood, an answer finds room at some times of a batch only."""
+RETRY_NS = 97_000_000
+ASK_AGAIN_NS = 487_000_000
+"""Another request is asked for again after this time once it was acknowledged, until then every ``RETRY_NS``."""
 ANSWER_NS = 1_000_000_000
 """A request that the device has not acknowledged by then has failed."""
 WAYS_HOME = 6
@@ -29,6 +34,13 @@ class _PendingRequest:
     first_sent_ns: int | None = None
     last_sent_ns: int = 0
     is_acknowledged: bool = False
+
+    @property
+    def interval_ns(self) -> int:
+        """After what time it is sent again [ns]."""
+        if self.kind in STOPS:
+            return STOP_RETRY_NS
+        return ASK_AGAIN_NS if self.is_acknowledged else RETRY_NS
 
 
 class Requests:
@@ -107,7 +119,7 @@ class Requests:
                 self._complete(pending, Outcome(False, message))
                 self._report("never_done", message)
                 continue
-            elif now_ns - pending.last_sent_ns < (ASK_AGAIN_NS if pending.is_acknowledged else RETRY_NS):
+            elif now_ns - pending.last_sent_ns < pending.interval_ns:
                 continue
             pending.last_sent_ns = now_ns
             yield number, pending.kind
@@ -128,7 +140,7 @@ class Requests:
     def drop_stale(self) -> None:
         """Fail what waited unsent for a frozen host, but what stops the axis."""
         for number, pending in list(self._pending.items()):
-            if pending.first_sent_ns is None and pending.kind not in ("stop", "disable"):
+            if pending.first_sent_ns is None and pending.kind not in STOPS:
                 del self._pending[number]
                 message = f"{pending.kind} refused: the hub's process was frozen; ask again"
                 self._complete(pending, Outcome(False, message))

@@ -29,7 +29,7 @@ from beam_ros.hub.faults import Fault, fault, fault_of
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.command_gate import CommandGate
 from beam_ros.hub.host.pulse import HostPulse
-from beam_ros.hub.host.requests import Requests, SetpointRepeater
+from beam_ros.hub.host.requests import STOPS, Requests, SetpointRepeater
 from beam_ros.hub.host.sample_stamping import DeviceClock, SampleStamping
 from beam_ros.hub.host.sequence_stream import SequenceStream
 from beam_ros.hub.host.supervisor import Supervisor
@@ -114,7 +114,7 @@ class HubClient:
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
-        if kind in ("stop", "disable"):
+        if kind in STOPS:
             self._setpoints.drop()
             self._stream.abort_unannounced(f"{kind} was asked for")
         if not self._connection.is_in_session:
