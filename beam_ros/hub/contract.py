@@ -183,6 +183,8 @@ class HubStatus:
         The same in the words of who noticed it, with its numbers; empty while all is well.
     counters : mapping of str to int
         For diagnostics: what was lost, refused, retried.
+    lacks_home : bool
+        Whether a fault hides that the axis has not been homed.
     """
 
     state: AxisState = "disconnected"
@@ -192,6 +194,23 @@ class HubStatus:
     fault: Fault = NO_FAULT
     reason: str = ""
     counters: Mapping[str, int] = field(default_factory=dict)
+    lacks_home: bool = False
+
+    @property
+    def way_back(self) -> tuple[RequestKind, ...]:
+        """The requests that lead from the fault to an enabled axis; none while it moves or cannot be reached."""
+        if self.fault is NO_FAULT or self.state in ("disconnected", "enabled"):
+            return ()
+        steps: list[RequestKind] = ["clear_fault"] if self.state == "fault" else []
+        if self.state == "identified" or self.lacks_home or self.fault.needs_home:
+            steps.append("home")
+        return (*steps, "enable")
+
+    @property
+    def remedy(self) -> str:
+        """What to do about the fault: about its cause, and then which services to ask; empty without one."""
+        services = ", ".join(f"hub/{kind}" for kind in self.way_back)
+        return f"{self.fault.remedy}; then {services}" if services else self.fault.remedy
 
 
 @dataclass(frozen=True)

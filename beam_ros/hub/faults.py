@@ -28,13 +28,17 @@ class Fault:
     sentence : str
         What has happened, for people.
     remedy : str
-        What to do about it.
+        What to do about its cause; which services lead back to an enabled axis, its state decides
+        (``HubStatus.way_back``).
+    needs_home : bool
+        Whether the position is not to be believed before the axis has been homed again.
     """
 
     number: int
     name: str
     sentence: str
     remedy: str
+    needs_home: bool = False
 
     @property
     def is_of_host(self) -> bool:
@@ -67,36 +71,45 @@ DEVICE_FAULTS = (
         4,
         "travel_limit",
         "the hub could not have been stopped within its travel",
-        "command less travel, or home the axis again",
+        "command less travel",
     ),
     Fault(5, "speed_limit", "a command exceeded the speed limit", "command less speed"),
     Fault(6, "acceleration_limit", "a command exceeded the acceleration limit", "command less acceleration"),
     Fault(7, "effort_limit", "a command exceeded the effort limit", "command less effort"),
     Fault(8, "command_not_finite", "a command was not a number", "mend the program that sends it"),
-    Fault(
-        9, "session_opened", "a host opened a new session", "home and enable again; use one host at a time"
-    ),
+    Fault(9, "session_opened", "a host opened a new session", "use one host at a time"),
     Fault(10, "session_closed", "the host closed the session", "connect again"),
     Fault(
         11,
         "following_error",
         "the hub did not follow its reference",
         "look for a jam, a loose belt or too much load",
+        needs_home=True,
     ),
-    Fault(12, "end_switch", "an end switch was hit", "clear the fault and home the axis"),
+    Fault(12, "end_switch", "an end switch was hit", "look how the hub came there", needs_home=True),
     Fault(
         13,
         "drive_alarm",
         "the motor's drive reports an alarm",
         "read the drive's display, then power-cycle it",
+        needs_home=True,
     ),
-    Fault(14, "encoder_lost", "the encoder gives no valid position", "check the encoder's cable"),
-    Fault(15, "homing_failed", "home was not found", "check the home switch and the way to it"),
+    Fault(
+        14,
+        "encoder_lost",
+        "the encoder gives no valid position",
+        "check the encoder's cable",
+        needs_home=True,
+    ),
+    Fault(
+        15, "homing_failed", "home was not found", "check the home switch and the way to it", needs_home=True
+    ),
     Fault(
         16,
         "own_watchdog",
         "the controller's processor had stopped and was reset",
         "update the firmware; report how it came about",
+        needs_home=True,
     ),
 )
 
@@ -130,8 +143,13 @@ HOST_FAULTS = (
         "the controller did not stop waiting for the silent host in time",
         "mend the firmware's watchdog; axis.prove_watchdog: false goes without the proof",
     ),
-    Fault(71, "restarted", "the controller restarted", "check its power; home and enable again"),
-    Fault(72, "session_lost", "the controller had forgotten the session", "home and enable again"),
+    Fault(71, "restarted", "the controller restarted", "check its power"),
+    Fault(
+        72,
+        "session_lost",
+        "the controller had forgotten the session",
+        "check its power; use one host at a time",
+    ),
     Fault(
         73,
         "controller_silent",
@@ -157,20 +175,29 @@ HOST_FAULTS = (
         77,
         "clock_jumped",
         "the controller's clock jumped",
-        "mend the firmware's clock; home and enable again",
+        "mend the firmware's clock",
+        needs_home=True,
     ),
     Fault(
         78,
         "clock_backwards",
         "the controller's clock ran backwards",
-        "mend the firmware's clock; home and enable again",
+        "mend the firmware's clock",
+        needs_home=True,
     ),
-    Fault(79, "beyond_travel", "the hub is beyond its travel", "stop the motor and home the axis again"),
+    Fault(
+        79,
+        "beyond_travel",
+        "the hub is beyond its travel",
+        "see what pushed it, or whether home has moved",
+        needs_home=True,
+    ),
     Fault(
         80,
         "position_jumped",
         "the measured position jumped",
-        "check the encoder and its cable; home the axis again",
+        "check the encoder and its cable",
+        needs_home=True,
     ),
     Fault(
         81,
@@ -184,7 +211,7 @@ HOST_FAULTS = (
         "more bytes come than an axis can say",
         "check serial.baud and what is on the port",
     ),
-    Fault(83, "host_frozen", "the host's program stood still", "free the host's processors; enable again"),
+    Fault(83, "host_frozen", "the host's program stood still", "free the host's processors"),
     Fault(84, "never_done", "the controller said `pending` and never more", "restart the controller"),
 )
 
@@ -209,7 +236,8 @@ def fault_of(number: int) -> Fault:
 
 def documentation() -> Iterator[str]:
     """Yield the lines of the table in docs/protocol.md."""
-    yield "| number | name | what has happened | remedy |"
-    yield "|---|---|---|---|"
+    yield "| number | name | what has happened | remedy | home |"
+    yield "|---|---|---|---|---|"
     for row in (*DEVICE_FAULTS, *HOST_FAULTS):
-        yield f"| {row.number} | `{row.name}` | {row.sentence} | {row.remedy} |"
+        home = "again" if row.needs_home else ""
+        yield f"| {row.number} | `{row.name}` | {row.sentence} | {row.remedy} | {home} |"

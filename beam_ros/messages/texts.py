@@ -44,7 +44,8 @@ def hub_mode(types: MessageTypes, status: HubStatus, since_ns: int) -> Any:
     """
     fault = None
     if status.fault is not NO_FAULT:
-        fault = {name: getattr(status.fault, name) for name in ("number", "name", "sentence", "remedy")}
+        fault = {name: getattr(status.fault, name) for name in ("number", "name", "sentence")}
+        fault["remedy"] = status.remedy
     content = {
         "state": status.state,
         "activity": status.activity,

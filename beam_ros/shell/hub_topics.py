@@ -169,8 +169,8 @@ class HubNode(RigNode):
         level = {"disconnected": "ERROR", "fault": "ERROR"}.get(status.state, "OK")
         sentence = f"{status.state}: {status.reason}" if status.reason else status.state
         about: dict[str, object] = {"activity": status.activity, "fault": status.fault.number}
-        if status.fault.remedy:
-            about["remedy"] = status.fault.remedy
+        if status.remedy:
+            about["remedy"] = status.remedy
         for number, shortcoming in enumerate(self._hub.capabilities.shortcomings, start=1):
             about[f"cannot promise {number}"] = shortcoming
         jumps = status.counters.get("real_time_jumps", 0)

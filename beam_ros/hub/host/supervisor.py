@@ -26,8 +26,6 @@ ANSWER_NS = 300_000_000
 """A stop is answered within this time and that of the ramp, or the host falls silent."""
 UNSETTLED_BATCHES = 10
 """The ticks of a change come within so many batches after it was reported."""
-NEEDS_HOME = ("beyond_travel", "position_jumped", "clock_jumped", "clock_backwards")
-"""After these nobody knows where home is until the axis has been homed."""
 
 
 class Supervisor:
@@ -165,7 +163,7 @@ class Supervisor:
         if self.fault is not NO_FAULT:
             return
         self.fault, self.reason = fault(name), reason
-        self.has_lost_home = self.has_lost_home or name in NEEDS_HOME
+        self.has_lost_home = self.has_lost_home or self.fault.needs_home
         self._is_stopped = False
         self._stop_asked_ns = self._silent_since_ns = None
         self._journal.tell(
@@ -225,7 +223,13 @@ class Supervisor:
     def seen(self, status: HubStatus) -> HubStatus:
         """Return what the device says of itself as it has to be seen."""
         if self.fault is not NO_FAULT:
-            return dataclasses.replace(status, state="fault", fault=self.fault, reason=self.reason)
+            return dataclasses.replace(
+                status,
+                state="fault",
+                fault=self.fault,
+                reason=self.reason,
+                lacks_home=self.has_lost_home or status.state == "identified",
+            )
         if self.has_lost_home and status.state == "homed":
             return dataclasses.replace(status, state="identified")
         return status

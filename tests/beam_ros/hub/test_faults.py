@@ -2,7 +2,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from beam_ros.hub.contract import HubStatus
 from beam_ros.hub.faults import DEVICE_FAULTS, FAULTS, HOST_FAULTS, documentation, fault, fault_of
+from beam_ros.hub.simulated.transitions import (
+    FAULT,
+    HOMED,
+    HOMING,
+    IDENTIFIED,
+    TRANSITION_OF,
+    Cause,
+    Condition,
+)
 
 PROTOCOL = Path(__file__).parents[3] / "docs" / "protocol.md"
 
@@ -27,3 +39,58 @@ def test_a_device_may_have_faults_of_its_own():
     own = fault_of(40)
     assert (own.number, own.name) == (40, "fault_40")
     assert "firmware" in own.remedy
+
+
+CAUSES: dict[str, Cause] = {
+    "host_silent": "silence",
+    "setpoint_old": "old set-point",
+    "underrun": "underrun",
+    **{f"{kind}_limit": "limit" for kind in ("travel", "speed", "acceleration", "effort")},
+    "command_not_finite": "limit",
+}
+"""What brings a device's fault about; the rest are emergency stops."""
+
+
+def at_rest_after(name: str) -> set[Condition]:
+    """The conditions in which an axis stands that was stopped by a fault, by the table of transitions."""
+    cause = CAUSES.get(name, "emergency stop")
+    stops = {
+        row.goal
+        for (_, seen), row in TRANSITION_OF.items()
+        if seen == cause and "reason kept" in row.effects and row.goal is not None
+    }
+    return {IDENTIFIED} if name == "own_watchdog" else {TRANSITION_OF[stop, "rest"].goal for stop in stops}
+
+
+@pytest.mark.parametrize("row", DEVICE_FAULTS, ids=lambda row: row.name)
+def test_the_way_back_is_taken_step_by_step_in_every_state_that_follows_a_fault(row):
+    conditions = at_rest_after(row.name)
+    assert conditions
+    for condition in conditions:
+        status = HubStatus(condition.state, fault=row, reason="seen")
+        homed_anew = False
+        for step in status.way_back:
+            answer = TRANSITION_OF[condition, step]
+            assert not answer.is_refused, (condition.name, step)
+            assert answer.goal not in (None, condition), (condition.name, step, "does nothing")
+            condition = answer.goal
+            if condition is HOMING:
+                condition, homed_anew = TRANSITION_OF[HOMING, "home reached"].goal, True
+        assert condition.state == "enabled"
+        assert homed_anew or not row.needs_home
+        assert status.remedy.startswith(f"{row.remedy}; then hub/")
+        assert status.remedy.endswith("hub/enable")
+
+
+def test_no_remedy_names_a_service_by_itself():
+    words = ("clear", "home again", "enable", "home the axis", "home and")
+    assert not [(row.name, word) for row in FAULTS.values() for word in words if word in row.remedy]
+
+
+def test_a_limit_is_cleared_and_what_only_disabled_the_axis_is_not():
+    assert at_rest_after("speed_limit") == {FAULT}
+    assert HubStatus("fault", fault=fault("speed_limit")).way_back == ("clear_fault", "enable")
+    assert at_rest_after("end_switch") == {HOMED, IDENTIFIED}
+    assert HubStatus("homed", fault=fault("end_switch")).way_back == ("home", "enable")
+    assert HubStatus("disconnected", fault=fault("port_lost")).remedy == fault("port_lost").remedy
+    assert HubStatus("homed").remedy == ""
