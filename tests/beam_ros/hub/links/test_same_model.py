@@ -1,6 +1,9 @@
-"""One experiment on four axes in virtual time: the models agree within their covariances, whatever moves the hub."""
+"""One experiment on every axis in virtual time: the models agree within their covariances, whatever moves the hub."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,21 +20,31 @@ from beam_ident import (
     run_estimator,
 )
 from beam_ros.excitation.plan import plan_excitation
+from beam_ros.hub.contract import HubReport
+from beam_ros.hub.emulated.controller import Firmware
+from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.emulated.servo import servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
+from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.odrive_protocol import decode_line, encode_line, numbers
 from beam_ros.hub.links.trajectory import Knots
-from beam_ros.hub.parameters import SimulatedDevice
+from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.hub.simulated.motion import HubMotion
-from beam_ros.hub.simulated.plant import beam_on_axis
+from beam_ros.hub.simulated.plant import Plant, beam_on_axis
 from beam_ros.rig.rig import Rig
+from tests.beam_ros.hub.hub_scenes import STEADY_START, UNIX_START, LoopbackRig, chunks_of
+from tests.firmware.builds import built
 
 RIG = Rig.from_file().with_values(
     {"excitation.duration": 6.0, "excitation.still": 3.0, "excitation.end_frequency": 40.0}
 )
+RIGS = {
+    "acceleration": RIG,
+    "effort": RIG.with_values({"hub.command_mode": "effort", "excitation.acceleration": 0.2}),
+}
 FRAME_NS = 10_000_000
 LEAD_NS = 500_000_000
 NOISE = 5e-6
@@ -40,12 +53,14 @@ NOISE = 5e-6
 class _Filmed:
     """Displacements of the markers every 10 ms, and the hub's samples as the axis gave them."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, mode: str = "acceleration", begun_ns: int = 0) -> None:
         self._points = BeamPoints(RIG.beam_model(), RIG.markers.heights)
         self._rng = np.random.default_rng(seed)
         self._frames: list[tuple[int, np.ndarray]] = []
-        self._next_ns = FRAME_NS
+        self._next_ns = begun_ns + FRAME_NS
+        self._is_forced = mode == "effort"
         self.hub: list[tuple[float, float]] = []
+        """Times [ns], and forces that are held [N] or positions [m]."""
 
     def film(self, reached_ns: int, snapshots) -> None:
         while self._next_ns <= reached_ns:
@@ -55,7 +70,10 @@ class _Filmed:
 
     def model(self) -> ModalModel:
         times, values = (np.array(column) for column in zip(*self.hub, strict=True))
-        drive = InputSignal("hub", "m", times * 1e-9, values, "cubic", 1e-7 / np.sqrt(12))
+        if self._is_forced:
+            drive = InputSignal("hub", "N", times * 1e-9, values, "zoh", 0.0)
+        else:
+            drive = InputSignal("hub", "m", times * 1e-9, values, "cubic", 1e-7 / np.sqrt(12))
         stamps = np.array([stamp for stamp, _ in self._frames]) * 1e-9
         inside = (stamps > times[0] * 1e-9 + 0.05) & (stamps < times[-1] * 1e-9 - 0.05)
         table = np.array([u for _, u in self._frames])
@@ -63,7 +81,8 @@ class _Filmed:
             OutputSignal(name, "m", stamps[inside], table[inside, k])
             for k, name in enumerate(RIG.markers.names)
         )
-        settings = EstimatorSettings("base_motion", 2, Prior(0.0, 1e-9))
+        structure = "force" if self._is_forced else "base_motion"
+        settings = EstimatorSettings(structure, 2, Prior(0.0, 1e-9))
         return run_estimator("modal", TimeRecord((drive,), outputs, 0, "run"), settings).model
 
 
@@ -71,16 +90,73 @@ def _plant(parameters):
     return beam_on_axis(RIG.beam_model(), parameters)
 
 
-def _by_ticks(values: np.ndarray) -> ModalModel:
-    """The suite's own protocol: the device holds each acceleration for its tick of 1 ms."""
-    parameters = RIG.axis_parameters()
-    filmed = _Filmed(1)
+def _by_ticks(values: np.ndarray, mode: str) -> ModalModel:
+    """The simulator: it holds each acceleration or force for its tick of 1 ms."""
+    parameters = RIGS[mode].axis_parameters()
+    filmed = _Filmed(1, mode)
     motion = HubMotion(parameters, _plant(parameters), SimulatedDevice())
     for value in np.concatenate((np.zeros(500), values)):
-        filmed.hub.append((motion.device_ns, motion.position_count * 1e-7))
+        filmed.hub.append((motion.device_ns, value if mode == "effort" else motion.position_count * 1e-7))
         motion.follow(value)
         filmed.film(motion.device_ns, motion.snapshots)
     return filmed.model()
+
+
+class _OnLine(LoopbackRig):
+    """The driver's client and a device that speaks the suite's own protocol, which carries the beam."""
+
+    def __init__(self, mode: str, boot: Callable[[AxisParameters, Plant], Firmware]) -> None:
+        parameters = RIGS[mode].axis_parameters()
+        self._boot = boot
+        # Paced, the clock of an emulated processor stands still between ticks: 0.1 ms of what it says is chance.
+        link = LinkParameters(max_clock_sd_ns=200_000)
+        super().__init__(parameters, device=SimulatedDevice(), link=link)
+
+    def start_device(self, _boot_id: int) -> None:
+        self.firmware = self._boot(self.parameters, _plant(self.parameters))
+        self.boot_ns = self.steady_ns
+
+    def ticks(self, report: HubReport, mode: str) -> Iterator[tuple[int, float]]:
+        """Device time and input of every sample: what was applied to a free hub, or where a led one was measured."""
+        batches = report.applied if mode == "effort" else report.measured
+        for batch in batches:
+            # The stamps know the tick; when it was, the device's own count says exactly.
+            since_boot_ns = batch.stamp_ns - UNIX_START - (self.boot_ns - STEADY_START)
+            first = round(since_boot_ns / batch.period_ns)
+            values = batch.efforts if mode == "effort" else batch.positions
+            yield from (((first + k) * batch.period_ns, value) for k, value in enumerate(values))
+
+
+def _by_line(values: np.ndarray, mode: str, seed: int, boot: Callable[..., Firmware]) -> ModalModel:
+    """A device of the suite's own protocol: connected, homed, enabled, and given the sequence, by the real client."""
+    rig = _OnLine(mode, boot)
+    try:
+        rig.until(lambda report: bool(report.measured))
+        rig.enable()
+        for chunk in chunks_of(values, rig.now.unix_ns + LEAD_NS):
+            rig.hub.load(chunk, rig.now)
+        axis = rig.firmware.axis
+        filmed = _Filmed(seed, mode, axis.device_ns - axis.device_ns % FRAME_NS)
+        states = []
+        while "done" not in states[-1:]:
+            (report,) = rig.run(0.01)
+            states += [sequence.state for sequence in report.sequences]
+            assert not {"refused", "aborted", "underrun"} & set(states), report
+            filmed.hub += rig.ticks(report, mode)
+            filmed.film(axis.device_ns, axis.snapshots)
+    finally:
+        if isinstance(rig.firmware, PacedFirmware):
+            rig.firmware.close()
+    assert {round(step) for step in np.diff([time for time, _ in filmed.hub])} == {1_000_000}
+    return filmed.model()
+
+
+def _emulator(parameters: AxisParameters, plant: Plant) -> EmulatedFirmware:
+    return EmulatedFirmware(parameters, plant, SimulatedDevice(), boot_id=1)
+
+
+def _processor(parameters: AxisParameters, plant: Plant) -> PacedFirmware:
+    return PacedFirmware(built("stm32f405-plant.elf"), parameters, plant)
 
 
 def _by_trajectory(values: np.ndarray, rate: float) -> ModalModel:
@@ -121,22 +197,41 @@ def _by_odrive(values: np.ndarray) -> ModalModel:
     return filmed.model()
 
 
-@pytest.fixture(scope="module")
-def values() -> np.ndarray:
-    return plan_excitation(RIG).values
+@cache
+def _values(mode: str) -> np.ndarray:
+    return plan_excitation(RIGS[mode]).values
 
 
-@pytest.fixture(scope="module")
-def reference(values) -> ModalModel:
-    return _by_ticks(values)
+@cache
+def _reference(mode: str) -> ModalModel:
+    return _by_ticks(_values(mode), mode)
+
+
+def _check_same(model: ModalModel, mode: str) -> None:
+    """Hold a model against the simulator's, whose noise is another, and against the beam that both were made from."""
+    comparison = compare_models(_reference(mode), model)
+    assert comparison.degrees_of_freedom >= 4
+    assert comparison.chi_squared < chi2.ppf(0.999, comparison.degrees_of_freedom)
+    beam = RIG.beam_model()
+    truth = beam.free_hub_natural_frequencies if mode == "effort" else beam.natural_frequencies
+    np.testing.assert_allclose(model.natural_frequencies, truth[:2], rtol=1e-3)
 
 
 @pytest.mark.parametrize("axis", ["trajectory 250 Hz", "odrive"])
-def test_the_same_experiment_gives_the_same_model(axis: str, values, reference) -> None:
+def test_the_same_experiment_gives_the_same_model(axis: str) -> None:
     kind, _, rate = axis.partition(" ")
+    values = _values("acceleration")
     model = _by_odrive(values) if kind == "odrive" else _by_trajectory(values, float(rate.split()[0]))
-    comparison = compare_models(reference, model)
-    assert comparison.degrees_of_freedom >= 4
-    assert comparison.chi_squared < chi2.ppf(0.999, comparison.degrees_of_freedom)
-    truth = RIG.beam_model().natural_frequencies[:2]
-    np.testing.assert_allclose(model.natural_frequencies, truth, rtol=1e-3)
+    _check_same(model, "acceleration")
+
+
+@pytest.mark.parametrize("mode", RIGS)
+def test_the_same_experiment_through_the_emulator_gives_the_same_model(mode: str) -> None:
+    _check_same(_by_line(_values(mode), mode, 4, _emulator), mode)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("mode", RIGS)
+def test_the_same_experiment_through_the_processor_gives_the_same_model(mode: str) -> None:
+    """The firmware for the STM32F405, instruction by instruction in QEMU."""
+    _check_same(_by_line(_values(mode), mode, 5, _processor), mode)
