@@ -36,7 +36,7 @@ def odrive_link(rig: Rig, guard: BeamGuard) -> Hub:
 
 def csv_link(rig: Rig, guard: BeamGuard) -> Hub:
     """Listen to a board that prints lines."""
-    return CsvHub(rig.link_parameters(), rig.csv_columns())
+    return CsvHub(rig.axis_parameters(), rig.link_parameters(), rig.csv_columns())
 
 
 AXIS_LINKS: dict[str, AxisLink] = {

@@ -32,8 +32,103 @@ MEMORY = 0.4
 """... which grows with the time for which it has been followed by this share: as a fit of all of it would do."""
 
 
+class CertainMotion:
+    """What is certain of an axis whatever it is commanded: it stays in its travel, and moves no faster than it can.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Limits.
+    noise : float
+        What a position may jump at rest [m].
+    jitter : float, optional
+        By how much the times of two samples may be wrong [s].
+    """
+
+    def __init__(self, parameters: AxisParameters, noise: float, jitter: float = 0.0) -> None:
+        self._parameters = parameters
+        self._tolerance = parameters.max_following_error + 2 * parameters.encoder_resolution
+        self._noise = noise
+        self._jitter = jitter
+        self._past: deque[tuple[float, float]] = deque()
+
+    def forget(self) -> None:
+        """Begin anew: where the hub is has another meaning from now on, or it may have been moved."""
+        self._past.clear()
+
+    def find(
+        self, times: FloatArray, positions: FloatArray, *, is_homed: bool, is_enabled: bool
+    ) -> tuple[str, str] | None:
+        """Return the fault that samples show and what was seen, or None.
+
+        Parameters
+        ----------
+        times, positions : ndarray, shape (n_samples,)
+            When the hub was measured [s], increasing from call to call, and where it was [m].
+        is_homed : bool
+            Whether positions count from home.
+        is_enabled : bool
+            Whether the hub moves as the axis leads it, so that its speed is limited.
+        """
+        if self._past and times[0] <= self._past[-1][0]:
+            self.forget()  # A clock that went back is somebody else's finding.
+        found = self._jump(times, positions)
+        if found is None and is_homed:
+            found = self._beyond_travel(positions)
+        if found is None and is_enabled:
+            found = self._too_fast(float(times[-1]), float(positions[-1]))
+        self._past.append((float(times[-1]), float(positions[-1])))
+        return found
+
+    def _jump(self, times: FloatArray, positions: FloatArray) -> tuple[str, str] | None:
+        """Look for a way between two samples that no speed explains."""
+        if self._past:
+            time, position = self._past[-1]
+            times, positions = np.append(time, times), np.append(position, positions)
+        if len(times) < 2:
+            return None
+        speed = OVERSHOOT * self._parameters.max_speed
+        most = speed * (np.diff(times) + self._jitter) + self._noise
+        ways = np.abs(np.diff(positions))
+        worst = int(np.argmax(ways - most))
+        if ways[worst] <= most[worst]:
+            return None
+        return (
+            "position_jumped",
+            f"the position changed by {1e3 * ways[worst]:.3f} mm within {1e3 * np.diff(times)[worst]:.3g} ms: "
+            f"expected at most {1e3 * most[worst]:.3f} mm at hub.max_speed {self._parameters.max_speed:g} m/s",
+        )
+
+    def _beyond_travel(self, positions: FloatArray) -> tuple[str, str] | None:
+        limit = self._parameters.position_limit
+        furthest = positions[np.argmax(np.abs(positions))]
+        if abs(furthest) <= limit + self._tolerance:
+            return None
+        return (
+            "beyond_travel",
+            f"the hub is at {1e3 * furthest:.3f} mm: expected within +-{1e3 * limit:g} mm (hub.travel)",
+        )
+
+    def _too_fast(self, now: float, position: float) -> tuple[str, str] | None:
+        """Look for a mean speed beyond the limit, which no servo's lag or noise explains."""
+        least = max(SPEED_S, self._parameters.period) - 1e-9
+        while len(self._past) > 1 and now - self._past[1][0] >= least:
+            self._past.popleft()
+        if not self._past or now - self._past[0][0] < least:
+            return None
+        elapsed = now - self._past[0][0] + self._jitter
+        way = abs(position - self._past[0][1])
+        if way <= self._parameters.max_speed * elapsed + 2 * self._tolerance:
+            return None
+        return (
+            "motion_unexplained",
+            f"the hub moved with {way / elapsed:.3g} m/s for {elapsed:.2f} s: expected at most "
+            f"{self._parameters.max_speed:g} m/s (hub.max_speed)",
+        )
+
+
 class MotionWatch:
-    """Follows the hub.
+    """Follows the hub of a device that says what it applied.
 
     Parameters
     ----------
@@ -46,12 +141,12 @@ class MotionWatch:
         self._step = parameters.encoder_resolution
         self._tolerance = parameters.max_following_error + 2 * self._step
         self._path = None if parameters.command_mode == "effort" else _Path(parameters)
-        self._past: deque[tuple[int, float]] = deque()
+        self._certain = CertainMotion(parameters, NOISE_COUNTS * self._step)
         self._n_ticks = 0
 
     def forget(self) -> None:
         """Begin anew: where the hub is has another meaning from now on, or it may have been moved."""
-        self._past.clear()
+        self._certain.forget()
         if self._path is not None:
             self._path.forget()
 
@@ -72,11 +167,11 @@ class MotionWatch:
             Whether the drive holds the hub to its reference.
         """
         positions = np.multiply(ticks.position_counts, self._step, dtype=np.float64)
-        found = self._jump(positions, lost)
-        if found is None and is_homed:
-            found = self._beyond_travel(positions)
-        if found is None and is_enabled:
-            found = self._too_fast(positions)
+        self._n_ticks += lost
+        numbers = np.arange(self._n_ticks, self._n_ticks + len(ticks), dtype=np.float64)
+        times = self._parameters.period * numbers
+        self._n_ticks += len(ticks)
+        found = self._certain.find(times, positions, is_homed=is_homed, is_enabled=is_enabled)
         if self._path is not None:
             error = self._path.error(ticks.applied, positions, has_gap=lost > 0, is_enabled=is_enabled)
             if found is None and is_enabled and error > self._tolerance:
@@ -85,53 +180,7 @@ class MotionWatch:
                     f"the hub is {1e3 * error:.2f} mm from where its commands lead it: expected at most "
                     f"{1e3 * self._parameters.max_following_error:g} mm (hub.max_following_error)",
                 )
-        self._n_ticks += lost + len(ticks)
-        self._past.append((self._n_ticks, float(positions[-1])))
         return found
-
-    def _jump(self, positions: FloatArray, lost: int) -> tuple[str, str] | None:
-        """Look for a way between two ticks that no speed explains."""
-        most = OVERSHOOT * self._parameters.max_speed * self._parameters.period
-        noise = NOISE_COUNTS * self._step
-        jumps = np.abs(np.diff(positions)) - most
-        if self._past:
-            first = abs(positions[0] - self._past[-1][1]) - most * (lost + 1)
-            jumps = np.append(jumps, first)
-        if not jumps.size or np.max(jumps) <= noise:
-            return None
-        return (
-            "position_jumped",
-            f"the position changed by {1e3 * (np.max(jumps) + most):.3f} mm within a tick: expected at most "
-            f"{1e3 * (most + noise):.3f} mm at hub.max_speed {self._parameters.max_speed:g} m/s",
-        )
-
-    def _beyond_travel(self, positions: FloatArray) -> tuple[str, str] | None:
-        limit = self._parameters.position_limit
-        furthest = positions[np.argmax(np.abs(positions))]
-        if abs(furthest) <= limit + self._tolerance:
-            return None
-        return (
-            "beyond_travel",
-            f"the hub is at {1e3 * furthest:.3f} mm: expected within +-{1e3 * limit:g} mm (hub.travel)",
-        )
-
-    def _too_fast(self, positions: FloatArray) -> tuple[str, str] | None:
-        """Look for a mean speed beyond the limit, which no servo's lag or noise explains."""
-        period, now = self._parameters.period, self._n_ticks + len(positions)
-        least = max(1, round(SPEED_S / period))
-        while len(self._past) > 1 and now - self._past[1][0] >= least:
-            self._past.popleft()
-        if not self._past or now - self._past[0][0] < least:
-            return None
-        elapsed = (now - self._past[0][0]) * period
-        way = abs(positions[-1] - self._past[0][1])
-        if way <= self._parameters.max_speed * elapsed + 2 * self._tolerance:
-            return None
-        return (
-            "motion_unexplained",
-            f"the hub moved with {way / elapsed:.3g} m/s for {elapsed:.2f} s: expected at most "
-            f"{self._parameters.max_speed:g} m/s (hub.max_speed)",
-        )
 
 
 class _Path:

@@ -7,12 +7,15 @@ stays in the stamps as a constant, and ends in the latency that identification e
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from beam_ros.hub.clock_mapping import ClockMapping
+from beam_ros.hub.host.stamp_watch import StampWatch
 
 GROUP_NS = 100_000_000
 """Of the readings of so long a time the least delayed one counts [ns of device time]."""
-RESTART_NS = 1_000_000_000
-"""A clock that steps back or ahead by more than this against the host's has begun anew [ns]."""
+WRAP_NS = 1_000_000_000
+"""A counter that has wrapped has gone on by as much as the host's clock and this at most [ns]."""
 
 
 class ReceiptClock:
@@ -20,13 +23,16 @@ class ReceiptClock:
 
     Parameters
     ----------
-    modulus : int
-        Readings at which a counter wraps, 0 where it never does.
     tick_ns : float
         Length of one unit of the counter [ns].
+    modulus : int
+        Readings at which a counter wraps, 0 where it never does.
+    report : callable
+        Takes the name of a fault and what was seen: that the counter jumped or ran backwards; a new epoch begins.
     """
 
-    def __init__(self, tick_ns: float, modulus: int = 0) -> None:
+    def __init__(self, tick_ns: float, modulus: int, report: Callable[[str, str], None]) -> None:
+        self._watch = StampWatch(report)
         self._tick_ns = tick_ns
         self._modulus = modulus
         self._epoch = 1
@@ -47,9 +53,23 @@ class ReceiptClock:
         """Whether enough readings have come to map anything."""
         return self._mapping.is_usable
 
-    def add(self, reading: int, received_ns: int) -> int:
-        """Take a reading of the counter with the steady time at which it came [ns]; return device time [ns]."""
-        device_ns = self._unwrapped_ns(reading, received_ns)
+    def add(self, reading: int, received_ns: int) -> int | None:
+        """Take a reading of the counter with the steady time at which it came [ns].
+
+        Returns
+        -------
+        int or None
+            Device time [ns]; None where the reading cannot be true.
+        """
+        device_ns, turns = self._unwrapped_ns(reading, received_ns)
+        n_jumps = self._watch.n_jumps
+        if not self._watch.is_credible(device_ns, received_ns):
+            return None
+        self._turns = turns
+        if self._watch.n_jumps != n_jumps:
+            self._epoch += 1
+            self._mapping = ClockMapping(self._epoch)
+            self._least = None
         self._last = device_ns, received_ns
         delay_ns = received_ns - device_ns
         if self._least is None:
@@ -65,23 +85,14 @@ class ReceiptClock:
         """Return the steady time [ns] of a device time [ns]; to be asked in increasing order."""
         return self._mapping.host_ns(device_ns)
 
-    def _unwrapped_ns(self, reading: int, received_ns: int) -> int:
-        device_ns = self._ns(reading)
-        if self._last is None:
-            return device_ns
-        last_ns, last_received_ns = self._last
-        if self._modulus and device_ns < last_ns:
-            wrapped_ns = self._ns(reading + self._modulus)
-            if abs((wrapped_ns - last_ns) - (received_ns - last_received_ns)) < RESTART_NS:
-                self._turns += 1
-                return wrapped_ns
-        if abs((device_ns - last_ns) - (received_ns - last_received_ns)) > RESTART_NS:
-            self._epoch += 1
-            self._mapping = ClockMapping(self._epoch)
-            self._turns = 0
-            self._least = None
-            return self._ns(reading)
-        return device_ns
+    def _unwrapped_ns(self, reading: int, received_ns: int) -> tuple[int, int]:
+        """Return what a reading means [ns], and how often the counter has wrapped by then."""
+        device_ns = self._ns(reading, self._turns)
+        if self._last is not None and self._modulus and device_ns < self._last[0]:
+            wrapped_ns = self._ns(reading, self._turns + 1)
+            if wrapped_ns - self._last[0] <= received_ns - self._last[1] + WRAP_NS:
+                return wrapped_ns, self._turns + 1
+        return device_ns, self._turns
 
-    def _ns(self, reading: int) -> int:
-        return round((reading + self._turns * self._modulus) * self._tick_ns)
+    def _ns(self, reading: int, turns: int) -> int:
+        return round((reading + turns * self._modulus) * self._tick_ns)

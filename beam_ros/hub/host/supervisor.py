@@ -160,10 +160,10 @@ class Supervisor:
     def report(self, name: str, reason: str) -> None:
         """Take a fault and what was seen of it."""
         self._seen_ns = self._awake_ns
+        self.has_lost_home = self.has_lost_home or fault(name).needs_home
         if self.fault is not NO_FAULT:
             return
         self.fault, self.reason = fault(name), reason
-        self.has_lost_home = self.has_lost_home or self.fault.needs_home
         self._is_stopped = False
         self._stop_asked_ns = self._silent_since_ns = None
         self._journal.tell(

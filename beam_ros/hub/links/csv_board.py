@@ -24,13 +24,15 @@ from beam_ros.hub.contract import (
 )
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
+from beam_ros.hub.host.motion_watch import CertainMotion
 from beam_ros.hub.host.receipt_clock import ReceiptClock
+from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_lines import CsvReader
-from beam_ros.hub.parameters import LinkParameters
+from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 READ_S = 0.05
 RECONNECT_S = 0.3
@@ -38,6 +40,8 @@ FLOOD_BYTES = 2_000_000
 """More bytes in a second than a board prints."""
 SILENCE_NS = 1_000_000_000
 """A board that prints nothing that can be read for this long is lost [ns]."""
+CLOCK_JITTER_S, RECEIPT_JITTER_S = 0.005, 0.05
+"""By how much a stamp may be wrong that comes from the board's clock, and one that does not [s]."""
 REFUSAL = (
     "the board behind axis.kind csv only prints lines: it takes no commands; move the hub by its own program"
 )
@@ -58,18 +62,23 @@ class CsvHub:
 
     Parameters
     ----------
+    parameters : AxisParameters
+        The axis: by its limits a measurement is judged.
     link : LinkParameters
         The board's port.
     columns : CsvColumns
         What its lines mean.
     """
 
-    def __init__(self, link: LinkParameters, columns: CsvColumns) -> None:
+    def __init__(self, parameters: AxisParameters, link: LinkParameters, columns: CsvColumns) -> None:
         self._columns = columns
         self._link = link
         self._transport = SerialTransport(link.serial_port, link.serial_baud, FLOOD_BYTES)
         self._reader = CsvReader()
         self._journal = Journal(["bad_lines", "unstamped_lines", "connections"])
+        self._supervisor = Supervisor(parameters, self._journal)
+        jitter = CLOCK_JITTER_S if columns.clock else RECEIPT_JITTER_S
+        self._motion = CertainMotion(parameters, parameters.max_following_error, jitter)
         self._lock = threading.Lock()
         self._stamps: HostClock | None = None
         self._device_clock = self._new_clock()
@@ -102,12 +111,14 @@ class CsvHub:
     # The Hub protocol ---------------------------------------------------------------------------------
 
     def request(self, kind: RequestKind) -> int:
-        """Refuse: the board takes no commands."""
+        """Clear a fault that was seen here; refuse the rest: the board takes no commands."""
         with self._lock:
             self._n_requests += 1
-            self._completed.append(
-                (self._n_requests, Outcome(False, f"cannot {kind.replace('_', ' ')}: {REFUSAL}"))
-            )
+            answer = None
+            if kind == "clear_fault":
+                answer = self._supervisor.answer(kind, "identified")
+            outcome = answer or Outcome(False, f"cannot {kind.replace('_', ' ')}: {REFUSAL}")
+            self._completed.append((self._n_requests, outcome))
             return self._n_requests
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
@@ -132,24 +143,18 @@ class CsvHub:
             self._journal.watch_clock(self._stamps, now)
             self._journal.counters["bad_lines"] = self._reader.n_bad
             self._look_for_silence(now.steady_ns)
+            self._supervisor.look(now.steady_ns)
+            self._supervisor.note_status("identified", "idle", 0)
             measured, self._measured = self._measured, []
             sequences, self._sequences = self._sequences, []
             completed, self._completed = self._completed, []
-            state = "disconnected" if self._fault is not NO_FAULT else "identified"
             return HubReport(
                 applied=[],
                 measured=measured,
                 sequences=sequences,
                 clock=[],
                 completed=completed,
-                status=HubStatus(
-                    state,  # type: ignore[arg-type]
-                    self._position,
-                    self._velocity,
-                    fault=self._fault,
-                    reason=self._reason,
-                    counters=dict(self._journal.counters),
-                ),
+                status=self._status(),
                 events=self._journal.take_events(),
             )
 
@@ -157,6 +162,13 @@ class CsvHub:
         """Let go of the port."""
         self._ending.set()
         self._thread.join(timeout=2.0)
+
+    def _status(self) -> HubStatus:
+        counters = dict(self._journal.counters)
+        if self._fault is not NO_FAULT:
+            return HubStatus("disconnected", fault=self._fault, reason=self._reason, counters=counters)
+        status = HubStatus("identified", self._position, self._velocity, counters=counters)
+        return self._supervisor.seen(status)
 
     # The thread ----------------------------------------------------------------------------------------
 
@@ -168,6 +180,7 @@ class CsvHub:
                 with self._lock:
                     self._reader.reset()
                     self._device_clock = self._new_clock()
+                    self._motion.forget()
                 while not self._ending.is_set():
                     data, came_ns = self._transport.read(READ_S)
                     with self._lock:
@@ -183,7 +196,7 @@ class CsvHub:
     def _new_clock(self) -> ReceiptClock:
         columns = self._columns
         modulus = 1 << columns.clock_bits if columns.clock_bits else 0
-        return ReceiptClock(columns.clock_tick * 1e9, modulus)
+        return ReceiptClock(columns.clock_tick * 1e9, modulus, self._supervisor.report)
 
     def _lose(self, name: str, reason: str) -> None:
         if self._heard_ns is not None or self._fault.name != name:
@@ -220,6 +233,11 @@ class CsvHub:
             self._journal.counters["unstamped_lines"] += 1
             return
         self._last_stamp_ns = stamp_ns
+        # Who moves it, and from where it counts, nobody says here: its travel is not judged.
+        time_s, position = np.array([stamp_ns * 1e-9]), np.array([self._position])
+        found = self._motion.find(time_s, position, is_homed=False, is_enabled=True)
+        if found is not None:
+            self._supervisor.report(*found)
         effort = row[columns.effort - 1] * columns.effort_scale if columns.effort else None
         self._measured.append(
             SampleBatch(
@@ -238,6 +256,6 @@ class CsvHub:
         if not self._columns.clock:
             return self._stamps.stamp_ns(came_ns)
         device_ns = self._device_clock.add(round(row[self._columns.clock - 1]), came_ns)
-        if not self._device_clock.is_usable:
+        if device_ns is None or not self._device_clock.is_usable:
             return None
         return self._stamps.stamp_ns(self._device_clock.host_ns(device_ns))

@@ -27,12 +27,14 @@ from beam_ros.hub.contract import (
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.command_gate import CommandGate
+from beam_ros.hub.host.motion_watch import CertainMotion
+from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.state_machine import AxisStateMachine
-from beam_ros.hub.simulated.transitions import ARMED, FOLLOWING, HOMING, RUNNING, Cause
+from beam_ros.hub.simulated.transitions import ARMED, FOLLOWING, HOMING, HOMING_STOPS, RUNNING, Cause
 
 AT_REST = 0.002
 """A slower measured hub is taken for one at rest [m/s]: what a drive's speed estimate shows of a standing motor."""
@@ -46,6 +48,8 @@ LAG_NS = 150_000_000
 """A drive may be this much behind its commands, and a measurement behind the hub [ns]."""
 FOLLOWED_TICKS = 1000
 """So many ticks of the past at most are shown to the gate in one poll."""
+STAMP_JITTER_S = 0.005
+"""A measurement's stamp may be wrong by so much [s]."""
 HELD = 0.001
 """A hub that is further than this from where it is held does not follow [m]."""
 
@@ -102,6 +106,7 @@ class HostAxis:
         self._polled_ns = 0
         self._lapse_ns = 0
         self._followed_ns = 0
+        self._stepped_ns = 0
         self._next_request = 1
         self._completed: list[tuple[int, Outcome]] = []
         self._applied: list[SampleBatch] = []
@@ -114,7 +119,9 @@ class HostAxis:
         self._reason = "the controller has not answered yet"
         self._told = ""
         self._is_connected = False
-        self._is_broken = False
+        self._supervisor = Supervisor(parameters, self.journal)
+        # What the encoder's step is on somebody else's axis, the rig file need not know.
+        self._motion = CertainMotion(parameters, parameters.max_following_error, STAMP_JITTER_S)
 
     # What it is like -----------------------------------------------------------------------------------
 
@@ -123,7 +130,7 @@ class HostAxis:
         """Disconnected, identified, homed, enabled or fault."""
         if not self._is_connected:
             return "disconnected"
-        if self._is_broken and self._machine.condition.activity == "idle":
+        if self.is_broken:
             return "fault"
         return self._machine.condition.state
 
@@ -171,12 +178,10 @@ class HostAxis:
         if not self._is_connected:
             words = kind.replace("_", " ")
             self._complete(number, False, f"cannot {words}: the controller is disconnected: {self._reason}")
-        elif kind == "clear_fault" and self._is_broken:
-            self._is_broken = False
-            self._fault, self._reason = NO_FAULT, ""
-            self._complete(number, True, "fault cleared")
-        elif self._is_broken and kind in ("enable", "home"):
-            self._complete(number, False, f"cannot {kind}: clear the fault first ({self._reason})")
+        elif (answer := self._supervisor.answer(kind, self._machine.condition.state)) is not None:
+            self._completed.append((number, answer))
+            if kind == "clear_fault" and answer.success and self._supervisor.has_lost_home:
+                self._machine = _machine()
         elif kind in ("enable", "home") and not self.is_powered:
             self.powering.append((number, kind))
         else:
@@ -201,6 +206,7 @@ class HostAxis:
                     f"+-{self.parameters.position_limit:g} m; move it by hand, and home it",
                 )
                 continue
+            self._motion.forget()
             self._set_plan(MotionPlan.rest(self.position), now_ns)
             self._ask(number, kind, now_ns)
             if self._machine.condition is HOMING:
@@ -267,6 +273,7 @@ class HostAxis:
         self._is_connected = True
         self._told = ""
         self._fault, self._reason = NO_FAULT, ""
+        self._motion.forget()
 
     def disconnect(self, name: str, reason: str) -> None:
         """Note that the controller cannot be reached: nothing is known of the hub any more."""
@@ -298,11 +305,10 @@ class HostAxis:
         is_limp : bool, optional
             Whether the motor is off already, so that nothing can be led to rest.
         """
-        if self._is_broken:
+        is_known = self.is_broken
+        self._supervisor.report(name, reason)
+        if is_known:
             return
-        self._is_broken = True
-        self._fault, self._reason = fault(name), reason
-        self.journal.tell("error", f"axis fault: {reason}")
         self.deny(reason)
         if self.is_powered:
             self._react("emergency stop", now_ns, reason, fault(name))
@@ -333,7 +339,7 @@ class HostAxis:
     @property
     def is_broken(self) -> bool:
         """Whether a fault waits to be cleared."""
-        return self._is_broken
+        return self._supervisor.fault is not NO_FAULT
 
     @property
     def is_moving(self) -> bool:
@@ -355,11 +361,14 @@ class HostAxis:
             efforts=None if effort is None else np.array([effort]),
         )
         self._measured.append(batch)
+        self._watch_measured(stamp_ns)
 
     # Time ----------------------------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> None:
         """Do what time alone brings about: starts, ends, silence, set-points that were not refreshed."""
+        self._supervisor.look(now_ns)
+        self._stepped_ns = now_ns
         self._watch(now_ns)
         condition = self._machine.condition
         end_ns = self.plan_ns + round(self.plan.duration * 1e9)
@@ -382,6 +391,7 @@ class HostAxis:
             self._react("home reached", now_ns)
         elif self.activity == "stopping" and is_settled:
             self._react("rest", now_ns)
+        self._supervisor.note_status(self._machine.condition.state, self.activity, 0)
 
     def poll(self, now: HostTime) -> HubReport:
         """Note that the host is alive, and collect what happened."""
@@ -434,7 +444,7 @@ class HostAxis:
     def _watch(self, now_ns: int) -> None:
         """Compare what was measured with what was commanded."""
         led = self._led
-        if not self.is_powered or self._is_broken:
+        if not self.is_powered or self.is_broken:
             led.clear()
             return
         led.append((now_ns, self.reference(now_ns)[0]))
@@ -442,12 +452,7 @@ class HostAxis:
             led.popleft()
         ways = [position for _, position in led]
         astray = max(min(ways) - self.position, self.position - max(ways))
-        if abs(self.position) > self.parameters.position_limit + self.parameters.max_following_error:
-            where = f"the hub is at {self.position * 1e3:.2f} mm"
-            limit = self.parameters.position_limit * 1e3
-            self.fail("beyond_travel", f"{where}: expected within +-{limit:g} mm", now_ns)
-            self._brake_where_it_is(now_ns)
-        elif astray > self.parameters.max_following_error:
+        if astray > self.parameters.max_following_error:
             most = self.parameters.max_following_error * 1e3
             reason = (
                 f"the hub is {astray * 1e3:.2f} mm from where it was led: expected at most {most:g} mm "
@@ -456,6 +461,25 @@ class HostAxis:
             self.fail("motion_unexplained", reason, now_ns)
             self._brake_where_it_is(now_ns)
 
+    def _watch_measured(self, stamp_ns: int) -> None:
+        """Look at a measurement by itself: no command is needed to see that it cannot be, or must not be."""
+        if self._machine.condition in (HOMING, HOMING_STOPS):
+            self._motion.forget()
+            return
+        found = self._motion.find(
+            np.array([stamp_ns * 1e-9]),
+            np.array([self.position]),
+            is_homed=self._machine.condition.state in ("homed", "enabled")
+            and not self._supervisor.has_lost_home,
+            is_enabled=self.is_powered,
+        )
+        if found is None:
+            return
+        was_led = self.is_powered and not self.is_broken
+        self.fail(*found, self._stepped_ns)
+        if was_led and found[0] != "position_jumped":
+            self._brake_where_it_is(self._stepped_ns)
+
     def _brake_where_it_is(self, now_ns: int) -> None:
         """Stop from the measured motion: a hub that went astray is not pulled back."""
         stop = self.parameters.stop_deceleration
@@ -463,16 +487,18 @@ class HostAxis:
         self._set_plan(MotionPlan.brake(self.position, self._velocity, stop), now_ns)
 
     def _status(self) -> HubStatus:
-        is_own = self._fault is not NO_FAULT
-        return HubStatus(
-            self.state,
+        if not self._is_connected:
+            return HubStatus(fault=self._fault, reason=self._reason, counters=dict(self.journal.counters))
+        status = HubStatus(
+            self._machine.condition.state,
             self.position,
             self._velocity,
             self.activity,
-            self._fault if is_own else self._machine.fault,
-            self._reason if is_own else self._machine.reason,
+            self._machine.fault,
+            self._machine.reason,
             dict(self.journal.counters),
         )
+        return self._supervisor.seen(status)
 
     def _complete(self, number: int, success: bool, message: str) -> None:
         self._completed.append((number, Outcome(success, message)))

@@ -407,7 +407,8 @@ class OdriveHub(HostPacedHub):
                     time.monotonic_ns(),
                     is_limp=True,
                 )
-        elif not self._is_on and error & ~ascii_protocol.WATCHDOG_EXPIRED:
+        elif not (self._is_on or self.axis.is_broken) and error & ~ascii_protocol.WATCHDOG_EXPIRED:
+            # The drive keeps its faults until it is told to clear them, which follows on hub/clear_fault.
             names = ", ".join(self._odrive.faults())
             with self.lock:
                 self.axis.fail(

@@ -22,6 +22,7 @@ import numpy as np
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.contract import HostTime, HubCapabilities, SampleBatch
 from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.host.stamp_watch import StampWatch
 from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
@@ -149,6 +150,7 @@ class TrajectoryHub(HostPacedHub):
         self._sent_revision = 0
         self._heard_ns: int | None = None
         self._last: tuple[int, float] | None = None
+        self._stamps = StampWatch(self._blame_clock)
         self._ages_ns: deque[int] = deque(maxlen=AGES)
         self._told_ns = 0
         self._ending = threading.Event()
@@ -182,14 +184,14 @@ class TrajectoryHub(HostPacedHub):
         """
         unit = self._settings.metres_per_unit
         with self.lock:
-            if stamp_ns <= 0 or (self._last is not None and stamp_ns <= self._last[0]):
+            if stamp_ns <= 0 or not self._stamps.is_credible(stamp_ns, now.unix_ns):
                 self.axis.journal.counters["unstamped_states"] += 1
                 return
             metres = position * unit
             speed = 0.0
             if velocity is not None:
                 speed = velocity * unit
-            elif self._last is not None:
+            elif self._last is not None and stamp_ns > self._last[0]:
                 speed = (metres - self._last[1]) / ((stamp_ns - self._last[0]) * 1e-9)
             self._last = stamp_ns, metres
             self._ages_ns.append(now.unix_ns - stamp_ns)
@@ -201,6 +203,10 @@ class TrajectoryHub(HostPacedHub):
                 self.axis.journal.counters["connections"] += 1
                 self.axis.journal.tell("info", "connected: joint states come")
             self._heard_ns = now.steady_ns
+
+    def _blame_clock(self, name: str, reason: str) -> None:
+        self._ages_ns.clear()
+        self.axis.fail(name, reason, time.monotonic_ns())
 
     # The thread ----------------------------------------------------------------------------------------
 
@@ -215,10 +221,16 @@ class TrajectoryHub(HostPacedHub):
         """Let time do its work; return a trajectory that is to be published."""
         axis = self.axis
         if self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS:
-            self._heard_ns = None
-            self._ages_ns.clear()
-            axis.disconnect("controller_silent", "no joint states came for 0.5 s: is the broadcaster active?")
-            return None
+            reason = "no joint states came for 0.5 s: is the broadcaster active?"
+            if axis.is_powered:
+                # The controller may be alive, and follow a sequence that nobody sees any more.
+                axis.fail("telemetry_stopped", reason, now_ns)
+            else:
+                self._heard_ns = self._last = None
+                self._ages_ns.clear()
+                self._stamps.forget()
+                axis.disconnect("controller_silent", reason)
+                return None
         if axis.powering:
             if axis.is_moving:
                 axis.deny("the hub moves: expected it at rest")

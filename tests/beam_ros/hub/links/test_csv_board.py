@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_board import REFUSAL, CsvHub
@@ -32,7 +33,7 @@ class BoardRig(LiveRig):
             link=folder / "board",
             boot=lambda device, _boot_id: LineBoard(parameters, RigidPlant(0.8, 1e-3), device),
         )
-        super().__init__(CsvHub(LinkParameters(self.emulator.port), columns))
+        super().__init__(CsvHub(parameters, LinkParameters(self.emulator.port), columns))
 
     def close(self) -> None:
         self.hub.close()
@@ -94,6 +95,27 @@ def test_every_command_is_refused_with_the_reason(start) -> None:
         rig.hub.load(chunk, rig.now)
     (report,) = [s for r in rig.run(0.1) for s in r.sequences]
     assert (report.state, report.reason) == ("refused", REFUSAL)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("{fault: lying_encoder, offset: 0.1}", "position_jumped"),
+        ("{fault: step, seconds: 5}", "clock_jumped"),
+        ("{fault: step, seconds: -0.8}", "clock_backwards"),
+    ],
+)
+def test_what_a_board_cannot_mean_is_a_fault_until_it_is_cleared(start, text, name) -> None:
+    rig = start()
+    rig.until(lambda r: bool(r.measured), 10.0)
+    # The counter has wrapped, and goes back behind no zero.
+    rig.run(2.0)
+    rig.emulator.bring_about(read_schedule(text, "test", rig.emulator.elapsed))
+    status = rig.until(lambda r: r.status.state == "fault")[-1].status
+    assert status.fault.name == name
+    rig.run(0.4)
+    assert rig.ask("clear_fault").success
+    assert rig.run(0.2)[-1].status.state == "identified"
 
 
 def test_a_board_that_falls_silent_and_one_that_is_pulled_are_lost_and_come_back(start) -> None:

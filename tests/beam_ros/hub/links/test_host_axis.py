@@ -214,6 +214,53 @@ def test_a_hub_that_does_not_follow_is_a_fault_that_stays() -> None:
     assert rig.ask("enable").success
 
 
+@pytest.mark.parametrize("is_enabled", [False, True])
+@pytest.mark.parametrize(
+    ("ms", "metres", "name"),
+    [
+        # 2 x 0.5 m/s for 5 ms, and for 5 ms by which a stamp may be wrong, and 2 mm.
+        (5, 0.0119, ""),
+        (5, 0.0121, "position_jumped"),
+        # The limit of 50 mm, and 2 mm.
+        (100, 0.0519, ""),
+        (100, 0.0521, "beyond_travel"),
+    ],
+)
+def test_a_measurement_is_looked_at_by_itself(ms: int, metres: float, name: str, is_enabled: bool) -> None:
+    rig = _Axis(raw=0.0).enabled()
+    if not is_enabled:
+        assert rig.ask("disable").success
+    rig.axis.add_measured(UNIX + rig.now_ns, 0.0, 0.0, None)
+    rig.now_ns += ms * MS
+    rig.axis.observe(metres, 0.0)
+    rig.axis.add_measured(UNIX + rig.now_ns, metres, 0.0, None)
+    status = rig.poll().status
+    if not name:
+        assert status.state == ("enabled" if is_enabled else "homed")
+        return
+    assert (status.state, status.fault.name) == ("fault", name)
+    rig.axis.observe(0.0, 0.0)
+    rig.run(600)
+    assert not rig.axis.is_powered
+    assert "clear the fault first" in rig.ask("enable").message
+    for step in rig.poll().status.way_back:
+        assert rig.ask(step).success
+    assert rig.axis.state == "enabled"
+
+
+def test_a_hub_that_moves_faster_than_its_limit_is_a_fault() -> None:
+    rig = _Axis(raw=0.0).enabled()
+    for k in range(24):
+        # No jump from one to the next; 0.1 s at 0.65 m/s are 65 mm, where 0.5 m/s and tolerances allow 57.
+        metres = -0.04 + 0.65 * k * 0.005
+        rig.axis.observe(metres, 0.65)
+        rig.axis.add_measured(UNIX + rig.now_ns, metres, 0.65, None)
+        rig.now_ns += 5 * MS
+    status = rig.poll().status
+    assert status.fault.name == "motion_unexplained"
+    assert "hub.max_speed" in status.reason
+
+
 def test_a_lost_controller_ends_everything_and_nothing_comes_back_by_itself() -> None:
     rig = _Axis().enabled()
     rig.setpoint(0.03)

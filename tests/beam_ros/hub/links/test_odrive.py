@@ -157,7 +157,10 @@ def test_a_fault_of_the_drive_is_named_and_stays_until_it_is_cleared(start) -> N
     refused = rig.ask("enable")
     assert not refused.success
     assert "clear the fault first" in refused.message
+    rig.run(0.4)
     assert rig.ask("clear_fault").success
+    assert "home it first" in rig.ask("enable").message
+    assert rig.ask("home").success
     rig.run(0.2)
     assert rig.ask("enable").success
 
