@@ -4,6 +4,10 @@ Modes are added one at a time: a scan proposes where, the fit refines all of the
 information criterion decides whether the new one is worth its parameters.  A mode must also pass the gates
 (``mode_gates``), and pass them again once the data are weighed by the noise as it is.
 
+While modes are missing, what they leave over disturbs the fit of those that are there: it converges slowly, or takes
+a place between two of them.  So the search goes on for a few orders past a fit that is not believed, as long as
+the criterion falls; what is chosen in the end has passed every gate.
+
 What differs between kinds of data stands in the few methods that a kind overrides: where a scan looks, what a
 clock may have slipped, and how the noise weighs.
 """
@@ -34,7 +38,7 @@ from beam_ident.modal_estimation.variable_projection import ModalProblem, fit_mo
 from beam_ident.noise.scores import Scores
 from beam_ident.numerics.levenberg_marquardt import HOPELESS
 
-MAX_MODES = 10
+MAX_MODES = 15  # thirty poles
 _MAX_ORDER = 40
 
 # Rows for each unknown of an output; a level of the noise that is to be estimated too takes twice as many.
@@ -48,6 +52,7 @@ _RIVAL_ITERATIONS = 6
 # From here on most are spurious: a given order is reached by short fits, the last one in full.
 MANY_MODES = 12
 _TRIES_PER_ORDER = 2
+_PATIENCE = 6  # orders past the last that was believed
 
 ProblemT = TypeVar("ProblemT", bound=ModalProblem)
 
@@ -107,6 +112,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.chosen = base
         self.entries: list[OrderEntry] = [self._entry(base, "")]
         self.chosen_entry = 0
+        self._believed = (base, 0)  # the last fit that passed every gate, and its entry
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -162,12 +168,15 @@ class ModeSearch(ABC, Generic[ProblemT]):
         ended = "no candidate"
         while (n := len(self.chosen.omegas)) < limit:
             self.reweigh()
-            self.max_iterations = SHORT if MANY_MODES <= n < limit - 1 else thorough
+            is_on_the_way = n_modes is not None and MANY_MODES <= n < limit - 1
+            self.max_iterations = SHORT if is_on_the_way else thorough
             if n_modes is None and not self._affords(n + 1):
                 ended = "too few data for its parameters"
                 break
             if not self._adds_mode(n_modes, limit):
                 break
+        if n_modes is None:
+            self._settle()
         if not len(self.chosen.omegas):
             raise EstimationError(
                 f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
@@ -190,12 +199,13 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Try to add a mode to the present model, and return whether one was taken."""
         current, n = self.chosen, len(self.chosen.omegas)
         excluded: list[float] = []
+        doubted: list[tuple[ModalFit, int]] = []
         for attempt in range(_TRIES_PER_ORDER if n_modes is None else 1):
             share = min(0.95, (n + 0.5 * attempt) / (limit if n_modes is not None else 5))
             self.progress(f"looking for mode {n + 1}", share)
             candidates = self.propose(current, excluded)
             if not candidates:
-                return False
+                break
             starts = [
                 (np.append(current.omegas, c.omega), np.append(current.zetas, c.zeta)) for c in candidates
             ]
@@ -209,10 +219,40 @@ class ModeSearch(ABC, Generic[ProblemT]):
             refusal = self._refusal(trial, current, n_modes is not None)
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:
-                self.chosen, self.chosen_entry = trial, len(self.entries) - 1
+                self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
                 return True
+            if trial.reason != HOPELESS and self._bic(trial) < self._bic(current):
+                doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
-        return False
+        if not doubted or n + 1 > len(self._believed[0].omegas) + _PATIENCE:
+            return False
+        self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
+        return True
+
+    def _settle(self) -> None:
+        """Return from orders that are not believed to one that is.
+
+        Of the last fit the modes with a complaint are left out, one after the other; what passes the gates then, and
+        is better by the criterion than what was believed before, is chosen.
+        """
+        believed, entry = self._believed
+        if self.chosen is believed:
+            return
+        self.max_iterations = 2 * _ITERATIONS
+        fit = self.fit(self.chosen.omegas, self.chosen.zetas, self.chosen.clock)
+        if self.problem is not self.plain:  # records weigh otherwise by now
+            believed = self.fit(believed.omegas, believed.zetas, believed.clock)
+        while len(fit.omegas) > len(believed.omegas):
+            refusal = self._refusal(fit, believed, is_given=False)
+            self.entries.append(self._entry(fit, refusal))
+            if not refusal:
+                self.chosen, self.chosen_entry = fit, len(self.entries) - 1
+                return
+            modes = range(len(fit.omegas))
+            doubtful = [m for m in modes if mode_complaint(fit, self.problem, m, self.band)] or list(modes)
+            weakest = min(doubtful, key=lambda m: mode_significance(fit, self.problem, m, self.band)[0])
+            fit = self.fit(np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest), fit.clock)
+        self.chosen, self.chosen_entry = believed, entry
 
     def _affords(self, n_modes: int) -> bool:
         unknowns = self.problem.n_columns(n_modes) + 2 * n_modes
