@@ -1,14 +1,16 @@
 """Maximum-likelihood fit of a transfer function to frequency data.
 
 The start is a rational approximation by Sanathanan and Koerner (1963): linear least squares
-for ``B - H A``, repeated with the last ``1/|A|`` as weight.  Levenberg-Marquardt with exact
-gradients then minimises the weighted errors of the response itself, holds and folded lines
+for ``B - H A``, repeated with the last ``1/|A|`` as weight.  Where its optimum is none, or leaves more than noise,
+vector fitting (``numerics.vector_fitting``) gives further starts, which hold at any order.  Levenberg-Marquardt with
+exact gradients minimises the weighted errors of the response itself, holds and folded lines
 included (``beam_ident.data.frequency_record.Folding``).  Frequencies are scaled by the geometric
 middle of the band.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -22,13 +24,17 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
-from beam_ident.numerics.levenberg_marquardt import minimise
+from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
+from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.numerics.vector_fitting import full_poles, relocated_poles, spread_poles
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import information_criterion, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import DelayLike, delay_prior
 
 _MAX_POLES = 30
 _SK_ITERATIONS = 20
+_RELOCATIONS = 20
+_COLOURED = 3.0  # standard deviations: what residuals of neighbouring lines may have in common by chance
 _ITERATIONS = 60
 _DELAY_STEPS = 60
 _STARTS = 3
@@ -204,6 +210,39 @@ class _Likelihood:
             size = np.maximum(np.abs(np.polyval(a, s)), 1e-12)
         return best
 
+    def relocated(self, delay_s: float, is_geometric: bool) -> FloatArray:
+        """Return coefficients by vector fitting for a delay [s], from poles spread over the band."""
+        s, seen = self.s[:, 0], self.weights[: len(self.s)] > 0.0
+        s, weight = s[seen], self.weights[: len(self.s)][seen]
+        response = np.asarray(self.response[seen] * np.exp(s * delay_s * self.scale), dtype=np.complex128)
+        powers = s[:, None] ** np.arange(self.m, -1, -1)
+        best, best_cost = np.zeros(0), math.inf
+        start = spread_poles(np.asarray(s.imag), self.n, is_geometric)
+        moves = relocated_poles(s.astype(np.complex128), response, weight, start, self.m == self.n)
+        for uppers in itertools.islice(moves, _RELOCATIONS):
+            # The numerator is linear in the response for given poles.
+            inverse = weight / np.prod(s[:, None] - full_poles(uppers), axis=1)
+            rows = powers * inverse[:, None]
+            right = stacked_values(weight * response)
+            found = LinearSolution.of(np.concatenate([rows.real, rows.imag])).coefficients(right)
+            a = np.real(np.poly(full_poles(uppers)))
+            theta = np.concatenate([a[1:], found, [delay_s * self.scale] * self.delay.is_free])
+            cost = self.state(theta).cost
+            if cost < best_cost:
+                best, best_cost = theta, cost
+        return best
+
+    def leaves_noise(self, state: _State, freedom: float) -> bool:
+        """Return whether what a state leaves looks like noise: by its size, or by what neighbouring lines share."""
+        if self.is_known:
+            return LineMisfit.of(
+                float(state.residuals @ state.residuals), self.n_rows, self.n_theta, 1, freedom
+            ).is_noise
+        lines = len(self.weights) // 2
+        errors = (state.residuals[:lines] + 1j * state.residuals[lines:])[self.weights[:lines] > 0.0]
+        shared = abs(np.vdot(errors[1:], errors[:-1])) / max(float(np.vdot(errors, errors).real), 1e-300)
+        return bool(shared * math.sqrt(len(errors)) < _COLOURED)
+
     def delays(self, record: FrequencyRecord) -> FloatArray:
         """Return where a free delay is looked for [s]."""
         if not self.delay.is_free:
@@ -215,6 +254,10 @@ class _Likelihood:
             reach = min(3.0 * self.delay.sd, 0.5 * _DELAY_STEPS * step)
             return np.asarray(np.arange(self.delay.mean - reach, self.delay.mean + reach + step, step))
         return np.asarray(step * np.arange(min(_DELAY_STEPS, max(int(widest / step), 1))))
+
+
+def _lowest(minima: list[Minimum[_State]]) -> Minimum[_State]:
+    return min(minima, key=lambda minimum: minimum.state.cost)
 
 
 def _stable(a: FloatArray) -> FloatArray:
@@ -285,7 +328,14 @@ def fit_frequency_transfer_function(
             "no stable start was found; the response may be constant, or the order too high"
         )
     minima = [minimise(likelihood, state, _ITERATIONS) for state in states[: _STARTS if prior.is_free else 1]]
-    found = min(minima, key=lambda minimum: minimum.state.cost)
+    found = _lowest(minima)
+    if not (found.converged and likelihood.leaves_noise(found.state, record.degrees_of_freedom)):
+        lag = likelihood.lag(found.state.theta) / likelihood.scale
+        others = (likelihood.relocated(lag, is_geometric) for is_geometric in (True, False))
+        minima += [
+            minimise(likelihood, likelihood.state(theta), _ITERATIONS) for theta in others if len(theta)
+        ]
+        found = _lowest(minima)
     state, converged, reason = found.state, found.converged, found.reason
     information, _ = likelihood.slope(state)
     unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
