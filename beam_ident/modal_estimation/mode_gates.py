@@ -15,6 +15,7 @@ from scipy.special import chdtri as chi_squared_isf
 from beam_ident.data.bandwidth import Band
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal_estimation.variable_projection import MIN_DAMPING, ModalProblem
+from beam_ident.noise.scores import Whiteness
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
@@ -68,7 +69,9 @@ def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]
         complaint = mode_complaint(fit, problem, mode, band)
         if complaint:
             warnings.append(f"Mode {mode + 1}: {complaint}.")
-    for group in _alike(fit, problem, band):
+    # Where they leave white noise, a linear model explains all that was seen.
+    is_linear = problem.is_sequence and all(Whiteness.of(left).is_white for left in fit.residuals)
+    for group in [] if is_linear else _alike(fit, problem, band):
         names = ", ".join(str(mode + 1) for mode in group)
         warnings.append(
             f"Modes {names} overlap and move the outputs alike. Two modes may do so, but so does a single one whose "
