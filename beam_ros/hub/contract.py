@@ -9,9 +9,9 @@ frame ``rig``; home is position 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, get_args
+from typing import Literal, Protocol, get_args, runtime_checkable
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.faults import NO_FAULT, Fault
@@ -269,6 +269,14 @@ class HubCapabilities:
     telemetry: Literal["push", "poll", "none"] = "push"
     rate: float = 1000.0
     shortcomings: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class NewsBearer(Protocol):
+    """A hub that says when a poll is worth its while; one that does not is polled a hundred times a second."""
+
+    def call_on_news(self, callback: Callable[[], None]) -> None:
+        """Have a callback called, in a thread of the hub's own, when samples or answers wait for ``Hub.poll``."""
 
 
 class Hub(Protocol):

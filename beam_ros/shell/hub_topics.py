@@ -17,13 +17,15 @@ from rclpy.task import Future
 from beam_ros import messages
 from beam_ros.bags.batches import decode_chunk, encode_batch, faulty_chunk
 from beam_ros.bags.errors import BagError
-from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, RequestKind
+from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, NewsBearer, RequestKind
 from beam_ros.messages import MessageContentError
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.freeze_watch import FreezeWatch
 from beam_ros.shell.node import REQUEST_SENT_NS, RigNode
 
 _POLL_S = 0.01
+_CALM_POLL_S = 0.04
+"""A hub that bears news is polled when it has some, and so long after the last time [s]."""
 _ALWAYS_TAKEN: tuple[RequestKind, ...] = ("stop", "disable")
 """Requests that are never too old."""
 
@@ -69,7 +71,11 @@ class HubNode(RigNode):
         self.serve("hub/enable", self._on_enable, callback_group=group)
         for shortcoming in self._hub.capabilities.shortcomings:
             self.get_logger().warning(f"this axis cannot promise: {shortcoming}")
-        self.create_timer(_POLL_S, self._poll)
+        if isinstance(self._hub, NewsBearer):
+            self._poll_timer = self.create_timer(_CALM_POLL_S, self._poll)
+            self._hub.call_on_news(self.create_guard_condition(self._on_news).trigger)
+        else:
+            self._poll_timer = self.create_timer(_POLL_S, self._poll)
 
     def _answer(self, kind: RequestKind) -> Callable[[Any, Any], Any]:
         async def answer(_request: Any, response: Any) -> Any:
@@ -125,6 +131,10 @@ class HubNode(RigNode):
     def _poll(self) -> None:
         self._freeze.beat(time.monotonic_ns())
         self.publish_report(self._hub.poll(host_time()))
+
+    def _on_news(self) -> None:
+        self._poll_timer.reset()
+        self._poll()
 
     def publish_report(self, report: HubReport) -> None:
         """Publish what a poll brought and answer the services that it completes."""

@@ -28,6 +28,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.task import Task
 from rclpy.utilities import remove_ros_args
 
 from beam_ros import messages
@@ -48,7 +49,33 @@ _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
 
 
 class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
-    """Hands on when a request was sent, which rclpy receives beside it and keeps to itself."""
+    """Hands on when a request was sent, and does not wake itself.
+
+    rclpy receives the time beside a request and keeps it to itself. And it wakes its own executor twice for every
+    callback, for the sake of executors with several threads: each time all that can be waited for is put together
+    anew. Here the only thread comes round by itself.
+    """
+
+    def _make_handler(self, entity: Any, node: Node, take_from_wait_list: Callable[[Any], Any]) -> Task:
+        entity._executor_event = True  # It is not waited for again before it was taken.
+
+        async def handle() -> None:
+            if self._is_shutdown or not entity.callback_group.beginning_execution(entity):
+                entity._executor_event = False
+                return
+            with self._work_tracker:
+                work = take_from_wait_list(entity)
+                entity._executor_event = False
+                try:
+                    if work is not None:
+                        await work()
+                finally:
+                    entity.callback_group.ending_execution(entity)
+
+        task = Task(handle, executor=self)
+        with self._tasks_lock:
+            self._tasks.append((task, entity, node))
+        return task
 
     def _take_service(self, srv: Service) -> Callable[[], Coroutine[Any, Any, None]] | None:
         try:

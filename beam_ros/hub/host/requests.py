@@ -74,6 +74,11 @@ class Requests:
         """Whether the request made by ``begin_close`` has been answered."""
         return self._closing_id & 0xFFFF not in self._pending
 
+    @property
+    def has_completed(self) -> bool:
+        """Whether ``take_completed`` has something to return."""
+        return bool(self._completed)
+
     def begin(self, kind: RequestKind) -> int:
         """Take a request to be sent; return its id."""
         self._newest_id += 1

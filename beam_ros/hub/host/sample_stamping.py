@@ -278,6 +278,11 @@ class SampleStamping:
         self._batches.append(sample_batches(ticks, stamp_ns, mapping.epoch, self._parameters))
         return lost
 
+    @property
+    def has_batches(self) -> bool:
+        """Whether ``take_batches`` has something to return."""
+        return bool(self._batches)
+
     def take_batches(self) -> list[tuple[SampleBatch, SampleBatch]]:
         """Return what was applied and measured since the last call, batch by batch."""
         batches, self._batches = self._batches, []

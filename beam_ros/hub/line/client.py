@@ -166,6 +166,11 @@ class HubClient:
             events=self._journal.take_events(),
         )
 
+    @property
+    def has_news(self) -> bool:
+        """Whether samples or answers wait for the next poll."""
+        return self._stamping.has_batches or self._requests.has_completed
+
     def begin_close(self) -> None:
         """Ask the device to stop; from now on polls are not needed for the line to live."""
         self._pulse.is_closing = True

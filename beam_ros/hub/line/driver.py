@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 from beam_ros.hub.contract import (
     HostTime,
@@ -58,6 +59,7 @@ class DriverHub:
         self._ending = threading.Event()
         self._patient_until = time.monotonic() + link.patience_s
         self._was_open = False
+        self._tell_news: Callable[[], None] = lambda: None
         self._thread = threading.Thread(target=self._run, name="hub-serial", daemon=True)
         self._thread.start()
 
@@ -89,6 +91,10 @@ class DriverHub:
         """Say that the host is alive, and collect what happened."""
         with self._lock:
             return self._client.poll(now)
+
+    def call_on_news(self, callback: Callable[[], None]) -> None:
+        """Have a callback called, in the serial thread, when samples or answers wait for ``poll``."""
+        self._tell_news = callback
 
     def close(self) -> None:
         """Stop the axis, wait until it rests, and let go of the port."""
@@ -156,7 +162,10 @@ class DriverHub:
         data, arrived_ns = self._transport.read(READ_S)
         with self._lock:
             self._client.receive(data, arrived_ns)
+            has_news = self._client.has_news
             is_silent = self._client.is_silent(time.monotonic_ns())
+        if has_news:
+            self._tell_news()
         if is_silent:
             raise HubConnectionError(
                 "the controller fell silent: expected samples every few milliseconds; check its power and cable",

@@ -578,3 +578,20 @@ def test_a_flapping_port_finds_the_driver_alive(start):
 @pytest.mark.verify
 def test_ten_minutes_of_a_flapping_port_find_the_driver_alive(start):
     _flap(start(PATIENT), 600.0)
+
+
+def test_a_poll_that_follows_on_news_finds_some(tmp_path):
+    rig = DriverRig(AxisParameters(command_mode="velocity", watchdog_s=1.0), tmp_path)
+    try:
+        rig.connect()
+        told = threading.Event()
+        rig.hub.call_on_news(told.set)
+        for _ in range(20):
+            rig.hub.poll(rig.now)
+            told.clear()
+            # A batch comes every 20 ms; nobody polls in vain meanwhile.
+            assert told.wait(2.0)
+            report = rig.hub.poll(rig.now)
+            assert report.measured or report.completed
+    finally:
+        rig.close()
