@@ -11,7 +11,6 @@ from typing import Any
 
 from beam_ros import messages
 from beam_ros.errors import faults_of_the_user
-from beam_ros.offline.identification import identify_bag
 from beam_ros.shell.node import RigNode, run_node
 
 _COLLECT_S = 0.1
@@ -46,6 +45,9 @@ class Identifier(RigNode):
         rig = self.rig
         folder = rig.identifier.report or str(bag.with_name(f"{bag.name}_identified"))
         try:
+            # The estimators take more than a second to load: the node is there, and complains, before.
+            from beam_ros.offline.identification import identify_bag
+
             self._outcome = identify_bag(
                 bag,
                 estimator=rig.identifier.estimator,

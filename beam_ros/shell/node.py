@@ -42,6 +42,8 @@ from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import NO_CLOCK, check_time
 
 FAULT_OF_THE_USER = 2
+_FIRST_LOOK_S = 0.5
+"""So long a node that follows /clock waits for it before it warns [s]; the time to find each other on the graph."""
 REQUEST_SENT_NS: ContextVar[int] = ContextVar("REQUEST_SENT_NS")
 """Steady time [ns] at which the request was sent that a callback begins to answer, by the clock of who sent it."""
 _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
@@ -151,7 +153,10 @@ class RigNode(Node):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._check_new_values)
         self._diagnostics = self.offer("/diagnostics")
         # On the steady clock, so that a node is heard also while the time that it follows stands still.
-        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        if self._uses_sim_time():
+            self._first_look = self.create_timer(_FIRST_LOOK_S, self._look_for_clock, clock=steady)
 
     def _declare_parameters(self) -> Rig:
         given = {
@@ -246,11 +251,21 @@ class RigNode(Node):  # type: ignore[misc]
     def _uses_sim_time(self) -> bool:
         return bool(self.get_parameter("use_sim_time").value)
 
+    def _lacks_clock(self) -> bool:
+        """Say whether the time that this node follows does not come, and warn of it."""
+        if not self._uses_sim_time() or self.now_ns():
+            return False
+        self.get_logger().warning(NO_CLOCK, throttle_duration_sec=10.0)
+        return True
+
+    def _look_for_clock(self) -> None:
+        self._first_look.cancel()
+        self._lacks_clock()
+
     def _publish_diagnostics(self) -> None:
         level, sentence, counters = self.health()
-        if self._uses_sim_time() and self.now_ns() == 0:
+        if self._lacks_clock():
             level, sentence = "ERROR", NO_CLOCK
-            self.get_logger().warning(NO_CLOCK, throttle_duration_sec=10.0)
         name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.row.executable}"
         status = messages.Health(name, level, sentence, self.row.name, counters)
         self._diagnostics.publish(messages.diagnostics(self.types, self.now_ns(), [status]))

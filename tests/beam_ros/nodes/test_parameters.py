@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -180,6 +182,13 @@ def test_a_node_that_cannot_keep_its_time_does_not_start(
     (line,) = refused.output().strip().splitlines()
     assert f"{parameter.partition(':=')[0]} is" in line
     assert "expected" in line
+
+
+@pytest.mark.parametrize("name", ["identifier", "vision_tracker", "bag_recorder", "bag_player"])
+def test_a_node_is_there_before_what_it_only_needs_for_its_work(name: str) -> None:
+    code = f"import beam_ros.nodes.{name}, sys; print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert not {"scipy.signal", "scipy.optimize", "scipy.stats"} & set(ran.stdout.split())
 
 
 def test_a_node_without_the_clock_that_it_follows_says_so(executables: Any, graph: Any) -> None:
