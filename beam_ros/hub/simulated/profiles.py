@@ -11,9 +11,9 @@ ARRIVED = 1e-12
 """A profiled move ends this close to its target [m]; what rounding leaves is smaller."""
 _SLACK = 1e-5
 """Relative slack of the device's own limits over the host's, so that a checked sequence never trips them."""
-_LEAST_JUMP = 0.1
+_MIN_JUMP = 0.1
 """The hub's mobility is learned from a change of the force by at least this share of the greatest ..."""
-_LEAST_COUNTS = 16
+_MIN_COUNTS = 16
 """... which changes the speed by at least so much more than the tick before did [encoder_resolution / period]."""
 
 
@@ -96,8 +96,8 @@ class SpeedForecast:
     """
 
     def __init__(self, parameters: AxisParameters) -> None:
-        self._least_jump = _LEAST_JUMP * parameters.max_effort
-        self._least_change = _LEAST_COUNTS * parameters.encoder_resolution / parameters.period
+        self._least_jump = _MIN_JUMP * parameters.max_effort
+        self._least_change = _MIN_COUNTS * parameters.encoder_resolution / parameters.period
         self._mobility = 0.0
         self.forget()
 
