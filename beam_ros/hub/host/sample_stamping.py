@@ -97,14 +97,18 @@ class DeviceClock:
         """Return what the device's own counter reads [ns] at a steady time [ns]."""
         return self._counter.shown_ns(max(0, self.mapping.device_ns(steady_ns)))
 
-    def query(self, now_ns: int) -> int | None:
-        """Return the number of a question that is due and leaves now, or None."""
+    def is_query_due(self, now_ns: int) -> bool:
+        """Whether the clock should be asked now."""
         interval_ns = SLOW_CLOCK_NS
         if now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS:
             interval_ns = FAST_CLOCK_NS
         elif self._n_other or self.sd_ns(now_ns) > self.max_sd_ns:
             interval_ns = URGENT_CLOCK_NS
-        if now_ns - self._last_query_ns < interval_ns:
+        return now_ns - self._last_query_ns >= interval_ns
+
+    def query(self, now_ns: int) -> int | None:
+        """Return the number of a question that is due and leaves now, or None."""
+        if not self.is_query_due(now_ns):
             return None
         self._last_query_ns = now_ns
         self._number = (self._number + 1) & 0xFFFF

@@ -11,14 +11,12 @@ from beam_ros.hub.contract import AxisEventKind
 from beam_ros.hub.gate.command_gate import CommandGate
 from beam_ros.hub.gate.sequence_assembly import Sequence
 from beam_ros.hub.host.sample_stamping import DeviceClock
+from beam_ros.hub.host.sample_window import SampleWindow
 from beam_ros.hub.journal import Journal
 
 LAST_ARM_NS = 80_000_000
 """A complete sequence waits for the clock map to be good enough until this long before its start."""
 ARM_AGAIN_NS = 100_000_000
-RESEND_NS = 60_000_000
-"""Samples are sent again when none of them has been acknowledged for this long."""
-SAMPLES_PER_FRAME = 50
 FRAMES_PER_TURN = 4
 
 _ENDS: dict[str, AxisEventKind] = {
@@ -33,14 +31,12 @@ class _Transfer:
     sequence: Sequence
     number: int
     start_steady_ns: int
+    window: SampleWindow
     start_device_ns: int | None = None
     last_arm_ns: int = 0
     is_accepted: bool = False
     is_running: bool = False
-    sent: int = 0
-    received: int = 0
     edge: int = 0
-    progress_ns: int = 0
 
 
 class SequenceStream:
@@ -54,19 +50,25 @@ class SequenceStream:
         Gives the start in device time.
     journal : Journal
         Counts what was sent again.
+    period_ns : int
+        Of the device's ticks, each of which needs a sample [ns].
     """
 
-    def __init__(self, gate: CommandGate, device_clock: DeviceClock, journal: Journal) -> None:
+    def __init__(
+        self, gate: CommandGate, device_clock: DeviceClock, journal: Journal, period_ns: int
+    ) -> None:
         self._gate = gate
         self._device_clock = device_clock
         self._journal = journal
+        self._needed_rate = 1e9 / period_ns
         self._number = 0
         self._transfer: _Transfer | None = None
 
     def begin(self, sequence: Sequence, start_steady_ns: int) -> None:
         """Take a checked sequence that is to start at a steady time [ns]."""
         self._number = self._number % 0xFFFF + 1
-        self._transfer = _Transfer(sequence, self._number, start_steady_ns)
+        window = SampleWindow(sequence.n_ticks, self._device_clock.mapping.shortest_rtt_ns)
+        self._transfer = _Transfer(sequence, self._number, start_steady_ns, window)
 
     def lose(self, reason: str) -> None:
         """Unload the sequence, because the device cannot be reached any more."""
@@ -98,35 +100,29 @@ class SequenceStream:
         transfer.last_arm_ns = now_ns
         return transfer.number, transfer.start_device_ns, transfer.sequence.n_ticks
 
+    def is_line_taken(self, now_ns: int) -> bool:
+        """Whether samples are under way behind which a question for the clock would wait."""
+        return self._transfer is not None and self._transfer.window.is_line_taken(now_ns)
+
     def samples(self, now_ns: int) -> Iterator[tuple[int, int, FloatArray]]:
         """Yield what is to be sent now: the sequence's number, the first sample's, and the samples."""
         transfer = self._transfer
         if transfer is None or not transfer.is_accepted:
             return
-        if transfer.sent > transfer.received and now_ns - transfer.progress_ns > RESEND_NS:
-            self._journal.counters["resent_samples"] += transfer.sent - transfer.received
-            transfer.sent = transfer.received
-            transfer.progress_ns = now_ns
-        n_ticks = transfer.sequence.n_ticks
         for _ in range(FRAMES_PER_TURN):
-            first = transfer.sent
-            end = min(first + SAMPLES_PER_FRAME, transfer.edge, n_ticks)
-            # Whole frames, unless it is the end: a sample at a time would cost a frame each.
-            if end <= first or (end < first + SAMPLES_PER_FRAME and end < n_ticks):
+            frame = transfer.window.next_frame(transfer.edge, now_ns)
+            if frame is None:
                 break
-            if first == transfer.received:
-                transfer.progress_ns = now_ns
-            transfer.sent = end
-            yield transfer.number, first, transfer.sequence.ticks(first, end)
+            self._journal.counters["resent_samples"] += transfer.window.send(*frame, now_ns)
+            yield transfer.number, frame[0], transfer.sequence.ticks(*frame)
 
-    def note_answer(self, number: int, is_accepted: bool, text: str, received_ns: int) -> None:
+    def note_answer(self, number: int, is_accepted: bool, text: str) -> None:
         """Take the device's answer to the announcement."""
         transfer = self._transfer
         if transfer is None or number != transfer.number or transfer.is_accepted:
             return
         if is_accepted:
             transfer.is_accepted = True
-            transfer.progress_ns = received_ns
         else:
             self._end_early("refused", text)
 
@@ -151,16 +147,23 @@ class SequenceStream:
         transfer = self._transfer
         if transfer is None or number != transfer.number:
             return
-        if received > transfer.received:
-            transfer.received = received
-            transfer.progress_ns = received_ns
+        transfer.window.receive(received, received_ns)
         transfer.edge = max(transfer.edge, received + free)
         if state in ("running", "done", "underrun") and not transfer.is_running:
             transfer.is_running = True
             self._gate.note("sequence_running", "")
         if state in _ENDS:
-            self._gate.note(_ENDS[state], reason)
+            self._gate.note(_ENDS[state], reason + self._slowness(transfer.window, state))
             self._transfer = None
+
+    def _slowness(self, window: SampleWindow, state: str) -> str:
+        """Say what the line carried, where that is why samples were missing."""
+        if state != "underrun" or window.rate >= self._needed_rate:
+            return ""
+        return (
+            f"; the line carried {window.rate:.0f} samples/s, expected more than {self._needed_rate:g}: free the "
+            "processors at both ends, or use a faster line or a longer hub.period"
+        )
 
     def _end_early(self, state: Literal["refused", "aborted"], reason: str) -> None:
         self._transfer = None

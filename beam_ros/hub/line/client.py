@@ -86,7 +86,7 @@ class HubClient:
         self._requests = Requests(parameters, self._supervisor.report)
         self._setpoints = SetpointRepeater()
         self._device_clock = DeviceClock(link.max_clock_sd_ns, self._supervisor.report)
-        self._stream = SequenceStream(self._gate, self._device_clock, self._journal)
+        self._stream = SequenceStream(self._gate, self._device_clock, self._journal, parameters.period_ns)
         self._stamping = SampleStamping(
             parameters, self._device_clock, self._journal, self._supervisor.report
         )
@@ -242,11 +242,11 @@ class HubClient:
         return b"".join(map(protocol.encode, messages))
 
     def clock_query(self, now_ns: int) -> bytes:
-        """Return a question for the device's clock, if one is due, to be sent at once."""
+        """Return a question for the device's clock, if one is due and the line is free, to be sent at once."""
         connection = self._connection
         if not connection.is_in_session or connection.must_be_silent or self._pulse.talking_since_ns is None:
             return b""
-        number = self._device_clock.query(now_ns)
+        number = None if self._stream.is_line_taken(now_ns) else self._device_clock.query(now_ns)
         return b"" if number is None else protocol.encode(protocol.ClockQuery(number))
 
     def goodbye(self) -> bytes:
@@ -274,8 +274,10 @@ class HubClient:
             yield protocol.Arm(*announcement)
         for request in self._requests.due(now_ns):
             yield protocol.Request(*request)
-        for samples in self._stream.samples(now_ns):
-            yield protocol.Samples(*samples)
+        if self._stream.is_line_taken(now_ns) or not self._device_clock.is_query_due(now_ns):
+            # Else they let the question go first: behind samples it would wait, and its answer be worth little.
+            for samples in self._stream.samples(now_ns):
+                yield protocol.Samples(*samples)
 
     def _is_line_open(self, now_ns: int) -> bool:
         """Say whether there is a line to speak on; see to it first that an axis with a fault stops."""
@@ -325,8 +327,8 @@ class HubClient:
             if reply.phase == "success":
                 self._supervisor.note_done(kind)
 
-    def _on_arm_reply(self, reply: protocol.ArmReply, received_ns: int) -> None:
-        self._stream.note_answer(reply.number, reply.is_accepted, reply.text, received_ns)
+    def _on_arm_reply(self, reply: protocol.ArmReply, _received_ns: int) -> None:
+        self._stream.note_answer(reply.number, reply.is_accepted, reply.text)
 
     def _on_telemetry(self, telemetry: protocol.Telemetry, received_ns: int) -> None:
         lost = self._stamping.add(telemetry.ticks, received_ns, self._clock)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.hub.emulated.injected_faults import read_schedule
-from beam_ros.hub.parameters import AxisParameters
-from tests.beam_ros.hub.hub_scenes import DriverRig
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from tests.beam_ros.hub.hub_scenes import DriverRig, chunks_of, rest_to_rest
 
 VELOCITY = AxisParameters(command_mode="velocity", watchdog_s=0.5)
 
@@ -81,6 +82,32 @@ def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tm
         assert status.counters["bad_frames"] > 10
         assert not rig.ask("home", 10.0).success
         assert rig.ask("stop", 10.0).success
+    finally:
+        rig.close()
+
+
+@pytest.mark.parametrize(("baud", "period_ns"), [(300_000, 1_000_000), (115_200, 4_000_000)])
+def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded(tmp_path, baud, period_ns):
+    """At 1 kHz the device says 26 kB/s with all its states, at 250 Hz a quarter of it."""
+    parameters = AxisParameters(period_ns=period_ns)
+    device = SimulatedDevice(buffer_samples=2048)
+    rig = DriverRig(parameters, tmp_path, device=device, line_baud=baud, fifo_bytes=16_384)
+    try:
+        rig.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 45_000, 20.0)
+        rig.enable()
+        values = rest_to_rest(round(5e9 / period_ns), 0.2)
+        for chunk in chunks_of(values, rig.now.unix_ns + 600_000_000, period_ns=period_ns):
+            rig.hub.load(chunk, rig.now)
+        reports = rig.until(lambda r: any(s.state in ("done", "underrun") for s in r.sequences), 12.0)
+        assert [s.state for r in reports for s in r.sequences][-1] == "done"
+        reports += rig.run(0.5)
+        applied = np.concatenate([batch.accelerations for r in reports for batch in r.applied])
+        first = np.flatnonzero(applied == values[1])[0] - 1
+        assert np.array_equal(applied[first : first + len(values)], values)
+        # The port may be opened in the middle of a frame.
+        assert reports[-1].status.counters["bad_frames"] <= 1
+        # A computer that stands still for a moment makes the host ask; it never sends all again.
+        assert reports[-1].status.counters["resent_samples"] <= 100
     finally:
         rig.close()
 

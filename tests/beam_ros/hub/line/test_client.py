@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+import re
 from collections import deque
 
 import numpy as np
 import pytest
 
+from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
@@ -164,6 +166,30 @@ def test_samples_that_never_come_are_an_underrun():
     assert reports[-1].status.state == "homed"
     assert "underrun" in reports[-1].status.reason
     assert rig.firmware.axis.velocity == 0.0
+
+
+def test_a_line_that_is_too_slow_for_the_samples_is_named_and_not_made_slower():
+    rig = connected()
+    rig.enable()
+    slow, sent = UnrulyLine(40_000, 4096, 1), FrameDecoder()
+    n_sent = 0
+
+    def line(data: bytes) -> bytes:
+        nonlocal n_sent
+        payloads = [protocol.decode(payload) for payload in sent.feed(data)]
+        n_sent += sum(len(m.values) for m in payloads if isinstance(m, protocol.Samples))
+        slow.put(data, rig.steady_ns)
+        return slow.take(rig.steady_ns)
+
+    rig.to_device = line
+    load(rig, rest_to_rest(3000), 500_000_000)
+    reports = rig.until(lambda r: any(s.state == "underrun" for s in r.sequences), 6.0)
+    reason = [s for r in reports for s in r.sequences][-1].reason
+    # 4 kB/s: 416 bytes carry 50 samples.
+    carried = float(re.search(r"the line carried (\d+) samples/s, expected more than 1000", reason)[1])
+    assert carried == pytest.approx(480, rel=0.15)
+    assert n_sent < 480 * 3
+    assert slow.n_lost == 0
 
 
 def test_a_noisy_line_costs_frames_and_nothing_else():
