@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from contextvars import ContextVar
@@ -28,7 +29,6 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.task import Task
 from rclpy.utilities import remove_ros_args
 
 from beam_ros import messages
@@ -55,29 +55,13 @@ class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
 
     rclpy receives the time beside a request and keeps it to itself. And it wakes its own executor twice for every
     callback, for the sake of executors with several threads: each time all that can be waited for is put together
-    anew. Here the only thread comes round by itself.
+    anew. Here the only thread, which is the one that makes the executor, comes round by itself.
     """
 
-    def _make_handler(self, entity: Any, node: Node, take_from_wait_list: Callable[[Any], Any]) -> Task:
-        entity._executor_event = True  # It is not waited for again before it was taken.
-
-        async def handle() -> None:
-            if self._is_shutdown or not entity.callback_group.beginning_execution(entity):
-                entity._executor_event = False
-                return
-            with self._work_tracker:
-                work = take_from_wait_list(entity)
-                entity._executor_event = False
-                try:
-                    if work is not None:
-                        await work()
-                finally:
-                    entity.callback_group.ending_execution(entity)
-
-        task = Task(handle, executor=self)
-        with self._tasks_lock:
-            self._tasks.append((task, entity, node))
-        return task
+    def __init__(self) -> None:
+        super().__init__()
+        wake, own_thread = self._guard.trigger, threading.get_ident()
+        self._guard.trigger = lambda: None if threading.get_ident() == own_thread else wake()
 
     def _take_service(self, srv: Service) -> Callable[[], Coroutine[Any, Any, None]] | None:
         try:
