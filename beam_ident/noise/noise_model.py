@@ -1,8 +1,10 @@
-"""The noise of sampled outputs: a colour and a level of its own for every record.
+"""The noise of sampled outputs: a colour, a level and tails of its own for every record.
 
 Maximum likelihood weighs every sample by the noise that it carries.  Within a record the noise has a
-colour, an autoregression whose inverse makes residuals independent; from record to record it
-has another level, by which they are divided.  Both are one linear map, applied to residuals and
+colour, whose inverse makes residuals independent: an autoregression at the stamps of a clock
+(``Whitening``), a process in continuous time at any others (``noise.continuous_noise``).  It may have outliers,
+which weigh by Student's t (``noise.heavy_tails``) or, under a colour, are left out.  From record to record it
+has another level, by which they are divided.  All are linear maps, applied to residuals and
 gradients alike, and of determinant one, so that costs under different noise models can be compared.
 """
 
@@ -10,14 +12,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import LinAlgError
 from scipy.signal import lfilter
 
-from beam_ident.arrays import FloatArray
-from beam_ident.errors import EstimationError
+from beam_ident.arrays import BoolArray, FloatArray
+from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.continuous_noise import ContinuousWhitening, continuous_noise
+from beam_ident.noise.heavy_tails import HeavyTails
+from beam_ident.noise.outliers import outliers, spoiling
 
 _OFF_GRID = 1e-3  # of a period
+_FEW_BREAKS = 0.01  # of the samples: with so few gaps an autoregression knows its neighbours
 
 
 class Whitening:
@@ -29,11 +37,6 @@ class Whitening:
     times_s : ndarray, shape (n,)
         Stamps on a regular grid [s]; where some are missing a new run begins.
 
-    Raises
-    ------
-    EstimationError
-        Stamps off a regular grid: an autoregression knows neighbours only.
-
     Notes
     -----
     The first samples of a run are predicted by autoregressions of lower order, from the
@@ -43,15 +46,8 @@ class Whitening:
 
     def __init__(self, coefficients: FloatArray, times_s: FloatArray) -> None:
         steps = np.diff(times_s)
-        period = float(np.median(steps))
-        off = float(np.max(np.abs(steps / period - np.round(steps / period))))
-        if off > _OFF_GRID:
-            raise EstimationError(
-                f"the stamps leave a regular grid by {off:.2g} periods; expected a regular output, in which samples "
-                'may be missing, for a model of its noise. Use method="auto", which takes stamps as they are'
-            )
         self.coefficients = coefficients
-        first = np.flatnonzero(steps > 1.5 * period) + 1
+        first = np.flatnonzero(steps > 1.5 * float(np.median(steps))) + 1
         self._runs = list(zip([0, *first], [*first, len(times_s)], strict=True))
         self._predictors = [coefficients]
         self._weights = [1.0]
@@ -62,6 +58,30 @@ class Whitening:
             current = ((current - reflection * current[::-1]) / left)[:-1]
             self._predictors.insert(0, current)
             self._weights.insert(0, self._weights[0] * math.sqrt(left))
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters beside the variance."""
+        return len(self.coefficients) - 1
+
+    def __str__(self) -> str:
+        """Return what the noise is, in words."""
+        return f"an autoregression of order {self.n_parameters}" if self.n_parameters else "white noise"
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the map: the first samples of every run weigh less."""
+        logs = np.cumsum([0.0, *np.log(self._weights[:-1])])
+        return float(sum(logs[min(end - start, len(logs) - 1)] for start, end in self._runs))
+
+    def score_covariance(self, design: FloatArray) -> FloatArray:
+        """Return ``D^T R D`` for this noise's correlation R and the derivatives D, shape (n, n_parameters)."""
+        if not self.n_parameters:
+            return np.asarray(design.T @ design)
+        parts = [design[start:end] for start, end in self._runs]
+        return np.asarray(
+            sum(score_covariance(own, autocorrelation(self.coefficients, len(own))) for own in parts)
+        )
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n, ...) as the noise's innovations see them."""
@@ -77,45 +97,172 @@ class Whitening:
         return result
 
 
-class NoiseModel:
-    """Colour and level of the noise in every record.
+Colour = Whitening | ContinuousWhitening
+
+
+def colour_of(residuals: FloatArray, times_s: FloatArray) -> Colour:
+    """Return the colour that BIC prefers for residuals: an autoregression at a clock's stamps, or continuous.
 
     Parameters
     ----------
-    whitenings : sequence of Whitening or None
-        Of every record; None where all noise is white, at stamps of any spacing.
+    residuals : ndarray, shape (n,)
+    times_s : ndarray, shape (n,) -- rising [s]
+
+    Notes
+    -----
+    A clock that misses samples here and there leaves the choice between both to BIC.
+    """
+    steps = np.diff(times_s)
+    period = float(np.median(steps))
+    white = Whitening(np.ones(1), times_s)
+    is_on_grid = float(np.max(np.abs(steps / period - np.round(steps / period)))) < _OFF_GRID
+    found: Colour = white
+    if is_on_grid:
+        found = Whitening(autoregression(residuals), times_s)
+        if np.count_nonzero(steps > 1.5 * period) < _FEW_BREAKS * len(steps):
+            return found
+    process = continuous_noise(residuals, times_s)
+    if process is None:
+        return found if is_on_grid and _criterion(found, residuals) < _criterion(white, residuals) else white
+    try:
+        continuous = ContinuousWhitening(process, times_s)
+    except LinAlgError:
+        return found
+    return min((found, continuous), key=lambda colour: _criterion(colour, residuals))
+
+
+def _criterion(colour: Colour, residuals: FloatArray) -> float:
+    """Return BIC of residuals under a colour, up to a constant."""
+    left, n = colour.apply(residuals - np.mean(residuals)), len(residuals)
+    scaled = 0.0 if isinstance(colour, ContinuousWhitening) else colour.log_determinant
+    misfit = n * math.log(max(float(left @ left), 1e-300)) - 2.0 * scaled
+    return misfit + colour.n_parameters * math.log(n)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordNoise:
+    """Colour and tails of the noise in one record.
+
+    Attributes
+    ----------
+    colour : Whitening or ContinuousWhitening -- of the samples that are kept
+    kept : ndarray of bool or None, shape (n,) -- which samples count; None is all
+    tails : HeavyTails or None
+    """
+
+    colour: Colour
+    kept: BoolArray | None = None
+    tails: HeavyTails | None = None
+
+    @staticmethod
+    def of(residuals: FloatArray, times_s: FloatArray) -> RecordNoise:
+        """Return the noise that residuals show.
+
+        Notes
+        -----
+        Outliers are left out by the rule of ``noise.outliers``, which takes 6 in 10 million samples of Gaussian
+        noise; a filter would smear them over their neighbours. What is left weighs by its colour, or, where it is
+        white, by Student's t.
+        """
+        far = outliers(residuals)
+        if not spoiling(residuals, far):
+            return RecordNoise(colour_of(residuals, times_s))
+        kept = np.ones(len(residuals), dtype=bool)
+        kept[far] = False
+        colour = colour_of(residuals[kept], times_s[kept])
+        if colour.n_parameters:
+            return RecordNoise(colour, kept)
+        return RecordNoise(Whitening(np.ones(1), times_s), tails=HeavyTails.of(residuals, kept))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the noise is white and without outliers."""
+        return self.kept is None and self.tails is None and not self.colour.n_parameters
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters beside the level."""
+        return self.colour.n_parameters + (self.tails is not None)
+
+    @property
+    def inflation(self) -> float:
+        """By what the variance of the weighed residuals grows to be that which the covariance takes."""
+        if self.tails is not None:
+            return self.tails.inflation
+        return 1.0 if self.kept is None else len(self.kept) / np.count_nonzero(self.kept)
+
+    @property
+    def excess(self) -> float:
+        """What the cost of the weighed squares lacks to be the negative log-likelihood."""
+        if self.tails is None:
+            return 0.0
+        weighed = self.apply(self.tails.residuals)
+        return self.tails.cost - 0.5 * len(weighed) * math.log(float(weighed @ weighed))
+
+    def __str__(self) -> str:
+        """Return what the noise is, in words."""
+        if self.tails is not None:
+            return str(self.tails)
+        beside = "" if self.kept is None else f" without {np.count_nonzero(~self.kept)} outliers"
+        return f"{self.colour}{beside}"
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Return columns of shape (n, ...) as independent noise sees them."""
+        if self.tails is not None:
+            roots = np.sqrt(self.tails.weights)
+            return np.asarray(columns * roots.reshape(-1, *([1] * (columns.ndim - 1))))
+        if self.kept is None:
+            return self.colour.apply(columns)
+        result = np.zeros_like(columns)
+        result[self.kept] = self.colour.apply(columns[self.kept])
+        return result
+
+
+class NoiseModel:
+    """Colour, tails and level of the noise in every record.
+
+    Parameters
+    ----------
+    noises : sequence of RecordNoise or None
+        Of every record; None where all noise is white and without outliers.
     sds : ndarray, shape (n_records,) -- standard deviations of the innovations, or in proportion to them
     rows : sequence of slice -- where every record's samples stand
     """
 
-    def __init__(
-        self, whitenings: Sequence[Whitening] | None, sds: FloatArray, rows: Sequence[slice]
-    ) -> None:
-        self.whitenings, self.rows = whitenings, list(rows)
+    def __init__(self, noises: Sequence[RecordNoise] | None, sds: FloatArray, rows: Sequence[slice]) -> None:
+        self.noises, self.rows = noises, list(rows)
         sizes = np.array([part.stop - part.start for part in rows], dtype=np.float64)
         mean = float(np.average(np.log(sds), weights=sizes))
         self.levels = np.exp(np.log(sds) - mean) if len(rows) > 1 else np.ones(1)
+        share = sizes / np.sum(sizes)
+        self.inflation = 1.0 if noises is None else float(share @ [own.inflation for own in noises])
+        self.excess = 0.0 if noises is None else sum(own.excess for own in noises)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether no record has a colour or outliers."""
+        return self.noises is None or all(own.is_plain for own in self.noises)
 
     @property
     def colours(self) -> tuple[FloatArray, ...]:
-        """1, c_1 .. c_p of every record's autoregression."""
-        if self.whitenings is None:
+        """1, c_1 .. c_p of every record's autoregression; 1 alone where it has none."""
+        if self.noises is None:
             return tuple(np.ones(1) for _ in self.rows)
-        return tuple(whitening.coefficients for whitening in self.whitenings)
+        return tuple(own.colour.coefficients for own in self.noises)
 
     @property
     def n_parameters(self) -> int:
-        """Number of coefficients beside the levels."""
-        return sum(len(colour) - 1 for colour in self.colours)
+        """Number of parameters beside the levels."""
+        return 0 if self.noises is None else sum(own.n_parameters for own in self.noises)
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n_samples, ...) as independent noise of one level sees them."""
         if len(self.rows) == 1:
-            return columns if self.whitenings is None else self.whitenings[0].apply(columns)
+            return columns if self.noises is None else self.noises[0].apply(columns)
         result = np.empty_like(columns)
         for record, (part, level) in enumerate(zip(self.rows, self.levels, strict=True)):
             own = columns[part]
-            if self.whitenings is not None:
-                own = self.whitenings[record].apply(own)
+            if self.noises is not None:
+                own = self.noises[record].apply(own)
             np.divide(own, level, out=result[part])
         return result

@@ -52,6 +52,17 @@ def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
     return np.asarray(places[stands_off])
 
 
+def spoiling(residuals: FloatArray, places: IndexArray) -> bool:
+    """Return whether outliers of a record are enough to report: several, or a gross one.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+    places : ndarray of int -- what ``outliers`` found
+    """
+    return len(places) >= _MIN_COUNT or (len(places) > 0 and len(outliers(residuals, _GROSS)) > 0)
+
+
 def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
     """Return a warning of the outliers of outputs over all their records, or an empty string.
 
@@ -59,16 +70,22 @@ def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
     ----------
     outputs : sequence of (name, records) -- of every output
     """
-    found = []
+    found, treatments = [], []
     for name, records in outputs:
-        seen = [own.residuals for own in records if not are_rounding(own.measured, own.residuals)]
-        count = sum(len(outliers(residuals)) for residuals in seen)
-        if count >= _MIN_COUNT or (count and any(len(outliers(residuals, _GROSS)) for residuals in seen)):
+        seen = [own for own in records if not are_rounding(own.measured, own.residuals)]
+        count = sum(len(outliers(own.residuals)) for own in seen)
+        if count >= _MIN_COUNT or (count and any(len(outliers(own.residuals, _GROSS)) for own in seen)):
             found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
+            treatments += [own.noise for own in seen if "outliers" in own.noise or "Student" in own.noise]
     if not found:
         return ""
-    return (
+    said = (
         f"Outliers: {', '.join(found)} stand more than {_FAR:.0f} robust standard deviations off, alone among their "
-        "neighbours, and bias the fit. Set them to NaN (not seen) and fit again, unless they are jumps that "
+        "neighbours"
+    )
+    if treatments:
+        return f"{said}. They are weighed as what they are: {'; '.join(dict.fromkeys(treatments))}."
+    return (
+        f"{said}, and bias the fit. Set them to NaN (not seen) and fit again, unless they are jumps that "
         "the model misses."
     )

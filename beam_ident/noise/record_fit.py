@@ -28,6 +28,7 @@ class RecordFit:
     offset, ramp : float -- at the middle of the record, and over its whole length
     noise_coefficients : ndarray
         1, c_1 .. c_p of an autoregression that the estimator gave this record's noise; 1 alone otherwise.
+    noise : str -- what the estimator took the noise for, in words; empty for white noise without outliers
     """
 
     name: str
@@ -41,6 +42,7 @@ class RecordFit:
     offset: float
     ramp: float
     noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
+    noise: str = ""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -87,10 +87,17 @@ def transfer_function_warnings(
             warnings += [said] if said not in warnings else []
     if said := outlier_warning([(models[0].output_name, records)]):
         warnings.append(said)
-    if any(is_coloured(whiteness, own.measured, own.residuals) for own in records):
+    weighed = [own.noise for own in records if own.noise and not own.noise.startswith("Student")]
+    if weighed:
         warnings.append(
-            "The residuals are not white, and the standard deviations take them to be: something is left "
-            "unmodelled, or the noise is coloured. Try other degrees, or method='rivc' for coloured noise."
+            f"The residuals of {models[0].output_name} are not white; the fit is weighed by their noise, taken for "
+            f"{'; '.join(dict.fromkeys(weighed))}. If it is unmodelled dynamics, a bias remains."
+        )
+    elif any(is_coloured(whiteness, own.measured, own.residuals) for own in records):
+        warnings.append(
+            f"The residuals of {models[0].output_name} are not white: something is left unmodelled, the noise is "
+            "coloured, or the input as it was measured is itself noisy. The standard deviations count the colour, "
+            "but no bias. Try other degrees."
         )
     return tuple(warnings)
 

@@ -35,7 +35,7 @@ def estimate_additive(
     Parameters
     ----------
     problem : OutputErrorProblem
-    method : str -- of each round; the joint optimum is sought with "auto" and "output_error"
+    method : str -- of each round; all that go to the optimum have a joint form
     cutoff : float or None -- of the state-variable filters [rad/s]
 
     Raises
@@ -43,9 +43,9 @@ def estimate_additive(
     EstimationError
         No start is found, or a method that has no joint form.
     """
-    if method not in ("auto", "output_error"):
+    if method not in ("auto", "rivc", "white", "output_error"):
         raise EstimationError(
-            f"method is {method!r} for denominators of their own; expected 'auto' or 'output_error'"
+            f"method is {method!r} for denominators of their own; expected 'auto', 'rivc', 'white' or 'output_error'"
         )
     parts = [np.zeros_like(problem.values) for _ in problem.paths]
     orders = [problem.orders[path.block] for path in problem.paths]
@@ -77,7 +77,7 @@ def estimate_additive(
         if not math.isfinite(start.cost):
             continue
         if len(joint.experiments) > 1:
-            joint = joint.reweighed(start, is_coloured=False)
+            joint = joint.reweighed(start, as_it_is=False)
             start = joint.state(start.theta)
         # Descent by blocks crawls where inputs are correlated; the joint gradients (T.8) do not.
         minimum = minimise(joint, start, _ITERATIONS)

@@ -39,10 +39,11 @@ from beam_ident.transfer_function.structure_gates import (
 from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
+from beam_ident.transfer_function_estimation.rivc import MAX_TRAVEL
 from beam_ident.transfer_function_estimation.srivc import estimate_denominator
 
 _ITERATIONS = 50
-_TURNS = 6  # of poles and levels of noise, with several records
+_TURNS = 25  # of poles and noise
 _SETTLED = 0.02  # standard deviations that a turn may still move the poles
 _MAX_POLES = 20
 
@@ -114,12 +115,26 @@ class _JointProblem:
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         return np.asarray(theta + step)
 
-    def reweighed(self, state: _JointState) -> _JointProblem:
-        """Return the problem under the level of noise that every output has in every record."""
+    def reweighed(self, state: _JointState, as_it_is: bool) -> _JointProblem:
+        """Return the problem under the noise that every output has in every record, or its level alone."""
         pairs = zip(self.problems, state.states, strict=True)
         return _JointProblem(
-            [problem.reweighed(own, is_coloured=False) for problem, own in pairs], state.states[0].scale
+            [problem.reweighed(own, as_it_is) for problem, own in pairs], state.states[0].scale
         )
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether no output has noise with a colour or outliers."""
+        return all(problem.noise is None or problem.noise.is_plain for problem in self.problems)
+
+    def reach(self, state: _JointState) -> FloatArray:
+        """Return the standard deviations of the coefficients, the colour of the noise included."""
+        parts = [problem.slope(own)[0] for problem, own in zip(self.problems, state.states, strict=True)]
+        shares = []
+        for j, (problem, own) in enumerate(zip(self.problems, state.states, strict=True)):
+            others = np.sum([part for k, part in enumerate(parts) if k != j] or [0.0 * parts[j]], axis=0)
+            shares.append(np.diag(problem.covariance(own, others).values)[: len(state.theta)])
+        return np.asarray(np.sqrt(np.maximum(np.max(shares, axis=0), 1e-300)))
 
 
 @on_one_thread
@@ -208,19 +223,36 @@ def estimate_common_poles(
     joint = _JointProblem(problems, starts[chosen].scale)
     minimum = minimise(joint, joints[chosen], _ITERATIONS)
     iterations = minimum.iterations
-    for _ in range(_TURNS if len(records) > 1 else 0):
-        joint = joint.reweighed(minimum.state)
+    if len(records) > 1:
+        joint, minimum = _in_turns(joint, minimum, as_it_is=False)
+    if not joint.reweighed(minimum.state, as_it_is=True).is_plain:
+        reach, equal = joint.reach(minimum.state), minimum
+        weighed, found = _in_turns(joint, minimum, as_it_is=True)
+        moved = np.abs(found.state.theta - equal.state.theta)
+        # As for one output (``rivc``): what moves further than noise can is no noise, and the weights stay equal.
+        if found.converged and np.max(moved / reach) < MAX_TRAVEL:
+            joint, minimum = weighed, found
+        else:
+            joint.problems = [problem.under(problem.noise) for problem in joint.problems]
+            for problem in joint.problems:
+                problem.scale = equal.state.states[0].scale
+    iterations += minimum.iterations
+    return _result(records, joint, minimum, n_integrators, iterations)
+
+
+def _in_turns(
+    joint: _JointProblem, minimum: Minimum[_JointState], as_it_is: bool
+) -> tuple[_JointProblem, Minimum[_JointState]]:
+    """Estimate poles and noise in turns, until neither moves."""
+    for _ in range(_TURNS):
+        joint = joint.reweighed(minimum.state, as_it_is)
         start = minimum.state.theta
         minimum = minimise(joint, joint.state(start), _ITERATIONS)
-        iterations += minimum.iterations
         moved = minimum.state.theta - start
         if math.sqrt(float(moved @ joint.slope(minimum.state)[0] @ moved) / len(moved)) < _SETTLED:
-            break
-    else:
-        if len(records) > 1:
-            reason = f"system and noise still moved after {_TURNS} turns"
-            minimum = replace(minimum, converged=False, reason=reason)
-    return _result(records, joint, minimum, n_integrators, iterations)
+            return joint, minimum
+    reason = f"system and noise still moved after {_TURNS} turns"
+    return joint, replace(minimum, converged=False, reason=reason)
 
 
 def _result(

@@ -45,7 +45,7 @@ from beam_ident.transfer_function_estimation.output_error import (
     OutputErrorState,
 )
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
-from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model
+from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model, under_noise_as_it_is
 from beam_ident.transfer_function_estimation.srivc import (
     FINALISTS,
     METHODS,
@@ -66,7 +66,7 @@ class RationalFit(OverOneOutput):
 
     Attributes
     ----------
-    method : str -- which estimator the numbers come from; only "rivc" has ``noise_coefficients``
+    method : str -- which estimator the numbers come from
     bic, yic : float
         Bayesian information criterion, and Young's information criterion
         ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
@@ -214,11 +214,11 @@ def estimate_transfer_function(
         and a sequence gives every input a denominator of its own.
     n_zeros : int or sequence of int
         Degree of B, or one for each input of the records; no more than poles and integrators.
-    method : {"auto", "rivc", "output_error", "srivc", "ivsvf", "lssvf"}
-        "auto" goes by SRIVC to the output-error optimum, "output_error" by Levenberg-Marquardt alone;
-        "rivc" goes on from there under an autoregression of the noise, whose order BIC chooses;
-        the others stop at the estimator they name (LSSVF is biased under noise, IVSVF is
-        not efficient).
+    method : {"auto", "rivc", "white", "output_error", "srivc", "ivsvf", "lssvf"}
+        "auto" goes by SRIVC to the output-error optimum, "output_error" by Levenberg-Marquardt alone.  Where BIC
+        finds a colour or outliers in the residuals, both go on to the optimum under that noise, unless it is too far
+        away to be noise.  "rivc" goes there in any case, "white" never; the others stop at the estimator they
+        name (LSSVF is biased under noise, IVSVF is not efficient).
     has_offset, has_ramp, has_free_response : bool
         Unknown constant, drift, and initial state, estimated along with the rest.
     delay : float, Prior, "estimate" or a sequence of these, one for each input
@@ -241,12 +241,12 @@ def estimate_transfer_function(
     Raises
     ------
     EstimationError
-        Impossible degrees, too few samples, a constant output, an input at rest; irregular stamps
-        where the noise is to have a model ("rivc"); records whose signals differ in name or unit.
+        Impossible degrees, too few samples, a constant output, an input at rest; records whose signals
+        differ in name or unit.
 
     Notes
     -----
-    The noise of every record has its own variance (and colour, with "rivc"): samples of a quiet record count
+    The noise of every record has its own variance, colour and tails: samples of a quiet record count
     for more, and the stated standard deviations stay true for any levels.  The model's ``noise_sd``
     is the root of the mean square over all samples; each record's own stands in ``records``.  The weights
     of "lssvf" and "ivsvf" are those of a first estimate.
@@ -321,8 +321,10 @@ def estimate_transfer_function(
         problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
     else:
         problem, optimum = estimate_additive(problem, method, cutoff)
-    if method == "rivc" or (len(records) > 1 and method not in ("lssvf", "ivsvf")):
-        problem, optimum = refine_with_noise_model(problem, optimum, method)
+    if method in ("auto", "output_error"):
+        problem, optimum = under_noise_as_it_is(problem, optimum, method)
+    elif method == "rivc" or (len(records) > 1 and method in ("white", "srivc")):
+        problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
     return _result(problem, optimum, method, n_integrators, output_name, several)
 
 
@@ -424,9 +426,11 @@ def record_fits(
     residuals, terms = problem.unweighed_residuals(state), problem.nuisances
     fits = []
     for record, (own, part) in enumerate(zip(problem.experiments, problem.rows, strict=True)):
-        colour, level = np.ones(1), 1.0
+        level, noise = 1.0, None
         if problem.noise is not None:
-            colour, level = problem.noise.colours[record], float(problem.noise.levels[record])
+            level = float(problem.noise.levels[record])
+            noise = None if problem.noise.noises is None else problem.noise.noises[record]
+        is_plain = noise is None or noise.is_plain
         place = problem.n_numerators + record * problem.n_nuisances
         left = residuals[part]
         fits.append(
@@ -436,8 +440,9 @@ def record_fits(
                 measured=own.values,
                 modelled=own.values - left,
                 residuals=left,
-                noise_sd=level * math.sqrt(joint.variance) if len(colour) == 1 else float(np.std(left)),
-                noise_coefficients=colour,
+                noise_sd=level * math.sqrt(joint.variance) if is_plain else float(np.std(left)),
+                noise_coefficients=np.ones(1) if noise is None else noise.colour.coefficients,
+                noise="" if is_plain else str(noise),
                 scores=Scores.of(own.values, left),
                 whiteness=Whiteness.of(state.residuals[part]),
                 offset=float(state.coefficients[place]) if terms.has_offset else 0.0,

@@ -4,7 +4,8 @@ Every structure is estimated, from one start and, where that may have led to a l
 several.  All are listed with the figures that the literature tabulates (R_T^2, YIC, AIC, BIC,
 FIT, condition, convergence).  The choice is made by BIC among the structures that pass the
 gates: the fit converged, every pole is known well enough to mean something, and no pole is
-cancelled by a zero within their uncertainty.  YIC is shown because it is customary; for lightly
+cancelled by a zero within their uncertainty.  Where what the best one leaves has a colour or outliers, all are
+estimated and compared under the noise as it is.  YIC is shown because it is customary; for lightly
 damped modes it picks orders that are too low, and decides nothing here.
 """
 
@@ -19,6 +20,8 @@ from beam_ident.data.argument_checks import require_records, require_whole_numbe
 from beam_ident.data.batches import Progress, map_records
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.noise.noise_model import RecordNoise
+from beam_ident.noise.scores import are_rounding
 from beam_ident.transfer_function.structure_gates import criterion_of_nothing, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import (
     TransferFunctionResult,
@@ -137,18 +140,20 @@ def select_transfer_function(
         raise EstimationError(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
-    quick = {"n_starts": 1} | options
-    jobs = [(records, n, m, quick) for n, m in structures]
-    results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
-    suspects = [] if "n_starts" in options else _suspects(structures, results)
-    jobs = [(records, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
-    again = (
-        map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
+    is_automatic = options.get("method", "auto") == "auto"
+    results = _all(
+        records,
+        structures,
+        options | ({"method": "white"} if is_automatic else {}),
+        n_workers,
+        scheduler,
+        progress,
     )
-    for k, outcome in zip(suspects, again, strict=True):
-        results[k] = _better(results[k], outcome)
-    if progress is not None and not suspects:
-        progress(f"{len(structures)} structures", 1.0)
+    if is_automatic:
+        results = [r if isinstance(r, str) else replace(r, method="auto") for r in results]
+        if _has_noise_of_its_own(results):
+            # Under white noise BIC would pay for poles that only follow the noise: every structure has it as it is.
+            results = _all(records, structures, options, n_workers, scheduler, progress)
     entries = [_entry(n, m, outcome) for (n, m), outcome in zip(structures, results, strict=True)]
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
     if not passed:
@@ -162,6 +167,42 @@ def select_transfer_function(
     assert isinstance(chosen, TransferFunctionResult)
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
+
+
+def _all(
+    records: Sequence[TimeRecord],
+    structures: list[tuple[int, int]],
+    options: dict[str, Any],
+    n_workers: int,
+    scheduler: str | None,
+    progress: Progress | None,
+) -> list[TransferFunctionResult | str]:
+    """Return the estimates of all structures, or why there is none."""
+    jobs = [(records, n, m, {"n_starts": 1} | options) for n, m in structures]
+    results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
+    suspects = [] if "n_starts" in options else _suspects(structures, results)
+    jobs = [(records, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
+    again = (
+        map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
+    )
+    for k, outcome in zip(suspects, again, strict=True):
+        results[k] = _better(results[k], outcome)
+    if progress is not None and not suspects:
+        progress(f"{len(structures)} structures", 1.0)
+    return results
+
+
+def _has_noise_of_its_own(results: Sequence[TransferFunctionResult | str]) -> bool:
+    """Return whether what the best structure leaves under white noise has a colour, by BIC, or outliers."""
+    found = [r for r in results if not isinstance(r, str)]
+    if not found:
+        return False
+    best = min(found, key=lambda r: r.bic)
+    return any(
+        not are_rounding(own.measured, own.residuals)
+        and not RecordNoise.of(own.residuals, own.times_s).is_plain
+        for own in best.records
+    )
 
 
 def _part(progress: Progress | None, start: float, end: float) -> Progress | None:

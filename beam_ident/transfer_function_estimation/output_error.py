@@ -25,9 +25,9 @@ import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import EstimationError
-from beam_ident.noise.autoregression import autoregression
-from beam_ident.noise.noise_model import NoiseModel, Whitening
+from beam_ident.noise.noise_model import NoiseModel, RecordNoise, Whitening, colour_of
 from beam_ident.noise.record_fit import in_units_of_level
+from beam_ident.noise.scores import are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.transfer_function_estimation.record_share import (
@@ -167,13 +167,14 @@ class OutputErrorProblem:
         problem.scale = self.scale
         return problem
 
-    def reweighed(self, state: OutputErrorState, is_coloured: bool) -> OutputErrorProblem:
+    def reweighed(self, state: OutputErrorState, as_it_is: bool) -> OutputErrorProblem:
         """Return the problem under the noise that a state's residuals show.
 
         Parameters
         ----------
         state : OutputErrorState
-        is_coloured : bool -- whether the noise has an autoregression, its order by BIC
+        as_it_is : bool
+            Whether the noise has a colour, which BIC chooses, and outliers; a level of every record alone.
 
         Notes
         -----
@@ -181,12 +182,7 @@ class OutputErrorProblem:
         free: those of the record, less its share of the trace of the projection onto the model's columns.
         """
         left = self.unweighed_residuals(state)
-        whitenings = None
-        if is_coloured:
-            whitenings = [
-                Whitening(autoregression(left[part]), own.times)
-                for part, own in zip(self.rows, self.experiments, strict=True)
-            ]
+        noises = self._noises(left) if as_it_is else None
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:
             assert state.solution is not None
@@ -195,13 +191,22 @@ class OutputErrorProblem:
             leverage = np.einsum("ij,ij->i", state.solution.basis, state.solution.basis)
             share = len(state.theta) / len(left)
             for record, part in enumerate(self.rows):
-                own = left[part] if whitenings is None else whitenings[record].apply(left[part])
+                own = left[part] if noises is None else noises[record].apply(left[part])
                 n_free = float(np.sum(1.0 - share - leverage[part]))
                 power = float(own @ own) / max(n_free, 1.0)
                 sds[record] = math.sqrt(power + self.floor / len(left) + 1e-300)
-        problem = self.under(NoiseModel(whitenings, sds, self.rows))
+        problem = self.under(NoiseModel(noises, sds, self.rows))
         problem.scale = state.scale
         return problem
+
+    def _noises(self, left: FloatArray) -> list[RecordNoise]:
+        """Return the noise that residuals show in every record; errors of arithmetic are none."""
+        return [
+            RecordNoise(Whitening(np.ones(1), own.times))
+            if are_rounding(own.values, left[part])
+            else RecordNoise.of(left[part], own.times)
+            for part, own in zip(self.rows, self.experiments, strict=True)
+        ]
 
     def unweighed_residuals(self, state: OutputErrorState) -> FloatArray:
         """Return what a state leaves of the output, without weights."""
@@ -302,6 +307,7 @@ class OutputErrorProblem:
         # (T.9): with the noise's variance eliminated the likelihood is n/2 log of the squares left over.
         residuals = self._target - matrix @ coefficients
         cost = 0.5 * len(self.values) * math.log(float(residuals @ residuals) + self.floor)
+        cost += 0.0 if self.noise is None else self.noise.excess
         delays = self.delays(theta)
         for k in self.free_delays:
             prior = self.paths[k].delay
@@ -404,6 +410,7 @@ class OutputErrorProblem:
         n_all = len(state.theta) + len(state.coefficients)
         rss = float(state.residuals @ state.residuals)
         variance = rss / max(len(self.values) - n_all, 1)
+        variance *= 1.0 if self.noise is None else self.noise.inflation
         jacobian = self.jacobian(state)
         information = self._information(state, jacobian, variance)
         if also is not None:
@@ -417,7 +424,29 @@ class OutputErrorProblem:
         of_theta = np.linalg.pinv(scaled, rcond=1e-15, hermitian=True) * np.outer(scale, scale)
         cross = of_theta @ sensitivity.T
         of_linear = variance * state.solution.inverse_gram() + sensitivity @ cross
-        return JointCovariance(np.block([[of_theta, cross], [cross.T, of_linear]]), variance, condition)
+        values = np.block([[of_theta, cross], [cross.T, of_linear]])
+        if self.noise is None or self.noise.is_plain:
+            values = self._under_colour(state, jacobian, variance, values)
+        return JointCovariance(values, variance, condition)
+
+    def _under_colour(
+        self, state: OutputErrorState, jacobian: FloatArray, variance: float, covariance: FloatArray
+    ) -> FloatArray:
+        """Return the covariance of equal weights under the colour that the noise has: the sandwich (T.15)."""
+        left = self.unweighed_residuals(state)
+        excess = np.zeros_like(covariance)
+        design: FloatArray | None = None
+        for part, own in zip(self.rows, self.experiments, strict=True):
+            if are_rounding(own.values, left[part]):
+                continue
+            colour = colour_of(left[part], own.times)
+            if colour.n_parameters:
+                if design is None:
+                    design = np.concatenate([jacobian, self.weighed(state.matrix)], axis=1)
+                rows = design[part]
+                excess += (colour.score_covariance(rows) - rows.T @ rows) / max(variance, 1e-300)
+        result = covariance + covariance @ excess @ covariance
+        return np.asarray(0.5 * (result + result.T))
 
 
 def _in_a_row(parts: Sequence[FloatArray]) -> FloatArray:

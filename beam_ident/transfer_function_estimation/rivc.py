@@ -1,9 +1,10 @@
 """Transfer functions under noise as it is: the refined instrumental variable method (RIVC), and several records.
 
 Young and Jakeman's refined method (1980; hybrid continuous-time form: Young, Garnier and
-Gilson 2008) keeps the system in continuous time and gives the sampled noise a discrete-time model.
-Here that is an autoregression, whose order BIC chooses from the residuals, and for every record a
-level of its own (``noise.noise_model``).  Residuals and gradients alike pass through its inverse;
+Gilson 2008) keeps the system in continuous time and gives the sampled noise a model of its own.
+Here that is an autoregression or, at stamps of any spacing, a process in continuous time, as BIC chooses
+from the residuals; outliers weigh by Student's t; and every record has a level of its own
+(``noise.noise_model``).  Residuals and gradients alike pass through its inverse;
 the stationary point of the output error so weighed is RIVC's fixed point, the maximum of the
 likelihood.  System and noise take turns until neither moves: their estimates are uncorrelated, so
 that a few turns are enough.
@@ -15,43 +16,77 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from beam_ident.numerics.levenberg_marquardt import minimise
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.srivc import Method, Optimum, srivc
 
-_TURNS = 6
+_TURNS = 25  # a few for a colour; weights by the tails settle more slowly
 _ITERATIONS = 30  # of a turn
 _SETTLED = 0.02  # standard deviations that a turn may still move the system
+MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a coefficient
+
+
+def under_noise_as_it_is(
+    problem: OutputErrorProblem, start: Optimum, method: Method
+) -> tuple[OutputErrorProblem, Optimum]:
+    """Return an optimum weighed by its noise where that is other than white, else as it was.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    start : Optimum -- of it
+    method : str
+
+    Notes
+    -----
+    Residuals that hold unmodelled dynamics have a colour too, but weighing by it moves
+    the estimate further than noise can (Hausman 1978): then the weights stay equal, and the covariance counts the
+    colour.
+    """
+    shown = problem.reweighed(start.state, as_it_is=True).noise
+    if shown is None or shown.is_plain:
+        if len(problem.rows) == 1:
+            return problem, start
+        return refine_with_noise_model(problem, start, method, as_it_is=False)
+    plain, equal = problem, start
+    if len(problem.rows) > 1:
+        plain, equal = refine_with_noise_model(problem, start, method, as_it_is=False)
+    plain.scale = equal.state.scale
+    reach = np.sqrt(
+        np.maximum(np.diag(plain.covariance(equal.state).values)[: len(equal.state.theta)], 1e-300)
+    )
+    weighed, found = refine_with_noise_model(plain, equal, method, as_it_is=True)
+    moved = weighed.converted(found.state, equal.state.scale) - equal.state.theta
+    if not found.converged or not np.max(np.abs(moved) / reach) < MAX_TRAVEL:
+        return plain, equal
+    return weighed, found
 
 
 def refine_with_noise_model(
-    problem: OutputErrorProblem, start: Optimum, method: Method
+    problem: OutputErrorProblem, start: Optimum, method: Method, as_it_is: bool
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate the system and its noise in turns, from an optimum under noise taken for simpler than it is.
 
     Parameters
     ----------
-    problem : OutputErrorProblem -- at regular stamps where the noise is to have a colour
+    problem : OutputErrorProblem
     start : Optimum
-    method : str
-        "rivc" gives the noise of every record a colour, all others a level; "srivc" takes its turns by
-        instrumental variables, all others by Levenberg-Marquardt.
+    method : str -- "srivc" takes its turns by instrumental variables, all others by Levenberg-Marquardt
+    as_it_is : bool
+        Whether the noise of every record has a colour and outliers; a level of every record alone.
 
     Returns
     -------
     problem, optimum
         The problem in innovations, and the optimum there.
-
-    Raises
-    ------
-    EstimationError
-        Irregular stamps and a colour.
     """
     state, iterations = start.state, start.iterations
     weighed = problem
     for _ in range(_TURNS):
         # W of (T.9) from the residuals at the present model, then the model under W.
-        weighed = problem.reweighed(state, is_coloured=method == "rivc")
+        weighed = problem.reweighed(state, as_it_is)
         first = weighed.state(state.theta)
         if method == "srivc":
             found = srivc(weighed, first)

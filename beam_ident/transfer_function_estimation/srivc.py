@@ -39,8 +39,8 @@ from beam_ident.transfer_function_estimation.state_variable_filter import (
     stable_coefficients,
 )
 
-Method = Literal["auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf"]
-METHODS: tuple[Method, ...] = ("auto", "rivc", "srivc", "output_error", "ivsvf", "lssvf")
+Method = Literal["auto", "rivc", "white", "srivc", "output_error", "ivsvf", "lssvf"]
+METHODS: tuple[Method, ...] = ("auto", "rivc", "white", "srivc", "output_error", "ivsvf", "lssvf")
 
 _SRIVC_ITERATIONS = 20
 _SRIVC_TOLERANCE = 1e-4  # of a variance, per coefficient
@@ -91,7 +91,7 @@ def estimate_denominator(
     Parameters
     ----------
     problem : OutputErrorProblem
-    method : str -- which estimator to stop at; "auto", "rivc" and "output_error" go to the optimum
+    method : str -- which estimator to stop at; "auto", "rivc", "white" and "output_error" go to the optimum
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
     n_finalists : int
         How many starts behind filters are refined while the residuals do not look like noise.
@@ -119,7 +119,7 @@ def estimate_denominator(
         # weighed by them.
         start = next(_Chain(problem, method, cutoffs, delays, 1).in_turn(), None)
         if start is not None:
-            problem = problem.reweighed(start, is_coloured=False)
+            problem = problem.reweighed(start, as_it_is=False)
     return problem, _Chain(problem, method, cutoffs, delays, n_finalists).run()
 
 

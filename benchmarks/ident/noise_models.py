@@ -51,7 +51,7 @@ class ColouredCase(AgainstBound):
         values, sd = self.read(found.model)
         if not found.converged or len(values) != len(self.truth):
             return Outcome(seconds)
-        plain = self.read(estimate_transfer_function(record, *self.degrees).model)[0]
+        plain = self.read(estimate_transfer_function(record, *self.degrees, method="white").model)[0]
         if len(plain) != len(self.truth):
             plain = np.full(len(self.truth), np.nan)
         figures = {f"plain {k}": float(value) for k, value in enumerate(plain)}

@@ -18,7 +18,7 @@ from beam_ident import (
     fit_free_decay,
     identify,
 )
-from beam_ident.noise.outliers import outlier_warning, outliers
+from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
 from tests.beam_ident.periodic import modal_record
@@ -47,7 +47,7 @@ def test_one_sample_in_a_hundred_is_counted_and_named(size):
     found = estimate_transfer_function(spoiled(record_of(1.0), 0.01, size), 1, 0)
     (said,) = named(found.warnings)
     assert "6 of 599 samples of y0" in said
-    assert "NaN" in said
+    assert "Student's t" in said
     assert named(estimate_common_poles(spoiled(record_of(1.0), 0.01, size), 1, 0).warnings)
     assert not named(estimate_transfer_function(record_of(1.0), 1, 0).warnings)
 
@@ -59,16 +59,26 @@ def test_identify_names_every_output_in_one_warning():
     assert said.count(" of 1398 samples of z") == 3
 
 
-def test_setting_what_was_named_to_nan_takes_the_bias_and_the_warning_away():
-    record = spoiled(record_of(1.0), 0.02, 2.0)
-    first = estimate_transfer_function(record, 1, 0)
-    values = np.array(record.outputs[0].values)
-    values[outliers(first.residuals)] = np.nan
-    cleaned = TimeRecord(record.inputs, (dataclasses.replace(record.outputs[0], values=values),))
-    again = estimate_transfer_function(cleaned, 1, 0)
-    assert again.warnings == ()
-    assert abs(again.model.poles[0] + 4.0) < 3.0 * again.model.standard_deviations[0]
-    assert again.model.standard_deviations[0] < 0.3 * first.model.standard_deviations[0]
+def test_a_student_t_likelihood_is_as_good_as_leaving_out_what_was_named():
+    clean, record = record_of(1.0), spoiled(record_of(1.0), 0.05, 2.0)
+    known = estimate_transfer_function(clean, 1, 0).model
+    plain = estimate_transfer_function(record, 1, 0, method="white")
+    robust = estimate_transfer_function(record, 1, 0)
+    assert "NaN" in named(plain.warnings)[0]
+    assert abs(robust.model.poles[0] - known.poles[0]) < 0.5 * known.standard_deviations[0]
+    assert robust.model.standard_deviations[0] == pytest.approx(known.standard_deviations[0], rel=0.1)
+    assert plain.model.standard_deviations[0] > 5.0 * known.standard_deviations[0]
+
+
+def test_outliers_in_coloured_noise_are_left_out():
+    drive = InputSignal("u", "N", (0.0, 0.005), np.random.default_rng(7).standard_normal(1300), "zoh")
+    noise = 0.02 * lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).standard_normal(len(STAMPS)))
+    clean = TimeRecord((drive,), (OutputSignal("y0", "m", STAMPS, PLANT.simulate(drive, STAMPS) + noise),))
+    known = estimate_transfer_function(clean, 1, 0).model
+    found = estimate_transfer_function(spoiled(clean, 0.02, 3.0), 1, 0)
+    assert "without 12 outliers" in named(found.warnings)[0]
+    assert abs(found.model.poles[0] - known.poles[0]) < 0.7 * known.standard_deviations[0]
+    assert found.model.standard_deviations[0] == pytest.approx(known.standard_deviations[0], rel=0.2)
 
 
 def test_a_single_gross_one_is_worth_a_word():

@@ -1,0 +1,292 @@
+"""Coloured noise in continuous time, exact at stamps of any spacing.
+
+Noise that is sampled at irregular stamps, or with samples missing, has no autoregression: what neighbours have in
+common depends on how far apart they are.  Two processes in continuous time cover what is met: Ornstein-Uhlenbeck's,
+CAR(1), and CARMA(2, 1), which has a resonance or two time constants; each alone or beside white noise.
+
+Neither a Kalman filter nor a loop over samples is needed.  A free motion of order p is known everywhere from p
+instants, so that p coefficients predict it from the p samples before.  What that prediction leaves is noise
+driven since then: its covariance is banded, and its Cholesky factor is one call of LAPACK for all columns.
+
+Equation numbers are those of docs/identification.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+from scipy.optimize import minimize
+
+from beam_ident.arrays import FloatArray
+from beam_ident.noise.scores import Whiteness
+
+_LARGEST = 8192  # samples that choose a model: more tell nothing new of its form
+_STRETCHES = 4  # in which these are taken from a long record
+_TIMES = 9  # time constants that are tried
+_ENOUGH = 0.05  # level of the whiteness test above which no further model is looked for
+_BELOW_NYQUIST = 0.98
+_LEAST_WHITE, _MOST_WHITE = 1e-6, 0.999
+_IMPOSSIBLE = 1e300
+
+
+@dataclass(frozen=True)
+class ContinuousNoise:
+    """A stationary process of variance one.
+
+    Attributes
+    ----------
+    decay : float -- a of (I.21) [1/s]
+    split : float or None
+        d^2 of (I.21) [1/s^2], negative for a resonance; None for Ornstein-Uhlenbeck noise.
+    slope : float -- k of (I.21) [1/s], between -a and a
+    white : float -- share of the variance that is white noise, beside the process
+    """
+
+    decay: float
+    split: float | None = None
+    slope: float = 0.0
+    white: float = 0.0
+
+    @property
+    def order(self) -> int:
+        """Order of the process: samples from which its free motion is known."""
+        return 1 if self.split is None else 2
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters beside the variance."""
+        return (1 if self.split is None else 3) + (self.white > 0.0)
+
+    def __str__(self) -> str:
+        """Return what the noise is, in words."""
+        beside = f" beside {self.white:.0%} white noise" if self.white > 0.0 else ""
+        if self.split is None:
+            return f"Ornstein-Uhlenbeck noise of {1.0 / self.decay:.3g} s{beside}"
+        if self.split < 0.0:
+            hertz = math.sqrt(self.decay**2 - self.split) / (2.0 * math.pi)
+            return f"CARMA(2, 1) noise with a resonance at {hertz:.3g} Hz{beside}"
+        return f"CARMA(2, 1) noise{beside}"
+
+    def correlation(self, lags_s: FloatArray) -> FloatArray:
+        """Return the process's correlation (I.21) at lags [s], white noise left out."""
+        lags = np.abs(lags_s)
+        if self.split is None:
+            return np.asarray((1.0 - self.white) * np.exp(-self.decay * lags))
+        even, odd = self._free(lags)
+        return np.asarray((1.0 - self.white) * (even + self.slope * odd))
+
+    def _free(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ``exp(-a t) cosh(d t)`` and ``exp(-a t) sinh(d t) / d`` for t >= 0, for either sign of d^2."""
+        assert self.split is not None
+        size = math.sqrt(abs(self.split))
+        if size == 0.0:
+            decayed = np.exp(-self.decay * times_s)
+            return decayed, decayed * times_s
+        if self.split < 0.0:
+            decayed = np.exp(-self.decay * times_s)
+            return decayed * np.cos(size * times_s), decayed * np.sin(size * times_s) / size
+        slow, fast = np.exp((size - self.decay) * times_s), np.exp(-(size + self.decay) * times_s)
+        return 0.5 * (slow + fast), -0.5 * slow * np.expm1(-2.0 * size * times_s) / size
+
+    def predictors(self, times_s: FloatArray) -> FloatArray:
+        """Return by which coefficients earlier samples predict the free motion, shape (order, n); (I.22)."""
+        steps = np.diff(times_s)
+        found = np.zeros((self.order, len(times_s)))
+        if self.split is None:
+            found[0, 1:] = np.exp(-self.decay * steps)
+            return found
+        # Free motions that vanish at one of the two instants have one coefficient each.
+        before, after = steps[:-1], steps[1:]
+        odd_before = self._free(before)[1]
+        odd_before = np.where(odd_before == 0.0, 1e-300, odd_before)
+        found[0, 2:] = self._free(before + after)[1] / odd_before
+        found[1, 2:] = -np.exp(-2.0 * self.decay * before) * self._free(after)[1] / odd_before
+        return found
+
+
+class ContinuousWhitening:
+    """The inverse of a process in continuous time at given stamps, exact from the first sample on.
+
+    Parameters
+    ----------
+    noise : ContinuousNoise
+    times_s : ndarray, shape (n,) -- rising, of any spacing [s]
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A process that stamps so near cannot tell from a smooth curve.
+
+    Notes
+    -----
+    ``R^-1 = W^T W`` with ``W = L^-1 T``: T predicts, (I.22), and L L^T is the banded covariance of what that
+    leaves, (I.23).
+    """
+
+    coefficients = np.ones(1)  # of an autoregression: it has none
+
+    def __init__(self, noise: ContinuousNoise, times_s: FloatArray) -> None:
+        self.noise = noise
+        order, n = noise.order, len(times_s)
+        self._predictors = noise.predictors(times_s)
+        taken = [np.ones(n), *(-row for row in self._predictors)]
+        band = np.zeros((order + 1, n))
+        for apart in range(min(order + 1, n)):
+            # cov(z_k, z_(k - apart), every pair of samples in both; column k - apart of LAPACK's lower band.
+            total = np.zeros(n - apart)
+            for i, here in enumerate(taken):
+                for j, there in enumerate(taken):
+                    first = max(i - apart, j, 0)
+                    k = np.arange(apart + first, n)
+                    one, other = k - i, k - apart - j
+                    common = noise.correlation(times_s[one] - times_s[other])
+                    if noise.white > 0.0 and i == apart + j:
+                        common = common + noise.white
+                    total[first:] += here[k] * there[k - apart] * common
+            band[apart, : n - apart] = total
+        self._factor = cholesky_banded(band, lower=True, check_finite=False)
+        diagonal = self._factor[0]
+        if not (np.all(np.isfinite(diagonal)) and np.all(diagonal > 0.0)):
+            raise LinAlgError("the covariance of the noise is not positive")
+        self.log_determinant = float(np.sum(np.log(diagonal)))
+        self._unit = math.exp(self.log_determinant / n)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters beside the variance."""
+        return self.noise.n_parameters
+
+    def __str__(self) -> str:
+        """Return what the noise is, in words."""
+        return str(self.noise)
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Return columns of shape (n, ...) as independent samples see them; of determinant one."""
+        left = np.array(columns, dtype=np.float64, order="F")
+        for lag, row in enumerate(self._predictors, start=1):
+            own = row[lag:].reshape(-1, *([1] * (left.ndim - 1)))
+            left[lag:] -= own * columns[:-lag]
+        flat = left.reshape(len(left), -1)
+        white = dtbtrs(self._factor, flat, uplo="L")[0]
+        return np.asarray(white.reshape(left.shape) * self._unit)
+
+    def score_covariance(self, design: FloatArray) -> FloatArray:
+        """Return ``D^T R D`` for this noise's correlation R and the derivatives D, shape (n, n_parameters)."""
+        n, order = len(design), self.noise.order
+        steps = np.zeros((order + 1, n))
+        steps[0] = 1.0
+        for lag, row in enumerate(self._predictors, start=1):
+            steps[lag, : n - lag] = -row[lag:]
+        # R = T^-1 L L^T T^-T, so that the product is |L^T T^-T D|^2.
+        back = dtbtrs(steps, np.asfortranarray(design), uplo="L", trans="T")[0]
+        spread = self._factor[0][:, None] * back
+        for lag in range(1, order + 1):
+            spread[:-lag] += self._factor[lag, : n - lag, None] * back[lag:]
+        return np.asarray(spread.T @ spread)
+
+
+def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNoise | None:
+    """Return the process that BIC prefers for residuals at stamps of any spacing, None for white noise.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+    times_s : ndarray, shape (n,) -- rising [s]
+    """
+    residuals, times_s = _thinned(residuals - np.mean(residuals), times_s)
+    if Whiteness.of(residuals).p_value > _ENOUGH:
+        return None
+    n = len(residuals)
+    period = float(np.median(np.diff(times_s)))
+    length = float(times_s[-1] - times_s[0])
+    highest = _BELOW_NYQUIST * math.pi / period
+
+    def cost(noise: ContinuousNoise) -> float:
+        try:
+            whitening = ContinuousWhitening(noise, times_s)
+        except (LinAlgError, ValueError):
+            return _IMPOSSIBLE
+        white = whitening.apply(residuals)
+        found = 0.5 * n * math.log(max(float(white @ white), 1e-300))
+        return found if math.isfinite(found) else _IMPOSSIBLE
+
+    plain = 0.5 * n * math.log(max(float(residuals @ residuals), 1e-300))
+    best: tuple[float, ContinuousNoise | None] = (2.0 * plain, None)
+
+    def offer(form: Callable[[FloatArray], ContinuousNoise], starts: list[list[float]]) -> ContinuousNoise:
+        nonlocal best
+        tried = [(cost(form(np.array(start))), start) for start in starts]
+        start = np.array(min(tried)[1])
+        simplex = np.vstack([start, *(start + 0.7 * row for row in np.eye(len(start)))])
+        options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 90 * len(start)}
+        found = minimize(lambda p: cost(form(p)), start, method="Nelder-Mead", options=options)
+        noise = form(found.x)
+        criterion = 2.0 * float(found.fun) + noise.n_parameters * math.log(n)
+        if criterion < best[0]:
+            best = criterion, noise
+        return noise
+
+    def is_enough() -> bool:
+        white = residuals if best[1] is None else ContinuousWhitening(best[1], times_s).apply(residuals)
+        return Whiteness.of(white).p_value > _ENOUGH
+
+    def first_order(p: FloatArray) -> ContinuousNoise:
+        return ContinuousNoise(_exp(p[0]), white=_share(p[1]) if len(p) > 1 else 0.0)
+
+    def second_order(p: FloatArray) -> ContinuousNoise:
+        decay = _exp(p[0])
+        # From a pair at the Nyquist frequency to two real time constants far apart.
+        share = _share(p[1])
+        split = share * (decay**2 + highest**2) * 0.999 - highest**2
+        return ContinuousNoise(
+            decay, split, decay * math.tanh(p[2]), white=_share(p[3]) if len(p) > 3 else 0.0
+        )
+
+    decays = [math.log(decay) for decay in np.geomspace(3.0 / length, 3.0 / period, _TIMES)]
+    alone = offer(first_order, [[p] for p in decays])
+    if is_enough():
+        return best[1]
+    slow = math.log(alone.decay) - 1.0
+    offer(first_order, [[slow, 0.0], [slow + 1.0, -3.0], [slow, 2.0]])
+    if is_enough():
+        return best[1]
+    places = []
+    for decay in (slow + 1.0, slow - 1.0, slow + 2.5):
+        size = _exp(decay)
+        # Two real time constants, a double one, and resonances over the band; d^2 of each as a share of its range.
+        for split in (0.5 * size**2, *(-(np.geomspace(2.0 * math.pi / length, 0.95 * highest, 7) ** 2))):
+            places.append([decay, _logit((split + highest**2) / (size**2 + highest**2))])
+    offer(second_order, [[*place, k] for place in places for k in (-0.5, 0.7)])
+    if is_enough():
+        return best[1]
+    offer(second_order, [[*place, k, w] for place in places for k in (-0.5, 0.7) for w in (-1.5, 0.5)])
+    return best[1]
+
+
+def _thinned(residuals: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a few stretches of a long record: the time between them only makes them independent."""
+    n = len(residuals)
+    if n <= _LARGEST:
+        return residuals, times_s
+    size = _LARGEST // _STRETCHES
+    starts = np.linspace(0, n - size, _STRETCHES).astype(np.intp)
+    kept = np.concatenate([np.arange(start, start + size) for start in starts])
+    return residuals[kept], times_s[kept]
+
+
+def _exp(value: float) -> float:
+    return math.exp(min(max(float(value), -200.0), 200.0))
+
+
+def _share(value: float) -> float:
+    return _LEAST_WHITE + (_MOST_WHITE - _LEAST_WHITE) / (1.0 + _exp(-value))
+
+
+def _logit(share: float) -> float:
+    share = min(max(share, 1e-5), 1.0 - 1e-5)
+    return math.log(share / (1.0 - share))
