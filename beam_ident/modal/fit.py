@@ -36,6 +36,8 @@ class ModalFit:
     input_noise_shares : ndarray, shape (n_outputs,)
         Share of each output's noise variance that noise on the input makes up.
     rank_deficient : tuple of int -- outputs whose linear columns depend on each other
+    noises : tuple of tuple of str
+        Of every output what its noise was taken for in every record, empty for white; none with equal weights.
     """
 
     omegas: FloatArray
@@ -53,6 +55,7 @@ class ModalFit:
     converged: bool
     reason: str
     iterations: int
+    noises: tuple[tuple[str, ...], ...] = ()
 
     @property
     def n_parameters(self) -> int:

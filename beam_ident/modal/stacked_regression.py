@@ -67,6 +67,7 @@ class StackedRegression:
     is_noise_known : bool -- whether weights are one over the noise's standard deviation
     is_sequence : bool -- whether rows are samples of a signal, in the order of time
     n_forced : int -- columns of a mode that the input drives
+    times : sequence of ndarray -- stamps of every output's rows [s], where they are samples
     """
 
     max_latency_s = np.inf
@@ -78,7 +79,9 @@ class StackedRegression:
         is_noise_known: bool,
         is_sequence: bool = False,
         n_forced: int = 1,
+        times: Sequence[FloatArray] = (),
     ) -> None:
+        self.times = times
         self.bases, self.outputs = bases, outputs
         self.is_noise_known, self.is_sequence, self.n_forced = is_noise_known, is_sequence, n_forced
         self.values: list[FloatArray] = [

@@ -140,7 +140,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
             [Part(k, s.values, np.full(len(s.values), 1.0 / size))]
             for k, (s, size) in enumerate(zip(signals, self.sizes, strict=True))
         ]
-        problem = StackedRegression(bases, outputs, False, is_sequence=True, n_forced=0)
+        problem = StackedRegression(bases, outputs, False, is_sequence=True, n_forced=0, times=times)
         super().__init__(problem, Band.without_input(longest, rate), Prior(), Prior(), shows_clock=False)
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:

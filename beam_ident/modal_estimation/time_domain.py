@@ -261,6 +261,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         values, residuals = regression.values[j], fit.residuals[j]
         deflection = values - matrix @ rigid
         noise_sd = float(fit.sigmas[j]) * levels / math.sqrt(float(np.mean(np.square(levels))))
+        noises = fit.noises[j] if fit.noises else ("",) * len(starts)
         records = tuple(
             RecordFit(
                 name=self.records[index].name,
@@ -273,8 +274,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 whiteness=Whiteness.of(residuals[part]),
                 offset=float(found[own]) if structure.has_offset else 0.0,
                 ramp=float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0,
+                noise=noise,
             )
-            for (index, part), own in zip(regression.segments[j], starts, strict=True)
+            for (index, part), own, noise in zip(regression.segments[j], starts, noises, strict=True)
         )
         parts = [part for _, part in regression.segments[j]]
         return OutputFit(

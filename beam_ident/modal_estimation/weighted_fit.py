@@ -4,8 +4,9 @@ Least squares with equal weights is unbiased while the input is known and the ou
 noise is independent of it, of any colour, but it is neither the most precise
 estimate nor are its plain intervals right.  The residuals of such a fit show the noise:
 
-- with a known input, an autoregression of every output's residuals whitens residuals
-  and derivatives alike (generalised least squares);
+- with a known input, the colour of every output's residuals in every record (an autoregression or, at stamps of
+  any spacing, a process in continuous time) whitens residuals and derivatives alike (generalised least squares);
+  outliers are left out, and what is left weighs by Student's t (``noise.noise_model``);
 - with noise on the input, a Kalman filter does (``modal_estimation.input_disturbance``), and the
   derivatives are those at the most likely true input.  With them the score has mean zero
   at the true parameters, which takes away the bias of errors in variables: it is
@@ -24,7 +25,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
@@ -36,10 +36,13 @@ from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, Inp
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.noise.input_noise import Smoothing
+from beam_ident.noise.noise_model import RecordNoise, Whitening
 from beam_ident.noise.scores import are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_STEPS = 15
+_MAX_STEPS_AMONG_OUTLIERS = 40  # weights by the tails settle more slowly
+_LOOKS = 2  # at the noise, once the fit has left what outliers did to its start
 _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
 _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
@@ -100,20 +103,40 @@ class WeightedFit:
         self.n_shared = n_shared
         self.variances = np.square(fit.sigmas)
         self.freedom = 1.0 - len(fit.covariance) / max(regression.n_samples, 1)
-        self.colours = [np.ones(1) for _ in fit.residuals]
+        # Of the outputs' own noise in every record, beside that of the input.
+        self.record_variances = np.tile(self.variances, (max(len(self.records), 1), 1))
+        self.noises: list[list[RecordNoise]] = []
         if smoothing is None:
-            self.colours = [
-                np.ones(1) if are_rounding(values, residuals) else autoregression(residuals)
-                for values, residuals in zip(regression.values, fit.residuals, strict=True)
-            ]
-            # sigma_j^2 of (I.10), with the degrees of freedom that all parameters take.
-            filtered = [self._filtered(j, r[:, None]) for j, r in enumerate(fit.residuals)]
-            self.variances = np.array([float(np.mean(np.square(f))) / self.freedom for f in filtered])
+            self._take_noise(fit.residuals)
+
+    def _take_noise(self, residuals: Sequence[FloatArray]) -> None:
+        """Let every record weigh by the noise that residuals show there; what it was taken for at first stays."""
+        known, self.noises, self.levels = self.noises, [], []
+        for j, (values, left) in enumerate(zip(self.regression.values, residuals, strict=True)):
+            times, segments = self.regression.times[j], self.regression.segments[j]
+            if known:
+                noises = [own.followed(left[part]) for own, (_, part) in zip(known[j], segments, strict=True)]
+            elif are_rounding(values, left):
+                noises = [RecordNoise(Whitening(np.ones(1), times[part])) for _, part in segments]
+            else:
+                noises = [RecordNoise.of(left[part], times[part]) for _, part in segments]
+            self.noises.append(noises)
+            # sigma_j^2 of (I.10), with the degrees of freedom that all parameters take; records that have a
+            # colour or tails each have theirs, all others share the weights that they came with.
+            white = [own.apply(left[part]) for own, (_, part) in zip(noises, segments, strict=True)]
+            powers = [float(np.mean(np.square(own))) / self.freedom for own in white]
+            if all(own.is_plain for own in noises):
+                powers = [float(np.mean(np.square(left))) / self.freedom] * len(noises)
+            self.levels.append(np.sqrt(powers))
 
     @property
     def is_needed(self) -> bool:
         """Whether the noise is other than what the fit took it for."""
-        return self.smoothing is not None or any(len(colour) > 1 for colour in self.colours)
+        return self.smoothing is not None or any(not own.is_plain for noises in self.noises for own in noises)
+
+    @property
+    def _has_outliers(self) -> bool:
+        return any(own.kept is not None or own.tails is not None for noises in self.noises for own in noises)
 
     @property
     def _driven(self) -> ModalRegression:
@@ -137,7 +160,8 @@ class WeightedFit:
         travelled = np.zeros(len(fit.covariance))
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
-        for step in range(1, _MAX_STEPS + 1):
+        looks = 0
+        for step in range(1, (_MAX_STEPS_AMONG_OUTLIERS if self._has_outliers else _MAX_STEPS) + 1):
             # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
             linear = self._linearise(point)
             design, right = self._with_priors(linear, point)
@@ -155,6 +179,11 @@ class WeightedFit:
             point = self._moved(point, change)
             # D step is the step in units of its standard deviation: |D step|^2 = step^T H step.
             if float(np.linalg.norm(design @ change)) < _STEP_TOLERANCE * np.sqrt(len(change)):
+                if self._has_outliers and looks < _LOOKS:
+                    # The start was off by what the outliers did to it, which has a colour: look again.
+                    looks, self.noises = looks + 1, []
+                    self._take_noise(self._residuals(point))
+                    continue
                 return self._finished(point, linear, solution.inverse_gram(), step)
         reason = "weighing by the noise did not settle; weights are equal"
         return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
@@ -177,7 +206,9 @@ class WeightedFit:
         if self.smoothing is not None:
             # The innovations L^-1 r of (I.16) have unit power where the sigma_j^2 are right.
             disturbances = self._disturbances(point)
-            filters = [d.filter(o, self.variances) for d, o in disturbances]
+            filters = [
+                d.filter(o, own) for (d, o), own in zip(disturbances, self.record_variances, strict=True)
+            ]
             white = [r[:, None].copy() for r in residuals]
             for own in filters:
                 own.whiten(white)
@@ -189,6 +220,8 @@ class WeightedFit:
             cleaned = self._cleaned(disturbances, weighted)
             # The derivatives at a_hat, (I.15); the residuals stay those against the measured input, (I.12).
             blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+        elif self._has_outliers:
+            self._take_noise(residuals)  # the weights of tails go with the residuals
         # D and w side by side, so that one pass of the filter whitens both: L^-1 (dM/deta a_hat) and L^-1 r.
         columns = self._columns(blocks, point.coefficients)
         for rows, values in zip(columns, residuals, strict=True):
@@ -196,10 +229,20 @@ class WeightedFit:
         for own_filter in filters:
             own_filter.whiten(columns)
         if not filters:
-            columns = [self._filtered(j, c) / np.sqrt(self.variances[j]) for j, c in enumerate(columns)]
+            columns = [self._filtered(j, c) for j, c in enumerate(columns)]
         stacked = np.concatenate(columns)
         lengths = tuple(len(c) for c in columns)
         return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters), tuple(disturbances))
+
+    def _residuals(self, point: _Point) -> tuple[FloatArray, ...]:
+        regression = self.regression
+        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=False)
+        return tuple(
+            values - blocks[block].matrix @ found
+            for values, block, found in zip(
+                regression.values, regression.block_of, point.coefficients, strict=True
+            )
+        )
 
     def _columns(self, blocks: Sequence[ColumnBlock], coefficients: Sequence[FloatArray]) -> list[FloatArray]:
         """Return the derivatives of every output by all parameters, and room for one column more."""
@@ -217,13 +260,12 @@ class WeightedFit:
         return columns
 
     def _filtered(self, output: int, columns: FloatArray) -> FloatArray:
-        """Return columns passed through an output's whitening filter, each record for itself."""
-        colour = self.colours[output]
-        if len(colour) == 1:
-            return columns
-        return np.concatenate(
-            [lfilter(colour, [1.0], columns[part], axis=0) for _, part in self.regression.segments[output]]
-        )
+        """Return columns as the noise of an output sees them, each record for itself, in units of its level."""
+        result = np.empty_like(columns)
+        owned = zip(self.regression.segments[output], self.noises[output], self.levels[output], strict=True)
+        for (_, part), noise, level in owned:
+            np.divide(noise.apply(columns[part]), max(float(level), 1e-300), out=result[part])
+        return result
 
     def _with_priors(self, linear: _Linearisation, point: _Point) -> tuple[FloatArray, FloatArray]:
         rows, values = [], []
@@ -295,11 +337,13 @@ class WeightedFit:
     def _adjust_variances(self, white: list[FloatArray], residuals: list[FloatArray]) -> None:
         """Move the outputs' own variances to where the innovations have unit power."""
         for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
-            # E v^2 = 1 - n_parameters / n where sigma_j^2 is right. Never below a share of the residuals'
-            # power: an output may otherwise be explained by the input's noise altogether.
-            power = float(np.mean(np.square(own)))
-            least = _MIN_VARIANCE * float(np.mean(np.square(plain)))
-            self.variances[output] = max(self.variances[output] * power / self.freedom, least)
+            for record, part in self.regression.segments[output]:
+                # E v^2 = 1 - n_parameters / n where sigma_j^2 is right. Never below a share of the residuals'
+                # power: an output may otherwise be explained by the input's noise altogether.
+                power = float(np.mean(np.square(own[part])))
+                least = _MIN_VARIANCE * float(np.mean(np.square(plain[part])))
+                before = self.record_variances[record, output]
+                self.record_variances[record, output] = max(before * power / self.freedom, least)
 
     def _cleaned(
         self, disturbances: list[tuple[InputDisturbance, Observations]], weighted: list[FloatArray]
@@ -387,7 +431,7 @@ class WeightedFit:
                 point.omegas, point.zetas, point.clock, gradients=False
             )
             for output, block in enumerate(regression.block_of):
-                own = np.sqrt(self.variances[output]) * rng.standard_normal(len(residuals[output]))
+                own = rng.standard_normal(len(residuals[output])) * np.sqrt(self._row_variances(output))
                 residuals[output][:, draw] = own - blocks[block].matrix @ shared[output]
         for own_filter in linear.filters:
             own_filter.whiten(residuals)
@@ -399,23 +443,39 @@ class WeightedFit:
                 noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
         return inputs
 
+    def _row_variances(self, output: int) -> FloatArray:
+        """Return the variance of an output's own noise at every row."""
+        result = np.empty(len(self.regression.values[output]))
+        for record, part in self.regression.segments[output]:
+            result[part] = self.record_variances[record, output]
+        return result
+
     def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
         """Return the fit, with what correlation is left in the innovations in its covariance."""
-        covariance = _sandwich(linear, inverse)
+        inflations = [
+            np.concatenate(
+                [
+                    np.full(part.stop - part.start, own.inflation)
+                    for own, (_, part) in zip(noises, segments, strict=True)
+                ]
+            )
+            for noises, segments in zip(self.noises, self.regression.segments, strict=False)
+        ]
+        covariance = _sandwich(linear, inverse, inflations)
         if self.smoothing is not None:
             covariance = self._without_feigned_information(point, linear, covariance)
-        regression = self.regression
-        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=False)
-        residuals = tuple(
-            values - blocks[block].matrix @ found
-            for values, block, found in zip(
-                regression.values, regression.block_of, point.coefficients, strict=True
-            )
-        )
+        residuals = self._residuals(point)
         powers = np.array([float(np.mean(np.square(r))) for r in residuals])
+        for output, noises in enumerate(self.noises):
+            kept = [
+                own.counted(residuals[output][part])
+                for own, (_, part) in zip(noises, self.regression.segments[output], strict=True)
+            ]
+            powers[output] = float(np.mean(np.square(np.concatenate(kept))))
         shares = np.zeros(len(residuals))
         if self.smoothing is not None:
-            shares = np.clip(1.0 - self.variances / powers, 0.0, 1.0)
+            own_powers = [float(np.mean(self._row_variances(j))) for j in range(len(residuals))]
+            shares = np.clip(1.0 - np.array(own_powers) / powers, 0.0, 1.0)
         return dataclasses.replace(
             self.fit,
             omegas=point.omegas,
@@ -426,20 +486,31 @@ class WeightedFit:
             sigmas=np.sqrt(powers / self.freedom),
             covariance=0.5 * (covariance + covariance.T),
             input_noise_shares=shares,
+            noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises),
             iterations=self.fit.iterations + steps,
         )
 
 
-def _sandwich(linear: _Linearisation, inverse: FloatArray) -> FloatArray:
-    """Return the covariance (I.11) under the colour that the innovations still have, from that without colour."""
+def _sandwich(linear: _Linearisation, inverse: FloatArray, inflations: Sequence[FloatArray]) -> FloatArray:
+    """Return the covariance (I.11) under the colour that the innovations still have, from that without colour.
+
+    Parameters
+    ----------
+    linear : _Linearisation
+    inverse : ndarray -- of the information
+    inflations : sequence of ndarray -- of every output, by what the variance of its rows grows; none is one
+    """
     excess = np.zeros_like(inverse)
     first = 0
-    for length in linear.lengths:
+    for output, length in enumerate(linear.lengths):
         own = slice(first, first + length)
         first += length
         # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations
         # still have.
         innovations = linear.residuals[own]
+        if inflations and np.any(inflations[output] != 1.0):
+            design = linear.design[own]
+            excess += design.T @ (design * (inflations[output] - 1.0)[:, None])
         colour = autoregression(innovations)
         if len(colour) > 1:
             design = linear.design[own]

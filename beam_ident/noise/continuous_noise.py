@@ -25,10 +25,10 @@ from scipy.optimize import minimize
 from beam_ident.arrays import FloatArray
 from beam_ident.noise.scores import Whiteness
 
-_LARGEST = 8192  # samples that choose a model: more tell nothing new of its form
+_LARGEST = 4096  # samples that choose a model: more tell nothing new of its form
 _STRETCHES = 4  # in which these are taken from a long record
 _TIMES = 9  # time constants that are tried
-_ENOUGH = 0.05  # level of the whiteness test above which no further model is looked for
+_ENOUGH = 0.01  # level of the whiteness test above which no further model is looked for
 _BELOW_NYQUIST = 0.98
 _LEAST_WHITE, _MOST_WHITE = 1e-6, 0.999
 _IMPOSSIBLE = 1e300
@@ -223,7 +223,7 @@ def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNo
         tried = [(cost(form(np.array(start))), start) for start in starts]
         start = np.array(min(tried)[1])
         simplex = np.vstack([start, *(start + 0.7 * row for row in np.eye(len(start)))])
-        options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 90 * len(start)}
+        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05, "maxfev": 60 * len(start)}
         found = minimize(lambda p: cost(form(p)), start, method="Nelder-Mead", options=options)
         noise = form(found.x)
         criterion = 2.0 * float(found.fun) + noise.n_parameters * math.log(n)
@@ -256,15 +256,15 @@ def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNo
     if is_enough():
         return best[1]
     places = []
-    for decay in (slow + 1.0, slow - 1.0, slow + 2.5):
+    for decay in (slow + 1.5, slow - 1.0):
         size = _exp(decay)
         # Two real time constants, a double one, and resonances over the band; d^2 of each as a share of its range.
         for split in (0.5 * size**2, *(-(np.geomspace(2.0 * math.pi / length, 0.95 * highest, 7) ** 2))):
             places.append([decay, _logit((split + highest**2) / (size**2 + highest**2))])
-    offer(second_order, [[*place, k] for place in places for k in (-0.5, 0.7)])
+    offer(second_order, [[*place, 0.0] for place in places])
     if is_enough():
         return best[1]
-    offer(second_order, [[*place, k, w] for place in places for k in (-0.5, 0.7) for w in (-1.5, 0.5)])
+    offer(second_order, [[*place, 0.0, w] for place in places for w in (-1.5, 0.5)])
     return best[1]
 
 

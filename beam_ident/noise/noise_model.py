@@ -25,7 +25,7 @@ from beam_ident.noise.heavy_tails import HeavyTails
 from beam_ident.noise.outliers import outliers, spoiling
 
 _OFF_GRID = 1e-3  # of a period
-_FEW_BREAKS = 0.01  # of the samples: with so few gaps an autoregression knows its neighbours
+_FEW_BREAKS = 0.02  # of the samples: with so few gaps an autoregression knows its neighbours
 
 
 class Whitening:
@@ -174,6 +174,14 @@ class RecordNoise:
             return RecordNoise(colour, kept)
         return RecordNoise(Whitening(np.ones(1), times_s), tails=HeavyTails.of(residuals, kept))
 
+    def followed(self, residuals: FloatArray) -> RecordNoise:
+        """Return the same noise with the weights of tails that other residuals near these have."""
+        if self.tails is None:
+            return self
+        kept = np.ones(len(residuals), dtype=bool)
+        kept[outliers(residuals)] = False
+        return RecordNoise(self.colour, tails=HeavyTails.of(residuals, kept))
+
     @property
     def is_plain(self) -> bool:
         """Whether the noise is white and without outliers."""
@@ -183,6 +191,11 @@ class RecordNoise:
     def n_parameters(self) -> int:
         """Number of parameters beside the level."""
         return self.colour.n_parameters + (self.tails is not None)
+
+    def counted(self, residuals: FloatArray) -> FloatArray:
+        """Return the residuals that are no outliers."""
+        kept = self.kept if self.tails is None else self.tails.kept
+        return residuals if kept is None else residuals[kept]
 
     @property
     def inflation(self) -> float:

@@ -440,7 +440,9 @@ def record_fits(
                 measured=own.values,
                 modelled=own.values - left,
                 residuals=left,
-                noise_sd=level * math.sqrt(joint.variance) if is_plain else float(np.std(left)),
+                noise_sd=level * math.sqrt(joint.variance)
+                if noise is None or is_plain
+                else float(np.std(noise.counted(left))),
                 noise_coefficients=np.ones(1) if noise is None else noise.colour.coefficients,
                 noise="" if is_plain else str(noise),
                 scores=Scores.of(own.values, left),

@@ -67,7 +67,8 @@ class LoopCase:
         seconds = time.perf_counter() - start
         if not found.converged:
             return Outcome(seconds)
-        plain = estimate_transfer_function(TimeRecord((record.input("drive"),), record.outputs), 3, 1)
+        open_loop = TimeRecord((record.input("drive"),), record.outputs)
+        plain = estimate_transfer_function(open_loop, 3, 1, method="white")
         figures = {
             f"open {name}": float(value)
             for name, value in zip(found.model.parameter_names[:5], plain.model.parameters[:5], strict=True)

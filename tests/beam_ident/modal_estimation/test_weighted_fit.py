@@ -110,7 +110,7 @@ def test_the_mean_of_noise_with_a_colour_scatters_more_than_that_of_white_noise(
     coloured = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], shocks)
     # Two outputs of unit variance, of which a constant each is estimated.
     linear = _Linearisation(np.kron(np.eye(2), np.ones((n, 1))), np.concatenate([coloured, white]), (n, n))
-    variances = n * np.diag(_sandwich(linear, np.eye(2) / n))
+    variances = n * np.diag(_sandwich(linear, np.eye(2) / n, ()))
     # (1 + c) / (1 - c) for a first-order autoregression; 20000 samples know c to 0.006, the ratio to 0.025.
     assert variances == pytest.approx([(1.0 + colour) / (1.0 - colour), 1.0], abs=0.1)
 

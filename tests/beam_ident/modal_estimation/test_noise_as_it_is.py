@@ -1,0 +1,72 @@
+"""Modes under the noise that records really have: at any stamps, record by record, with outliers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import OutputSignal, TimeRecord, identify
+from benchmarks.ident.several_records import TwoFilms
+from tests.beam_ident.noise.test_outliers import spoiled
+
+
+@pytest.fixture(scope="module")
+def films() -> TwoFilms:
+    return TwoFilms()
+
+
+def scores(films: TwoFilms, record: TimeRecord | list[TimeRecord]) -> np.ndarray:
+    model = identify(record, n_modes=2).model
+    found = np.concatenate([model.natural_frequencies, model.damping_ratios])
+    return (found - films.truth) / np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd])
+
+
+def slow_film(films: TwoFilms, seed: int) -> TimeRecord:
+    """Return a film at stamps anywhere under Ornstein-Uhlenbeck noise of 0.1 s."""
+    rng = np.random.default_rng(seed)
+    times = np.sort(rng.uniform(0.01, 8.89, 889))
+    noise = rng.standard_normal((889, 2))
+    for k, share in enumerate(np.exp(-np.diff(times) / 0.1), start=1):
+        noise[k] = share * noise[k - 1] + np.sqrt(1.0 - share**2) * noise[k]
+    seen = films.model.simulate(films.hub, times, films.exposure_s) + 4e-6 * noise
+    outputs = [
+        OutputSignal(n, "m", times, seen[:, j], films.exposure_s) for j, n in enumerate(("root", "tip"))
+    ]
+    return TimeRecord((films.hub,), tuple(outputs))
+
+
+def test_slow_noise_at_stamps_anywhere_is_weighed_by_its_time_constant(films):
+    found = identify(slow_film(films, 1), n_modes=2)
+    for output in found.outputs:
+        assert "Ornstein-Uhlenbeck" in output.records[0].noise
+    every = np.array([scores(films, slow_film(films, seed)) for seed in range(3)])
+    assert np.max(np.abs(every)) < 3.6
+    assert np.mean(every**2) < 2.2  # twelve scores
+
+
+def test_every_record_has_noise_of_its_own_colour(films):
+    quiet, loud = films.records(3, colour=0.0)[0], films.records(4, colour=0.9)[1]
+    found = identify([quiet, loud], n_modes=2)
+    for output in found.outputs:
+        assert output.records[0].noise == ""
+        assert "autoregression" in output.records[1].noise
+    assert np.max(np.abs(scores(films, [quiet, loud]))) < 3.6
+
+
+def test_outliers_cost_modes_no_more_than_their_samples(films):
+    clean = films.records(5)[0]
+    known, found = identify(clean, n_modes=2).model, identify(spoiled(clean, 0.05, 2e-4), n_modes=2)
+    assert all("outliers" in output.records[0].noise for output in found.outputs)
+    moved = np.abs(found.model.natural_frequencies - known.natural_frequencies)
+    assert np.all(moved < 0.7 * known.natural_frequency_sd)
+    np.testing.assert_allclose(found.model.natural_frequency_sd, known.natural_frequency_sd, rtol=0.15)
+    np.testing.assert_allclose(found.model.noise_sd, known.noise_sd, rtol=0.1)
+
+
+def test_a_gap_in_the_stamps_is_no_neighbourhood(films):
+    coloured = films.records(6, colour=0.95)[0]
+    kept = np.random.default_rng(0).uniform(size=889) > 0.25
+    outputs = [dataclasses.replace(o, values=np.where(kept, o.values, np.nan)) for o in coloured.outputs]
+    assert np.max(np.abs(scores(films, TimeRecord(coloured.inputs, tuple(outputs))))) < 3.6
