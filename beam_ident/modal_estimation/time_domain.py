@@ -6,7 +6,7 @@ The search (``mode_search``) works with equal weights; the last fit weighs every
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -40,8 +40,10 @@ from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
+from beam_ident.noise.quantisation import rounding_warning
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
+from beam_ident.noise.still_noise import StillNoise, found_noise_warning, with_found_noise
 from beam_ident.numerics.blas_threads import on_one_thread
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -70,8 +72,9 @@ def identify(
     Parameters
     ----------
     record : TimeRecord or sequence of TimeRecord
-        One experiment, or several that share the model.  Every output weighs in each by the level of
-        its noise there; where noise on the input matters, by one level in all of them.
+        One experiment, or several that share the model.  Every output weighs in each by the level, the colour
+        and the outliers of its noise there; where noise on the input matters, by the level.  An input that is
+        measured and states no ``sigma`` has that which its rest shows.
     structure : str or ModalStructure
         Which model goes with the input; "base_motion" for a hub position.
     n_modes : int or None
@@ -106,12 +109,14 @@ def identify(
             raise EstimationError(
                 f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
             )
+    records, found = with_found_noise(records, input_name)
     regression = ModalRegression(records, terms, input_name)
     _refuse_hopeless(regression, n_modes)
     shares_clock = terms.kind == "receptance"
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
     search = _TimeSearch(records, regression, latency, clock_rate, input_name, progress or silent)
+    search.found_noise = found
     return search.result(n_modes, max_modes)
 
 
@@ -131,6 +136,7 @@ def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
 class _TimeSearch(ModeSearch[ModalRegression]):
     """The search in records of an input and outputs."""
 
+    found_noise: Mapping[int, StillNoise] = {}  # of the records whose input did not state its own
     trial_iterations = 20  # each takes its time, and a mode that is really there needs about six
 
     def __init__(
@@ -313,7 +319,13 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             )
         if said := outlier_warning([(output.name, output.records) for output in outputs]):
             warnings.append(said)
+        if said := rounding_warning([(output.name, output.records) for output in outputs]):
+            warnings.append(said)
         shares = fit.input_noise_shares
+        if self.found_noise and np.max(shares) > 0.0:
+            index = max(self.found_noise, key=lambda k: self.found_noise[k].sigma)
+            treatment = "Inputs and outputs were weighed together as if sigma of the InputSignal had stated it."
+            warnings.append(found_noise_warning(regression.drives[index], self.found_noise[index], treatment))
         if np.max(shares) > _VISIBLE_SHARE:
             worst = int(np.argmax(shares))
             warnings.append(

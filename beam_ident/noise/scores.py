@@ -114,7 +114,8 @@ def colour_warning(
         return []
     return [
         f"The residuals of {', '.join(coloured)} are not white. The fit is weighed by their autocorrelation and the "
-        "standard deviations include it; if it is unmodelled dynamics rather than noise, a bias remains."
+        "standard deviations include it; if it is unmodelled dynamics rather than noise, or noise on a measured "
+        "input whose sigma is not stated, a bias remains."
     ]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.noise.outliers import outlier_warning
+from beam_ident.noise.quantisation import rounding_warning
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import Whiteness, is_coloured
 from beam_ident.numerics.linear_least_squares import LinearSolution
@@ -86,6 +87,8 @@ def transfer_function_warnings(
             said = f"From {model.input_name} to {model.output_name}, {complaint}."
             warnings += [said] if said not in warnings else []
     if said := outlier_warning([(models[0].output_name, records)]):
+        warnings.append(said)
+    if said := rounding_warning([(models[0].output_name, records)]):
         warnings.append(said)
     weighed = [own.noise for own in records if own.noise and not own.noise.startswith("Student")]
     if weighed:

@@ -12,8 +12,8 @@ refined to the optimum stands in ``transfer_function_estimation.srivc``, how a d
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -28,8 +28,10 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.noise.still_noise import StillNoise, found_noise_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
@@ -58,6 +60,7 @@ DelayLike = float | Prior | Literal["estimate"]
 
 _MAX_POLES = 20
 _MAX_INTEGRATORS = 2
+_VISIBLE_SHARE = 0.01  # of the output's noise variance: from here on noise on the input is reported
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -325,7 +328,37 @@ def estimate_transfer_function(
         problem, optimum = under_noise_as_it_is(problem, optimum, method)
     elif method == "rivc" or (len(records) > 1 and method in ("white", "srivc")):
         problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
-    return _result(problem, optimum, method, n_integrators, output_name, several)
+    result = _result(problem, optimum, method, n_integrators, output_name, several)
+    said = tuple(_input_noise_warnings(records, drives, result))
+    return replace(result, warnings=result.warnings + said) if said else result
+
+
+def _input_noise_warnings(
+    records: Sequence[TimeRecord], drives: Sequence[str], result: TransferFunctionResult | MultiInputResult
+) -> Iterator[str]:
+    """Yield what noise on a measured input, stated or seen while it stood still, does to an estimate."""
+    for place, name in enumerate(drives):
+        for record in records:
+            drive = record.input(name)
+            found = StillNoise.of(drive) if drive.sigma == 0.0 else StillNoise(drive.sigma)
+            if not found.sigma:
+                continue
+            model = result.model.path(place) if isinstance(result.model, MultiInputModel) else result.model
+            omegas, zetas = model.modes()[:2]
+            grid = noise_grid(omegas / (2.0 * math.pi), zetas, drive)
+            response = model.frequency_response(grid)[0][:, None]
+            noisy = replace(drive, sigma=found.sigma)
+            share = input_noise_share(response, grid, noisy, np.array([model.noise_sd]))
+            if share > _VISIBLE_SHARE:
+                what = (
+                    f"It makes up {share:.0%} of the noise of {model.output_name}, and biases this estimator, which "
+                    "does not weigh it; identify() does."
+                )
+                if drive.sigma > 0.0:
+                    yield f"Input {name} is stated to have noise of {drive.sigma:.2g} {drive.unit}. {what}"
+                else:
+                    yield found_noise_warning(drive, found, what)
+                break
 
 
 def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:

@@ -1,0 +1,104 @@
+"""Noise of a measured input that nobody declared, from the stretches in which the input stands still.
+
+An encoder's noise passes through the model like the motion itself; residuals may look white all the same while poles
+move by several standard deviations.  Nearly every record has stretches of rest, where what is measured is noise
+alone: there the scatter about a straight line is that of the fourth differences, which let no slow motion pass.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.noise.quantisation import quantum
+
+_WINDOW = 50  # samples
+_LEAST = 200  # samples of rest: their deviation is known to 10 %
+_AS_WHITE = 2.5  # scatter about a line over that of the differences, squared; of white noise 1 +- 0.4
+_SPREAD = 3.0  # of the squared levels of stretches of rest
+_SMALL = 0.01  # of the input's own deviation: more is no noise of a sensor, but the signal
+
+
+@dataclass(frozen=True)
+class StillNoise:
+    """Noise found in rest.
+
+    Attributes
+    ----------
+    sigma : float -- standard deviation, in the input's unit; 0 where none was found
+    still_s : float -- how long the input stood still [s]
+    """
+
+    sigma: float = 0.0
+    still_s: float = 0.0
+
+    @staticmethod
+    def of(drive: InputSignal) -> StillNoise:
+        """Return the noise of an input that is measured; a held command has none."""
+        values = drive.values
+        n_windows = len(values) // _WINDOW
+        if drive.hold == "zoh" or n_windows * _WINDOW < _LEAST:
+            return StillNoise()
+        windows = values[: n_windows * _WINDOW].reshape(n_windows, _WINDOW)
+        # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 = 70 times its variance.
+        level = np.mean(np.square(np.diff(windows, 4, axis=1)), axis=1) / 70.0
+        line = np.linalg.qr(np.stack([np.ones(_WINDOW), np.arange(_WINDOW)], axis=1))[0]
+        about = np.sum(np.square(windows - windows @ line @ line.T), axis=1) / (_WINDOW - 2)
+        is_white = about <= _AS_WHITE * level + (1e-13 * float(np.max(np.abs(values)))) ** 2
+        if not np.any(is_white):
+            return StillNoise()
+        # A signal that is itself as rough as noise is louder than rest: the quietest stretches decide.
+        quiet = float(np.median(np.sort(level[is_white])[: max(int(np.sum(is_white)) // 3, 1)]))
+        still = is_white & (level <= _SPREAD * quiet)
+        # An encoder that stands between two counts shows nothing of its rounding: that is known from its steps.
+        sigma = max(math.sqrt(float(np.mean(level[still]))), quantum(values) / math.sqrt(12.0))
+        count = int(np.sum(still)) * _WINDOW
+        if count < _LEAST or not _rounding(values) < sigma < _SMALL * float(np.std(values)):
+            return StillNoise()
+        return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
+
+
+def _rounding(values: FloatArray) -> float:
+    return 1e-12 * float(np.max(np.abs(values)))
+
+
+def with_found_noise(
+    records: list[TimeRecord], input_name: str | None
+) -> tuple[list[TimeRecord], dict[int, StillNoise]]:
+    """Return records whose input has the noise that its rest shows, where it states none; and of which it was found.
+
+    Parameters
+    ----------
+    records : list of TimeRecord
+    input_name : str or None -- which input is used; None is the only one
+    """
+    result, found = [], {}
+    for index, record in enumerate(records):
+        inputs = list(record.inputs)
+        for place, drive in enumerate(inputs):
+            if drive.sigma == 0.0 and (input_name is None or drive.name == input_name):
+                noise = StillNoise.of(drive)
+                if noise.sigma > 0.0:
+                    inputs[place] = replace(drive, sigma=noise.sigma)
+                    found[index] = noise
+        result.append(replace(record, inputs=tuple(inputs)) if index in found else record)
+    return result, found
+
+
+def found_noise_warning(drive: InputSignal, noise: StillNoise, treatment: str) -> str:
+    """Return what must be known of noise that nobody declared.
+
+    Parameters
+    ----------
+    drive : InputSignal
+    noise : StillNoise
+    treatment : str -- what was done about it
+    """
+    return (
+        f"Input {drive.name} has noise that nobody declared: {noise.sigma:.2g} {drive.unit}, seen while it "
+        f"stood still for {noise.still_s:.3g} s. {treatment}"
+    )

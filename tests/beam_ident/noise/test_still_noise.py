@@ -1,0 +1,70 @@
+"""Noise of an input that nobody declared: found in rest, and nowhere else."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import InputSignal, LogChirp, TimeRecord, estimate_transfer_function, identify
+from beam_ident.noise.still_noise import StillNoise
+from benchmarks.ident.rig import Rig
+
+CHIRP = LogChirp(duration=10.0, still=3.0).sample(1e-3)
+
+
+def measured(sigma: float, quantum: float = 0.0, seed: int = 0) -> InputSignal:
+    drive = CHIRP.input_signal("position", "hub")
+    values = drive.values + sigma * np.random.default_rng(seed).standard_normal(len(drive.values))
+    if quantum:
+        values = quantum * np.round(values / quantum)
+    return dataclasses.replace(drive, values=values)
+
+
+@pytest.mark.parametrize("sigma", [5e-8, 5e-7, 1e-5])
+def test_the_noise_of_rest_is_found_to_a_tenth(sigma):
+    found = [StillNoise.of(measured(sigma, seed=seed)).sigma for seed in range(5)]
+    np.testing.assert_allclose(found, sigma, rtol=0.1)
+
+
+def test_a_quiet_encoder_has_the_noise_of_its_steps():
+    assert StillNoise.of(measured(0.0, 1e-6)).sigma == pytest.approx(1e-6 / np.sqrt(12.0), rel=0.01)
+
+
+def test_what_has_no_noise_of_a_sensor_gets_none():
+    rng = np.random.default_rng(1)
+    n = 8000
+    rough = rng.standard_normal(n)
+    burst = np.where(np.arange(n) < n // 2, rough, 0.0)
+    for values, hold in (
+        (CHIRP.positions, "cubic"),
+        (rough, "linear"),
+        (burst, "linear"),
+        (np.sin(0.05 * np.arange(n)), "cubic"),
+        (np.where(np.arange(n) > 500, 1.0, 0.0), "linear"),
+        (CHIRP.positions + 1e-6 * rng.standard_normal(len(CHIRP.positions)), "zoh"),
+    ):
+        assert StillNoise.of(InputSignal("u", "", (0.0, 1e-3), values, hold)).sigma == 0.0
+
+
+def undeclared(record: TimeRecord) -> TimeRecord:
+    return dataclasses.replace(record, inputs=(dataclasses.replace(record.inputs[0], sigma=0.0),))
+
+
+def test_half_a_micrometre_that_nobody_declared_is_weighed_as_if_it_were():
+    rig = Rig()
+    record = rig.record(2, encoder_sd=5e-7)
+    stated, found = identify(record, n_modes=3), identify(undeclared(record), n_modes=3)
+    assert any("that nobody declared: 5" in said for said in found.warnings)
+    assert not any("declared" in said for said in stated.warnings)
+    moved = found.model.natural_frequencies - stated.model.natural_frequencies
+    assert np.max(np.abs(moved) / stated.model.natural_frequency_sd) < 0.5
+    errors = found.model.natural_frequencies - rig.truth[:3]
+    assert np.max(np.abs(errors) / found.model.natural_frequency_sd) < 3.3
+
+
+def test_an_estimator_that_does_not_weigh_it_says_so():
+    record = undeclared(Rig().record(2, encoder_sd=2e-6)).select(["z285"])
+    found = estimate_transfer_function(record, 4, 4, n_starts=1)
+    assert any("that nobody declared: 2e-06 m" in said and "identify()" in said for said in found.warnings)
