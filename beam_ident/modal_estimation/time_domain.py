@@ -5,6 +5,7 @@ The search (``mode_search``) works with equal weights; the last fit weighs every
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
@@ -40,7 +41,7 @@ from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
-from beam_ident.noise.quantisation import rounding_warning
+from beam_ident.noise.quantisation import rounding_warning, without_clipped
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
 from beam_ident.noise.still_noise import StillNoise, found_noise_warning, with_found_noise
@@ -110,14 +111,37 @@ def identify(
                 f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
             )
     records, found = with_found_noise(records, input_name)
-    regression = ModalRegression(records, terms, input_name)
-    _refuse_hopeless(regression, n_modes)
     shares_clock = terms.kind == "receptance"
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
-    search = _TimeSearch(records, regression, latency, clock_rate, input_name, progress or silent)
-    search.found_noise = found
-    return search.result(n_modes, max_modes)
+    latency_prior, rate_prior = latency, clock_rate
+
+    def fit(seen: list[TimeRecord]) -> IdentificationResult:
+        regression = ModalRegression(seen, terms, input_name)
+        _refuse_hopeless(regression, n_modes)
+        search = _TimeSearch(seen, regression, latency_prior, rate_prior, input_name, progress or silent)
+        search.found_noise = found
+        return search.result(n_modes, max_modes)
+
+    def predict(result: IdentificationResult, one: TimeRecord, name: str) -> FloatArray:
+        return _prediction(result.model, one, name)
+
+    names = list(dict.fromkeys(name for one in records for name in one.output_names))
+    result, said = without_clipped(records, names, fit, predict)
+    return dataclasses.replace(result, warnings=(*result.warnings, said)) if said else result
+
+
+def _prediction(model: ModalModel, record: TimeRecord, name: str) -> FloatArray:
+    """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
+    drive, output = record.input(model.input_name), record.output(name)
+    first, last = drive.span_s
+    inside = output.is_within(first + max(model.latency, 0.0), last + min(model.latency, 0.0))
+    result = np.full(len(inside), np.nan)
+    if np.any(inside):
+        simulated = model.simulate(drive, output.times_s[inside] - model.latency, output.exposure_s)
+        result[inside] = simulated[:, model.output_names.index(name)]
+        result += float(np.nanmedian(output.values - result))
+    return result
 
 
 def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
@@ -324,7 +348,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         shares = fit.input_noise_shares
         if self.found_noise and np.max(shares) > 0.0:
             index = max(self.found_noise, key=lambda k: self.found_noise[k].sigma)
-            treatment = "Inputs and outputs were weighed together as if sigma of the InputSignal had stated it."
+            treatment = (
+                "Inputs and outputs were weighed together as if sigma of the InputSignal had stated it."
+            )
             warnings.append(found_noise_warning(regression.drives[index], self.found_noise[index], treatment))
         if np.max(shares) > _VISIBLE_SHARE:
             worst = int(np.argmax(shares))

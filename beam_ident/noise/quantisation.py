@@ -1,25 +1,40 @@
-"""Rounded values: the step they are rounded to, and whether noise makes the errors independent of the signal.
+"""What a sensor's steps and ends do to its values: rounding, and clipping.
 
 Rounding to steps of q adds an error of deviation ``q / sqrt(12)``.  Noise of half a step or more before the rounding
 makes that error independent of the signal to a percent (Widrow and Kollar, Quantization Noise, 2008, ch. 4): then it
 is noise like any other, and least squares stays right.  With noise of sigma the mean error at y is, in first order,
 ``(q / pi) exp(-2 pi^2 (sigma / q)^2) sin(2 pi y / q)``: below a third of a step errors follow the signal.
+
+Clipped samples stand at the end of the range, one after the other, where a model without them goes on beyond it.
+What is left out is decided by that model, not by the samples: else the noise would choose.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
+from beam_ident.data.records import TimeRecord
+from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit
 
 _MULTIPLE = 0.02  # of a step, within which all differences are multiples of it
 _MOST_STEPS = 1e6  # beyond which nothing can be said
 _FEW = 8  # samples
+_CLIPPED, _IN_A_ROW = 5, 3  # samples at an end of the range
+_PILE = 2.5  # times as many as at the level before: a sine that is only rounded has 2.4 at most
+_BEYOND = 2.0  # standard deviations by which the model must pass the end on average
+_LEAST = 1e-6  # of the output's size: less is rounding
+_NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
 _DITHER = 0.3  # steps of noise, below which a sixth of the rounding error and more follows the signal
+
+
+FitT = TypeVar("FitT")
 
 
 def quantum(values: FloatArray) -> float:
@@ -65,3 +80,101 @@ def rounding_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
         "signal and may bias the fit by as much as their own deviation, 0.29 steps; standard deviations take them "
         "to be noise. Choose a finer range, or let half a step of noise in before the rounding."
     )
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end of an output's range at which samples of a record stand: 1 above, -1 below."""
+
+    record: int
+    name: str
+    limit: float
+    side: float
+
+    def beyond(self, values: FloatArray) -> FloatArray:
+        return np.asarray(self.side * (values - self.limit))
+
+
+def without_clipped(
+    records: list[TimeRecord],
+    names: Sequence[str],
+    fit: Callable[[list[TimeRecord]], FitT],
+    predict: Callable[[FitT, TimeRecord, str], FloatArray],
+) -> tuple[FitT, str]:
+    """Return a fit without the samples that are clipped, and what must be known of them.
+
+    Parameters
+    ----------
+    records : list of TimeRecord
+    names : sequence of str -- of the outputs that are fitted
+    fit : callable -- of records
+    predict : callable
+        Of a fit, a record and the name of an output: what the model says at all stamps, NaN where it does not.
+    """
+    ends = [
+        end for index, record in enumerate(records) for name in names for end in _ends(record, index, name)
+    ]
+    if not ends:
+        return fit(records), ""
+    at_ends = [
+        (end, np.asarray(end.beyond(records[end.record].output(end.name).values) >= 0.0)) for end in ends
+    ]
+    tried_records = _left_out(records, at_ends)
+    try:
+        tried = fit(tried_records)
+    except EstimationError:  # too little is left to say what goes on beyond
+        return fit(records), ""
+    clipped, counts = [], []
+    for end, at_end in at_ends:
+        values = tried_records[end.record].output(end.name).values
+        predicted = predict(tried, tried_records[end.record], end.name)
+        left = (values - predicted)[np.isfinite(values - predicted)]
+        sd = 1.4826 * float(np.median(np.abs(left))) if len(left) else math.inf
+        beyond = end.beyond(predicted)
+        known = at_end & np.isfinite(beyond)
+        if np.any(known) and np.mean(beyond[known]) > _BEYOND * sd + quantum(values) + _LEAST * np.nanmax(
+            np.abs(values)
+        ):
+            clipped.append((end, at_end | (beyond > -_NEAR * sd)))
+            counts.append(f"{np.count_nonzero(at_end)} samples of {end.name} at {end.limit:.4g}")
+    if not clipped:
+        return fit(records), ""
+    left_out = sum(int(np.count_nonzero(places)) for _, places in clipped)
+    said = (
+        f"Clipped: {', '.join(counts)} stand at the end of the sensor's range, beyond which the model goes on. They "
+        f"and those that the model puts within {_NEAR:.0f} standard deviations of it are left out ({left_out})."
+    )
+    return fit(_left_out(records, clipped)), said
+
+
+def _ends(record: TimeRecord, index: int, name: str) -> list[_End]:
+    """Return at which ends of its range an output may be clipped."""
+    if name not in record.output_names:
+        return []
+    values = record.output(name).values
+    seen = values[np.isfinite(values)]
+    found = []
+    for side in (1.0, -1.0):
+        limit = side * float(np.max(side * seen))
+        at_end = seen == limit
+        if np.count_nonzero(at_end) < _CLIPPED or not np.any(
+            np.convolve(at_end, np.ones(_IN_A_ROW), "valid") == _IN_A_ROW
+        ):
+            continue
+        inner = side * float(np.max(side * seen[~at_end], initial=-math.inf))
+        if math.isfinite(inner) and np.count_nonzero(at_end) > _PILE * np.count_nonzero(seen == inner):
+            found.append(_End(index, name, limit, side))
+    return found
+
+
+def _left_out(records: list[TimeRecord], places: Sequence[tuple[_End, np.ndarray]]) -> list[TimeRecord]:
+    result = list(records)
+    for end, which in places:
+        outputs = tuple(
+            replace(output, values=np.where(which, np.nan, output.values))
+            if output.name == end.name
+            else output
+            for output in result[end.record].outputs
+        )
+        result[end.record] = replace(result[end.record], outputs=outputs)
+    return result

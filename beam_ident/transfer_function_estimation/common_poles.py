@@ -26,6 +26,7 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.noise.quantisation import without_clipped
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -203,11 +204,30 @@ def estimate_common_poles(
     if not has_free_response:
         require_excitation(records, drive.name)
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
+    result, said = without_clipped(
+        records,
+        first.output_names,
+        lambda seen: _estimated(seen, drive.name, n_poles, zeros, nuisances, delay, n_integrators),
+        lambda found, one, name: found.model(name).predict(one),
+    )
+    return replace(result, warnings=(*result.warnings, said)) if said else result
+
+
+def _estimated(
+    records: Sequence[TimeRecord],
+    drive_name: str,
+    n_poles: int,
+    zeros: Sequence[int],
+    nuisances: Nuisances,
+    delay: float,
+    n_integrators: int,
+) -> CommonPoleResult:
+    """Estimate from records whose arguments are checked."""
     problems, starts = [], []
-    for name, m in zip(first.output_names, zeros, strict=True):
+    for name, m in zip(records[0].output_names, zeros, strict=True):
         experiments = [
             RecordShare.of(
-                one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, has_free_response
+                one, name, [drive_name], [m], [0], [Prior(delay)], n_integrators, nuisances.has_free_response
             )
             for one in records
         ]
@@ -232,10 +252,6 @@ def estimate_common_poles(
         # As for one output (``rivc``): what moves further than noise can is no noise, and the weights stay equal.
         if found.converged and np.max(moved / reach) < MAX_TRAVEL:
             joint, minimum = weighed, found
-        else:
-            joint.problems = [problem.under(problem.noise) for problem in joint.problems]
-            for problem in joint.problems:
-                problem.scale = equal.state.states[0].scale
     iterations += minimum.iterations
     return _result(records, joint, minimum, n_integrators, iterations)
 

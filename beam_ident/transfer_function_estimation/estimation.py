@@ -29,6 +29,7 @@ from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
+from beam_ident.noise.quantisation import without_clipped
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.noise.still_noise import StillNoise, found_noise_warning
@@ -306,31 +307,43 @@ def estimate_transfer_function(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
             "or 'rivc'"
         )
-    for one in records:
-        for name, prior in zip(drives, delays, strict=True):
-            require_arrival(one.input(name), prior.mean, one.output(output_name))
-    if not has_free_response:
-        for name in drives:
-            require_excitation(records, name)
     blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
-    experiments = [
-        RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
-        for one in records
-    ]
     nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
     orders = tuple(poles) if own_poles else (poles[0],)
-    problem = OutputErrorProblem(experiments, orders, nuisances)
-    if len(orders) == 1:
-        problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
-    else:
-        problem, optimum = estimate_additive(problem, method, cutoff)
-    if method in ("auto", "output_error"):
-        problem, optimum = under_noise_as_it_is(problem, optimum, method)
-    elif method == "rivc" or (len(records) > 1 and method in ("white", "srivc")):
-        problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
-    result = _result(problem, optimum, method, n_integrators, output_name, several)
-    said = tuple(_input_noise_warnings(records, drives, result))
+
+    def fit(seen: list[TimeRecord]) -> TransferFunctionResult | MultiInputResult:
+        for one in seen:
+            for name, prior in zip(drives, delays, strict=True):
+                require_arrival(one.input(name), prior.mean, one.output(output_name))
+        if not has_free_response:
+            for name in drives:
+                require_excitation(seen, name)
+        experiments = [
+            RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
+            for one in seen
+        ]
+        problem = OutputErrorProblem(experiments, orders, nuisances)
+        if len(orders) == 1:
+            problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
+        else:
+            problem, optimum = estimate_additive(problem, method, cutoff)
+        if method in ("auto", "output_error"):
+            problem, optimum = under_noise_as_it_is(problem, optimum, method)
+        elif method == "rivc" or (len(seen) > 1 and method in ("white", "srivc")):
+            problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
+        return _result(problem, optimum, method, n_integrators, output_name, several)
+
+    result, clipped = without_clipped(records, [output_name], fit, _prediction)
+    said = ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
     return replace(result, warnings=result.warnings + said) if said else result
+
+
+def _prediction(
+    result: TransferFunctionResult | MultiInputResult, record: TimeRecord, name: str
+) -> FloatArray:
+    """Return what an estimate says at all stamps of an output."""
+    del name
+    return result.model.predict(record)
 
 
 def _input_noise_warnings(
