@@ -135,6 +135,9 @@ class OutputErrorProblem:
         self.floor = len(self.values) * (_NOISE_FLOOR * float(np.max(np.abs(self.values)))) ** 2
         self.parts = np.split(np.arange(self.n_a), np.cumsum(orders)[:-1])
         self.noise = noise
+        self._shown: tuple[FloatArray, list[RecordNoise]] | None = (
+            None  # the noise at a point, for a second look
+        )
         self._target = self.weighed(self.values)
 
     def _refuse_few(self) -> None:
@@ -182,7 +185,10 @@ class OutputErrorProblem:
         free: those of the record, less its share of the trace of the projection onto the model's columns.
         """
         left = self.unweighed_residuals(state)
-        noises = self._noises(left) if as_it_is else None
+        noises = None
+        if as_it_is:
+            noises = self._noises(left)
+            self._shown = state.theta, noises
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:
             assert state.solution is not None
@@ -432,7 +438,10 @@ class OutputErrorProblem:
     def _under_colour(
         self, state: OutputErrorState, jacobian: FloatArray, variance: float, covariance: FloatArray
     ) -> FloatArray:
-        """Return the covariance of equal weights under the colour that the noise has: the sandwich (T.15)."""
+        """Return the covariance of equal weights under the colour that the noise has: the sandwich (T.17)."""
+        known = self._shown
+        if known is not None and np.array_equal(known[0], state.theta) and all(n.is_plain for n in known[1]):
+            return covariance
         left = self.unweighed_residuals(state)
         excess = np.zeros_like(covariance)
         design: FloatArray | None = None
