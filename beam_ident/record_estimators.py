@@ -57,8 +57,8 @@ def transfer_function(record: TimeRecord, settings: EstimatorSettings) -> Separa
     Notes
     -----
     As many zeros as poles, since a camera at rest sees the base's motion directly and a free base follows its force;
-    two fewer on a fixed structure. A number of modes that is given is taken; what speaks against it stands in
-    the warnings.
+    two fewer on a fixed structure seen by a sensor of displacement, one fewer by one of velocity. A number of modes
+    that is given is taken; what speaks against it stands in the warnings.
     """
     options: dict[str, Any] = {
         "has_offset": True,
@@ -158,7 +158,7 @@ def _refuse_drift(settings: EstimatorSettings, why: str) -> None:
 
 def _fewer_zeros(settings: EstimatorSettings) -> int:
     """Return how many zeros fewer than poles, those at zero left aside, the structure has."""
-    return 2 if settings.structure == "receptance" else 0
+    return {"receptance": 2, "mobility": 1}.get(settings.structure, 0)
 
 
 def _degrees(settings: EstimatorSettings, most: int) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ TESTED_IN = (
     ("beam_model/galerkin", "matrices", "galerkin/test_model"),
     ("beam_ident", "record_estimators", "test_estimators"),
     ("beam_ident", "results", "test_result_members"),
-    ("beam_ident/data", "bandwidth prior", "modal_estimation/test_time_domain"),
+    ("beam_ident/data", "prior", "modal_estimation/test_time_domain"),
     ("beam_ident/data", "stored_form", "test_stored_results"),
     ("beam_ident/design", "summary", "design/test_prediction"),
     ("beam_ident/evaluation", "hold_out model_comparison", "modal_estimation/test_time_domain"),

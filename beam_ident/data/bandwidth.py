@@ -8,10 +8,12 @@ it is and not at its alias.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import spectrogram
+from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
@@ -21,6 +23,7 @@ _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
 _STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
+_NOISE_BEYOND = 1e-6  # chance that noise alone has one value as large as makes a blow
 _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 
@@ -46,12 +49,12 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     ----------
     drive : InputSignal
     differentiations : int
-        2 when the input is a position, 1 a velocity, 0 an acceleration or a force.
+        2 when the input is a position, 1 a velocity, 0 an acceleration or a force, whatever the outputs are.
     length_s : float -- length of the record [s]
     output_rate_hz : float -- mean rate of the outputs, for an input that stands still
     """
     values = drive.values - drive.values[0]
-    if not np.any(values) or np.std(values) < _STILL * drive.sigma:
+    if not np.any(values) or _is_still(values, drive.sigma):
         return Band.without_input(length_s, output_rate_hz)
     times, step = drive.times_s, drive.period_s
     if step is None:
@@ -59,6 +62,11 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
         grid = np.arange(times[0], times[-1], step)
         values = np.interp(grid, times, values)
     segment = int(min(len(values), max(256, round(min(_SEGMENT_S, length_s / 4.0) / step))))
+    if _is_at_an_end(np.diff(values, differentiations), segment):
+        # Continued there, mirrored, so that a force stays without a jump, and a motion (mirrored about its end as
+        # well) without a kink.
+        mirrored: Literal["even", "odd"] = "odd" if differentiations else "even"
+        values = np.pad(values, min(segment // 2, len(values) - 1), "reflect", reflect_type=mirrored)
     frequencies, _, densities = spectrogram(
         values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
     )
@@ -76,6 +84,27 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     high = float(above[-1]) + 1.0 / (segment * step)
     low = max(_MIN_CYCLES / length_s, 0.7 * float(within[0]))
     return Band(low, max(high, 2.0 * low), True)
+
+
+def _is_at_an_end(force_like: FloatArray, segment: int) -> bool:
+    """Return whether Hann windows that overlap by half, and see nothing at the ends of a record, miss most of it."""
+    if len(force_like) <= segment // 2:
+        return False
+    energy = np.square(force_like - np.median(force_like))
+    seen = np.ones(len(energy))
+    flank = np.square(np.sin(0.5 * np.pi * (np.arange(segment // 2) + 0.5) / (segment // 2)))
+    seen[: len(flank)] = flank
+    seen[-len(flank) :] = np.minimum(seen[-len(flank) :], flank[::-1])
+    return bool(seen @ energy < 0.5 * np.sum(energy))
+
+
+def _is_still(values: FloatArray, sigma: float) -> bool:
+    """Return whether noise of a standard deviation may be all there is: no power beyond it, and no single blow."""
+    if sigma == 0.0:
+        return False
+    largest = float(np.max(np.abs(values - np.median(values))))
+    is_blow = largest > sigma * float(-ndtri(0.5 * _NOISE_BEYOND / len(values)))
+    return bool(np.std(values) < _STILL * sigma) and not is_blow
 
 
 def _smooth(densities: FloatArray) -> FloatArray:

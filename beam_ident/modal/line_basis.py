@@ -86,7 +86,7 @@ class LineBasis(ColumnBasis):
         structure, pairs = self.structure, []
         power = structure.differentiations
         if structure.has_direct:
-            pairs.append(self._fixed_pair(-2 if structure.kind == "force" else power - 2, 1.0, latency))
+            pairs.append(self._fixed_pair(power - 2, 1.0, latency))
         if structure.has_residual:
             pairs.append(self._fixed_pair(power, structure.sign, latency))
         if not pairs:

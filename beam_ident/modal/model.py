@@ -39,7 +39,7 @@ class ModalModel:
 
     Attributes
     ----------
-    structure : {"base_motion", "velocity", "acceleration", "force", "receptance"}
+    structure : {"base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"}
         Where the modes stand (see ``modal.structure``).
     input_name : str
     output_names : tuple of str

@@ -70,9 +70,14 @@ def modal_state_space(
     """
     e, k = structure.differentiations, n_integrations(structure)
     if e > 0 and np.any(residual_terms != 0.0):
+        way = (
+            'take driven_by("acceleration").state_space(), the same model from the acceleration'
+            if structure.is_motion
+            else "estimate it with ModalStructure(.., has_residual=False)"
+        )
         raise EstimationError(
             f"the residual terms differentiate the input of a {structure.kind!r} model, which no state space "
-            'can; take driven_by("acceleration").state_space(), the same model from the acceleration'
+            f"can; {way}"
         )
     n, m = len(omegas), len(gains)
     transition = np.zeros((2 * n + k, 2 * n + k))

@@ -155,15 +155,18 @@ class _PreparedRecord:
             smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
         else:
             position = self.drive
-            for _ in range(1 if kind == "velocity" else 2):
+            for _ in range(2 - structure.differentiations):
                 position = position.antiderivative()
-            smooth = position
+            smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
+            smooth = smooth if structure.is_test else position
         self.position = position
         self.position_integral = position.antiderivative()
         self.residual: tuple[PiecewisePolynomial, PiecewisePolynomial]
-        if structure.is_motion:
+        if structure.is_motion or structure.kind == "accelerance":
             rate = smooth.derivative()
             self.residual = (rate.derivative(), rate)
+        elif structure.kind == "mobility":
+            self.residual = (smooth.derivative(), smooth)
         else:
             self.residual = (self.drive, self.drive_integral)
         self.grids: list[_Grid] = []
@@ -407,6 +410,15 @@ class ModalRegression:
     def duration_s(self) -> float:
         """Length of the longest record [s]."""
         return max(p.length for p in self._prepared)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the fastest output in one of its records [Hz]."""
+        return max(
+            float(part.stop - part.start) / max(float(np.ptp(times[part])), 1e-12)
+            for times, segments in zip(self.times, self.segments, strict=True)
+            for _, part in segments
+        )
 
     def n_columns(self, n_modes: int) -> int:
         """Number of linear parameters of an output that is in one record."""

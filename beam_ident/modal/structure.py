@@ -7,10 +7,14 @@ All structures are sums of second-order modes with poles common to all outputs:
     acceleration   u_j = c_j a / s^2   -     [ sum_i r_ij / d_i(s) + R_j ] a
     force          u_j = c_j f / s^2   +     [ sum_i r_ij / d_i(s) + R_j ] f
     receptance     u_j =                     [ sum_i r_ij / d_i(s) + R_j ] f
+    mobility       v_j = c_j f / s   + s     [ sum_i r_ij / d_i(s) + R_j ] f
+    accelerance    a_j = c_j f       + s^2   [ sum_i r_ij / d_i(s) + R_j ] f
 
 with ``d_i = s^2 + 2 zeta_i omega_i s + omega_i^2``; each may carry an offset, a ramp and
 the free response of its modes.  The first three describe the same beam with the
-same parameters: only the quantity in which the motion is known differs.
+same parameters: only the quantity in which the motion is known differs.  The last three describe
+the same structure under a force, seen by a sensor of displacement, velocity or acceleration; ``c_j`` is
+what moves it as a rigid body, or what modes below the band leave of themselves.
 """
 
 from __future__ import annotations
@@ -20,7 +24,9 @@ from typing import Literal
 
 from beam_ident.errors import EstimationError
 
-StructureKind = Literal["base_motion", "velocity", "acceleration", "force", "receptance"]
+StructureKind = Literal[
+    "base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"
+]
 
 _DIFFERENTIATIONS: dict[str, int] = {
     "base_motion": 2,
@@ -28,6 +34,8 @@ _DIFFERENTIATIONS: dict[str, int] = {
     "acceleration": 0,
     "force": 0,
     "receptance": 0,
+    "mobility": 1,
+    "accelerance": 2,
 }
 
 
@@ -37,7 +45,7 @@ class ModalStructure:
 
     Parameters
     ----------
-    kind : {"base_motion", "velocity", "acceleration", "force", "receptance"}
+    kind : {"base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"}
     has_residual : bool
         Whether the static term R_j of the modes left out is estimated.
     has_offset, has_ramp : bool
@@ -74,6 +82,11 @@ class ModalStructure:
         return self.kind in ("base_motion", "velocity", "acceleration")
 
     @property
+    def is_test(self) -> bool:
+        """Whether force and motion are what a vibration test measures, by one instrument with one clock."""
+        return self.kind in ("receptance", "mobility", "accelerance")
+
+    @property
     def has_direct(self) -> bool:
         """Whether the outputs follow a rigid body, with gains c_j."""
         return self.kind != "receptance"
@@ -82,6 +95,4 @@ class ModalStructure:
         """Return the factor of c_j at the complex frequency ``s``."""
         if not self.has_direct:
             return 0.0
-        if self.kind == "force":
-            return 1.0 / s**2
         return s ** (self.differentiations - 2)

@@ -8,6 +8,7 @@ and its residues stand out of their uncertainty at all outputs taken together.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import chdtri as chi_squared_isf
@@ -37,10 +38,33 @@ def mode_complaint(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) 
         return f"the frequency at {hertz:.4g} Hz is known to {100 * frequency_sd:.1f} % only"
     if not damping_sd < zeta:
         return f"the damping ratio at {hertz:.4g} Hz is {zeta:.2g} +- {damping_sd:.2g}"
-    statistic, freedom = mode_significance(fit, problem, mode, band)
-    if statistic < chi_squared_isf(freedom, _SIGNIFICANCE):
+    if not _stands_out(fit, problem, mode, band):
         return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
     return ""
+
+
+def _stands_out(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> bool:
+    """Return whether a mode differs from nothing, at all outputs together or at one of them.
+
+    Notes
+    -----
+    Of many outputs a mode may move one alone, where its share drowns in the freedom of the others.  And a blow at
+    the very beginning of a record moves as free motion does: then the two are known together, and neither alone.
+    Each way to stand out is a test of its own, and they share the level (Bonferroni).
+    """
+    n_outputs = len(fit.coefficients)
+    own_motions = [False, True] if band.is_excited else [True]
+    places = [range(n_outputs), *([j] for j in range(n_outputs))] if n_outputs > 1 else [range(1)]
+    level = _SIGNIFICANCE / (len(own_motions) * len(places))
+    for with_free_motion in own_motions:
+        for outputs in places:
+            telling = slice(
+                0 if band.is_excited else problem.n_forced, None if with_free_motion else problem.n_forced
+            )
+            statistic, freedom = _significance(fit, mode, outputs, telling)
+            if freedom and statistic > chi_squared_isf(freedom, level):
+                return True
+    return False
 
 
 def mode_significance(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> tuple[float, int]:
@@ -50,16 +74,27 @@ def mode_significance(fit: ModalFit, problem: ModalProblem, mode: int, band: Ban
     """
     forced = problem.n_forced
     telling = slice(0, forced) if band.is_excited else slice(forced, forced + 2)
+    return _significance(fit, mode, range(len(fit.coefficients)), telling)
+
+
+def _significance(fit: ModalFit, mode: int, outputs: Sequence[int], telling: slice) -> tuple[float, int]:
+    """Return chi-squared and degrees of freedom of some of a mode's columns at some of the outputs."""
     index, values = [], []
     place = fit.n_theta
-    for found, columns in zip(fit.coefficients, fit.mode_columns, strict=True):
-        own = columns[mode, telling]
-        index.append(place + own)
-        values.append(found[own])
+    for output, (found, columns) in enumerate(zip(fit.coefficients, fit.mode_columns, strict=True)):
+        if output in outputs:
+            own = columns[mode, telling]
+            index.append(place + own)
+            values.append(found[own])
         place += len(found)
     places, amplitudes = np.concatenate(index), np.concatenate(values)
     covariance = fit.covariance[np.ix_(places, places)]
-    return float(amplitudes @ np.linalg.lstsq(covariance, amplitudes, rcond=1e-12)[0]), len(amplitudes)
+    # In units of their own scatter, since forced and free columns have other units.
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    scaled = amplitudes / sd
+    return float(scaled @ np.linalg.lstsq(covariance / np.outer(sd, sd), scaled, rcond=1e-12)[0]), len(
+        amplitudes
+    )
 
 
 def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]:

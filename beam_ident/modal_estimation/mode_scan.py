@@ -21,8 +21,9 @@ from beam_ident.data.bandwidth import Band
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ModalRegression
-from beam_ident.modal.structure import ModalStructure
+from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.variable_projection import ModalProblem
+from beam_ident.numerics.linear_least_squares import LinearSolution
 
 SCAN_DAMPING = 0.015
 Family = tuple[FloatArray, FloatArray]  # frequencies [rad/s] and damping ratios, both (n_candidates,)
@@ -34,6 +35,7 @@ _MAX_POINTS = 900
 _CHUNK = 160
 _FEW = 32  # candidates at once: what fits into the cache is several times quicker
 _FINE_DAMPINGS = (0.003, 0.015, 0.08)
+_TANGLED = 0.1  # of a forced column: what is left beside free motion
 _RIDGE = 1e-6  # on columns of unit length
 _SAMPLES_PER_CYCLE = 7  # joined by a cubic spline
 
@@ -124,7 +126,8 @@ class ModalScan:
         if any(d.period_s is None or d.period_s < 0.75 * longest for d in drives):
             drives = [_thinned_input(d, structure, longest) for d in drives]
             if structure.has_direct:
-                structure = dataclasses.replace(structure, kind="base_motion")
+                kind: StructureKind = "base_motion" if structure.is_motion else "accelerance"
+                structure = dataclasses.replace(structure, kind=kind)
         thinned = [_thinned_record(r, d, seed) for r, d in zip(records, drives, strict=True)]
         self._plain = self.regression = ModalRegression(thinned, structure)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
@@ -137,6 +140,31 @@ class ModalScan:
         """Divide the rows of every output by a level in each of its records (``ModalRegression.weighed``)."""
         self.regression = self._plain.weighed(levels)
         self._candidates = None
+
+    @property
+    def is_tangled(self) -> bool:
+        """Whether what the input causes looks like free motion: a blow that starts the record does.
+
+        Notes
+        -----
+        What the free columns of a mode, and those that no mode touches, do not explain of its forced column is what
+        its residue is known by. Where that is less than a tenth at most frequencies, free motion makes the
+        standard deviation of a residue ten times as large.
+        """
+        regression = self.regression
+        if not regression.structure.has_free_response:
+            return False
+        omegas = self.omegas[:: max(1, len(self.omegas) // _FEW)]
+        parts = []
+        none = np.empty(0)
+        candidates = regression.candidates(omegas, np.full_like(omegas, SCAN_DAMPING), self._clock)
+        fixed = [block.matrix for block in regression.blocks(none, none, self._clock, gradients=False)]
+        for columns, others in zip(candidates, fixed, strict=True):
+            for own in columns:
+                free = LinearSolution.of(np.concatenate([own[1:].T, others], axis=1)).basis
+                left = own[0] - free @ (free.T @ own[0])
+                parts.append(float(np.linalg.norm(left)) / max(float(np.linalg.norm(own[0])), 1e-300))
+        return float(np.median(parts)) < _TANGLED
 
     def gains(self, model: ModalFit) -> FloatArray:
         """Return the gain in log-likelihood over the grid, shape (n_points,)."""

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_input, require_output, require_records
@@ -55,6 +56,7 @@ _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is repor
 _CLOCK_STARTS = 3
 _CLOCK_ROUNDS = 3
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
+_IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 
 
 @on_one_thread
@@ -84,7 +86,7 @@ def identify(
         Knowledge about the outputs' clock against the input's: latency [s] and relative
         rate.  ``Prior(mean, 0)`` fixes them, ``Prior(0, inf)`` leaves them to the data.
         None is an unknown latency and a rate of 0 +- 50 ppm, as of a camera beside an axis;
-        for a receptance, whose signals commonly share a clock, it is no error at all.
+        for a receptance, mobility or accelerance, whose signals commonly share a clock, it is no error at all.
     input_name : str or None
         Which input, where a record has several.
     max_modes : int
@@ -110,8 +112,10 @@ def identify(
             raise EstimationError(
                 f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
             )
+    if terms.is_test and any(_jumps_into(terms, own, input_name) for own in records):
+        terms = dataclasses.replace(terms, has_residual=False)
     records, found = with_found_noise(records, input_name)
-    shares_clock = terms.kind == "receptance"
+    shares_clock = terms.is_test
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
     latency_prior, rate_prior = latency, clock_rate
@@ -119,8 +123,22 @@ def identify(
     def fit(seen: list[TimeRecord]) -> IdentificationResult:
         regression = ModalRegression(seen, terms, input_name)
         _refuse_hopeless(regression, n_modes)
-        search = _TimeSearch(seen, regression, latency_prior, rate_prior, input_name, progress or silent)
+        clocks, said = (latency_prior, rate_prior), progress or silent
+        search = _TimeSearch(seen, regression, *clocks, input_name, said)
         search.found_noise = found
+        is_left_to_us = not isinstance(structure, ModalStructure)
+        if is_left_to_us and not terms.is_motion and search.band.is_excited and search.scan.is_tangled:
+            # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
+            highest_hz = 0.5 * regression.rate_hz
+            still = ModalRegression(seen, dataclasses.replace(terms, has_free_response=False), input_name)
+            from_rest = _TimeSearch(seen, still, *clocks, input_name, said, highest_hz)
+            from_rest.found_noise = found
+            try:
+                result = from_rest.result(n_modes, max_modes)
+                if not _begins_in_motion(regression, still, result.model, clocks):
+                    return result
+            except EstimationError:
+                pass  # a record that begins in motion may not fit at all
         return search.result(n_modes, max_modes)
 
     def predict(result: IdentificationResult, one: TimeRecord, name: str) -> FloatArray:
@@ -171,17 +189,17 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         clock_rate: Prior,
         input_name: str | None,
         progress: Progress,
+        highest_hz: float = math.inf,
     ) -> None:
         self.records, self.input_name = records, input_name
         structure = regression.structure
-        rate = max(len(t) for t in regression.times) / regression.duration_s
+        differentiations = structure.differentiations if structure.is_motion else 0
         bands = [
-            excited_band(d, structure.differentiations, regression.duration_s, rate)
+            excited_band(d, differentiations, regression.duration_s, regression.rate_hz)
             for d in regression.drives
         ]
-        band = Band(
-            min(b.low_hz for b in bands), max(b.high_hz for b in bands), any(b.is_excited for b in bands)
-        )
+        high = min(max(b.high_hz for b in bands), highest_hz)
+        band = Band(min(b.low_hz for b in bands), high, any(b.is_excited for b in bands))
         if not band.is_excited:  # without an input there are no two clocks to compare
             latency, clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
         self.scan = ModalScan(records, structure, input_name, band)
@@ -365,6 +383,31 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 *zip(*((o.whiteness, o.measured, o.residuals) for o in outputs), strict=True),
             )
         return warnings
+
+
+def _jumps_into(structure: ModalStructure, record: TimeRecord, input_name: str | None) -> bool:
+    """Return whether a held input jumps where the residual term would differentiate it: to nothing at a sample."""
+    drives = record.inputs if input_name is None else (record.input(input_name),)
+    return structure.differentiations > 0 and any(drive.hold == "zoh" for drive in drives)
+
+
+def _begins_in_motion(
+    regression: ModalRegression, still: ModalRegression, model: ModalModel, clocks: tuple[Prior, Prior]
+) -> bool:
+    """Return whether free motion explains more of the records than chance would (a likelihood ratio test).
+
+    Parameters
+    ----------
+    regression, still : ModalRegression -- of the same records, with free motion and without
+    model : ModalModel -- estimated without
+    clocks : tuple of Prior
+    """
+    with_motion, without = (
+        fit_modes(own, model.natural_frequencies, model.damping_ratios, model.clock, *clocks)
+        for own in (regression, still)
+    )
+    freedom = with_motion.n_parameters - without.n_parameters
+    return bool(2.0 * (without.cost - with_motion.cost) > chi_squared_isf(freedom, _IN_MOTION))
 
 
 def _noise_share(model: ModalModel, drive: InputSignal) -> float:

@@ -1,0 +1,63 @@
+"""Modes under a hammer, from samples: early and late blows, several of them, any kind of sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import identify
+from benchmarks.ident.hammer import OMEGAS, RESIDUES, ZETAS, Hammer
+
+
+def z_scores(model) -> np.ndarray:
+    """Return errors of frequencies, damping ratios and residues in standard deviations."""
+    assert model.n_modes == len(OMEGAS)
+    errors = np.concatenate([model.natural_frequencies - OMEGAS, model.damping_ratios - ZETAS])
+    scores = errors / np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd])
+    return np.append(scores, (model.residues - RESIDUES) / model.residue_sd)
+
+
+@pytest.mark.parametrize("start_s", [2e-4, 1.0])
+@pytest.mark.parametrize("kind", ["receptance", "mobility", "accelerance"])
+def test_a_blow_is_identified_wherever_it_falls_and_whatever_the_sensor_measures(kind, start_s):
+    found = identify(Hammer(kind, start_s).records(1), kind)
+    assert found.converged
+    assert not found.warnings
+    # Twelve numbers, and residues of the third mode that a blow at the start hardly tells from free motion.
+    assert np.max(np.abs(z_scores(found.model))) < 4.2
+
+
+@pytest.mark.parametrize(
+    ("kind", "start_s"), [("receptance", 2e-4), ("accelerance", 2e-4), ("accelerance", 0.02)]
+)
+def test_standard_deviations_are_the_bound_computed_apart(kind, start_s):
+    case = Hammer(kind, start_s, is_free=start_s > 0.01)
+    model = identify(case.records(2), kind).model
+    stated = np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd])
+    assert stated == pytest.approx(case.bound, rel=0.06)
+
+
+def test_several_blows_are_known_better_by_the_root_of_their_number():
+    case = Hammer("accelerance", 0.01, 1.0, 3)
+    records = case.records(3)
+    one, three = identify(records[0], "accelerance").model, identify(records, "accelerance").model
+    assert np.max(np.abs(z_scores(three))) < 4.2
+    assert one.natural_frequency_sd / three.natural_frequency_sd == pytest.approx(3**0.5, rel=0.1)
+
+
+def test_a_record_that_begins_with_a_blow_in_motion_is_not_taken_from_rest():
+    case = Hammer("receptance", 2e-4)
+    (record,) = case.records(4)
+    # Ringing that was there before, in a fourth of a cycle from what the blow makes of itself.
+    pole = OMEGAS[1] * (-ZETAS[1] + 1j * np.sqrt(1.0 - ZETAS[1] ** 2))
+    ringing = np.real(np.exp(pole * case.blow.times)) * 0.3 * np.ptp(case.blow.clean[:, 1])
+    outputs = tuple(
+        type(o)(o.name, o.unit, o.times_s, o.values + r * ringing)
+        for o, r in zip(record.outputs, RESIDUES[:, 1], strict=True)
+    )
+    found = identify(type(record)(record.inputs, outputs), "receptance")
+    assert found.structure.has_free_response
+    model = found.model
+    assert model.n_modes == 3
+    assert np.max(np.abs(model.natural_frequencies - OMEGAS) / model.natural_frequency_sd) < 4.0
+    assert np.max(np.abs(model.damping_ratios - ZETAS) / model.damping_ratio_sd) < 4.0
