@@ -27,7 +27,7 @@ class FreeDecay:
     covariance : ndarray, shape (2 n_modes, 2 n_modes) -- of frequencies and damping ratios
     amplitudes : complex ndarray, shape (n_outputs, n_modes)
         At ``start_s``; their real part is the displacement, their size the envelope.
-    offsets : ndarray, shape (n_outputs,)
+    offsets : ndarray, shape (n_outputs,) -- the drift's mean
     start_s : float -- instant of the first sample used [s]
     output_names : tuple of str
     times_s, measured, modelled, residuals : tuple of ndarray -- of every output, the samples used

@@ -87,7 +87,11 @@ class StackedRegression:
         self.values: list[FloatArray] = [
             np.concatenate([part.weights * part.values for part in own]) for own in outputs
         ]
-        self.block_of = range(len(outputs))
+        # Outputs whose rows and weights are the same share their columns, and what is computed of them.
+        keys = [tuple((part.basis, part.weights.tobytes()) for part in own) for own in outputs]
+        distinct = list(dict.fromkeys(keys))
+        self.block_of = [distinct.index(key) for key in keys]
+        self._blocks = [outputs[self.block_of.index(block)] for block in range(len(distinct))]
         self.segments: list[list[tuple[int, slice]]] = []  # of every output: basis and its rows
         for own in outputs:
             ends = np.cumsum([len(part.values) for part in own]).tolist()
@@ -113,7 +117,7 @@ class StackedRegression:
     def blocks(
         self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
     ) -> list[ColumnBlock]:
-        """Return the columns of every output: the fixed ones, then those of all modes."""
+        """Return the columns of every block of outputs: the fixed ones, then those of all modes."""
         del gradients
         n, late = len(omegas), clock.latency
         of_bases = []
@@ -132,8 +136,8 @@ class StackedRegression:
         by_time = [np.concatenate(rate, axis=1) for rate in rates] if is_late else []
         columns = self.n_shared_fixed + np.arange(n * self._width).reshape(n, self._width)
         result = []
-        for output, values in zip(self.outputs, self.values, strict=True):
-            n_rows = len(values)
+        for output in self._blocks:
+            n_rows = sum(len(part.values) for part in output)
             slopes = _weighed(output, by_pole).reshape(n_rows, 2, n, self._width)
             result.append(
                 ColumnBlock(
@@ -148,11 +152,11 @@ class StackedRegression:
         return result
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
-        """Return the columns of single modes at every output, each (n_candidates, n_columns of a mode, n_rows)."""
+        """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
         found = [basis.scanned(omegas, zetas, clock.latency) for basis in self.bases]
         return [
             np.concatenate([found[part.basis] * part.weights for part in output], axis=2)
-            for output in self.outputs
+            for output in self._blocks
         ]
 
     def modelled(self, fit: ModalFit) -> list[FloatArray]:

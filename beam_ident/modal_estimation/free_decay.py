@@ -2,10 +2,12 @@
 
 A structure that was let go rings as a sum of damped cosines,
 
-    y_j(t) = Re sum_i a_ij e^(p_i t) + offset,      p_i = omega_i (-zeta_i + j sqrt(1 - zeta_i^2))
+    y_j(t) = Re sum_i a_ij e^(p_i t) + drift_j(t),      p_i = omega_i (-zeta_i + j sqrt(1 - zeta_i^2))
 
 and the least-squares fit of that sum uses every sample, at any stamps and averaged over any
-exposure, where the classical decrement uses two peaks.  Poles are common to all outputs.
+exposure, where the classical decrement uses two peaks.  Poles are common to all outputs.  The drift
+is a straight line, which is also the rigid motion of a structure that nothing holds, or a cubic where
+the data ask for one.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_output
@@ -27,7 +30,8 @@ from beam_ident.modal.regression import modal_poles, pole_slopes
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, rivals
-from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
+from beam_ident.modal_estimation.mode_search import MAX_MODES, SHORT, ModeSearch, Weighed, checked_limit
+from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -37,19 +41,29 @@ _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
 _MAX_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
+_STRAIGHT, _BENT = 1, 3  # degrees of a drift; anything quicker has cycles enough to be a mode
 
 
 class _DecayBasis(ColumnBasis):
-    """Offset and damped cosines at the stamps of one output."""
+    """Drift and damped cosines at the stamps of outputs that share them.
 
-    def __init__(self, elapsed: FloatArray, exposure_s: float) -> None:
+    Parameters
+    ----------
+    elapsed : ndarray, shape (n,) -- since the start of the decay [s]
+    exposure_s : float
+    degree : int -- of the drift
+    """
+
+    def __init__(self, elapsed: FloatArray, exposure_s: float, degree: int = 0) -> None:
         self.elapsed, self.exposure_s = elapsed, exposure_s
+        # An exposure turns a polynomial into another one of the same degree.
+        reach = max(float(np.ptp(elapsed)), 1e-300)
+        self._drift = legvander(2.0 * (elapsed - elapsed[0]) / reach - 1.0, degree)
 
     def fixed(self, latency: float) -> Columns:
-        """Return the constant."""
+        """Return constant and drift."""
         del latency
-        ones = np.ones((len(self.elapsed), 1))
-        return Columns(ones, ones, ones)
+        return Columns(self._drift, self._drift, self._drift)
 
     def modal(self, omega: float, zeta: float, latency: float) -> Columns:
         """Return cosine and sine of one mode with their derivatives."""
@@ -92,7 +106,9 @@ def fit_free_decay(
     Notes
     -----
     Frequencies are looked for up to half the mean rate of the stamps.  The noise may be coloured: the last
-    fit weighs by the autocorrelation of the residuals.
+    fit weighs by the autocorrelation of the residuals.  A mode may ring at some of the outputs only: its share is
+    charged by the Bayesian information criterion where it is more than noise (``_DecaySearch``), so that
+    many points find what the best of them finds alone.
     """
     signals = tuple(outputs) if isinstance(outputs, list | tuple) else (outputs,)
     if not signals or not all(isinstance(signal, OutputSignal) for signal in signals):
@@ -113,7 +129,18 @@ def fit_free_decay(
         OutputSignal(s.name, s.unit, s.times_s[keep], s.values[keep], s.exposure_s)
         for s, keep in zip(signals, kept, strict=True)
     ]
-    return _DecaySearch(seen).result(n_modes, max_modes)
+    failure: EstimationError | None = None
+    try:
+        straight = _DecaySearch(seen, _STRAIGHT)
+        found = straight.result(n_modes, max_modes)
+        if not straight.is_bent:
+            return found
+    except EstimationError as err:
+        failure = err
+    try:
+        return _DecaySearch(seen, _BENT).result(n_modes, max_modes)
+    except EstimationError as err:
+        raise failure or err from err
 
 
 class _DecaySearch(ModeSearch[StackedRegression]):
@@ -122,12 +149,13 @@ class _DecaySearch(ModeSearch[StackedRegression]):
     Parameters
     ----------
     signals : sequence of OutputSignal -- the samples that are used, all of them valid
+    degree : int -- of the drift
     """
 
     remedy = "Give the stretch of the free decay, or a longer one"
 
-    def __init__(self, signals: Sequence[OutputSignal]) -> None:
-        self.signals = signals
+    def __init__(self, signals: Sequence[OutputSignal], degree: int) -> None:
+        self.signals, self.degree, self.is_bent = signals, degree, False
         times = [s.times_s for s in signals]
         self.start = min(float(t[0]) for t in times)
         self.sizes = [max(float(np.std(s.values)), 1e-300) for s in signals]
@@ -135,23 +163,62 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         rate = max((len(t) - 1) / float(t[-1] - t[0]) for t in times)
         count = min(max(int(longest * rate), 8), _MAX_FREQUENCIES)
         self.omegas = np.asarray(np.pi * rate * (np.arange(count) + 1.0) / count)
-        bases = [_DecayBasis(s.times_s - self.start, s.exposure_s) for s in signals]
-        outputs = [
-            [Part(k, s.values, np.full(len(s.values), 1.0 / size))]
-            for k, (s, size) in enumerate(zip(signals, self.sizes, strict=True))
-        ]
-        problem = StackedRegression(bases, outputs, False, is_sequence=True, n_forced=0, times=times)
+        problem = self._problem(degree)
         super().__init__(problem, Band.without_input(longest, rate), Prior(), Prior(), shows_clock=False)
+
+    def _problem(self, degree: int) -> StackedRegression:
+        """Return the regression with a drift of some degree, outputs in units of their size."""
+        places: dict[tuple[bytes, float], int] = {}
+        bases, outputs = [], []
+        for signal, size in zip(self.signals, self.sizes, strict=True):
+            key = (signal.times_s.tobytes(), signal.exposure_s)
+            if key not in places:
+                places[key] = len(bases)
+                bases.append(_DecayBasis(signal.times_s - self.start, signal.exposure_s, degree))
+            outputs.append([Part(places[key], signal.values / size, np.ones(len(signal.values)))])
+        times = [signal.times_s for signal in self.signals]
+        return StackedRegression(bases, outputs, False, is_sequence=True, n_forced=0, times=times)
+
+    def _bic(self, fit: ModalFit) -> float:
+        """Return the information criterion, in which a mode is charged at each output for what it explains there.
+
+        Notes
+        -----
+        The two amplitudes of a mode at output j cost ``2 log n_j``, or, where leaving them out would cost less, that:
+        chi-squared of the two (Wald). The criterion is then that of the best choice of outputs for every mode.
+        Its poles cost ``2 log n`` of the longest output, as if it rang there alone: many points find what one finds.
+        """
+        sizes = [len(values) for values in self.problem.values]
+        total = 2.0 * fit.cost + fit.n_theta * math.log(max(sizes))
+        place = fit.n_theta
+        for size, found, columns in zip(sizes, fit.coefficients, fit.mode_columns, strict=True):
+            total += (len(found) - columns.size) * math.log(size)
+            for own in columns:
+                spread = fit.covariance[np.ix_(place + own, place + own)]
+                explained = float(found[own] @ np.linalg.lstsq(spread, found[own], rcond=1e-12)[0])
+                total += min(explained, len(own) * math.log(size))
+            place += len(found)
+        return total
+
+    def _target(self, current: ModalFit, n_modes: int | None) -> float:
+        """Return the cost that a mode which rings at one output alone must reach."""
+        if n_modes is not None:
+            return math.inf
+        sizes = [len(values) for values in self.problem.values]
+        return current.cost - math.log(max(sizes)) - math.log(min(sizes))
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
         """Return the best of the highest peaks of the residuals' periodogram, each with every damping."""
         power = np.zeros(len(self.omegas))
-        for signal, residuals in zip(self.signals, fit.residuals, strict=True):
-            elapsed = signal.times_s - signal.times_s[0]
+        for block in sorted(set(self.problem.block_of)):
+            own = [j for j, other in enumerate(self.problem.block_of) if other == block]
+            elapsed = self.signals[own[0]].times_s - self.signals[own[0]].times_s[0]
+            residuals = np.stack([fit.residuals[j] for j in own], axis=1)
+            residuals = residuals / np.maximum(np.linalg.norm(residuals, axis=0), 1e-300)
             for first in range(0, len(self.omegas), 256):
                 here = slice(first, first + 256)
                 turned = np.exp(-1j * self.omegas[here, None] * elapsed)
-                power[here] += np.abs(turned @ residuals) ** 2 / max(float(residuals @ residuals), 1e-300)
+                power[here] += np.sum(np.square(np.abs(turned @ residuals)), axis=1)
         padded = np.concatenate([[0.0], power, [0.0]])
         peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
         peaks = peaks[np.argsort(-power[peaks])][:_PEAKS]
@@ -166,12 +233,14 @@ class _DecaySearch(ModeSearch[StackedRegression]):
     def result(self, n_modes: int | None, max_modes: int) -> FreeDecay:
         """Search, and return what was found."""
         fit = self.run(n_modes, max_modes).fit
-        n, signals = len(fit.omegas), self.signals
+        bent = fit_modes(self._problem(_BENT), fit.omegas, fit.zetas, fit.clock, Prior(), Prior(), SHORT)
+        self.is_bent = self._bic(bent) < self._bic(fit)
+        n, signals, n_fixed = len(fit.omegas), self.signals, 1 + self.degree
         sd = np.sqrt(np.maximum(np.diag(fit.pole_covariance), 0.0))
         residuals = tuple(size * e for size, e in zip(self.sizes, fit.residuals, strict=True))
         measured = tuple(s.values for s in signals)
         whiteness = tuple(Whiteness.of(e) for e in residuals)
-        coefficients = np.array(fit.coefficients)
+        coefficients, sizes = np.array(fit.coefficients), np.array(self.sizes)
         warnings = mode_warnings(fit, self.plain, self.band)
         warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
         return FreeDecay(
@@ -180,15 +249,16 @@ class _DecaySearch(ModeSearch[StackedRegression]):
             damping_ratios=fit.zetas,
             damping_ratio_sd=sd[n:],
             covariance=fit.pole_covariance,
-            amplitudes=coefficients[:, 1::2] + 1j * coefficients[:, 2::2],
-            offsets=coefficients[:, 0],
+            amplitudes=sizes[:, None]
+            * (coefficients[:, n_fixed::2] + 1j * coefficients[:, n_fixed + 1 :: 2]),
+            offsets=sizes * coefficients[:, 0],
             start_s=self.start,
             output_names=tuple(s.name for s in signals),
             times_s=tuple(s.times_s for s in signals),
             measured=measured,
             modelled=tuple(y - e for y, e in zip(measured, residuals, strict=True)),
             residuals=residuals,
-            noise_sd=fit.sigmas * np.array(self.sizes),
+            noise_sd=fit.sigmas * sizes,
             scores=tuple(Scores.of(y, e) for y, e in zip(measured, residuals, strict=True)),
             whiteness=whiteness,
             orders=self.orders,

@@ -50,19 +50,19 @@ def _stands_out(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> 
     -----
     Of many outputs a mode may move one alone, where its share drowns in the freedom of the others.  And a blow at
     the very beginning of a record moves as free motion does: then the two are known together, and neither alone.
-    Each way to stand out is a test of its own, and they share the level (Bonferroni).
+    Each way to stand out is a test of its own at the same level, so that what one output shows alone is also found
+    beside others.
     """
     n_outputs = len(fit.coefficients)
     own_motions = [False, True] if band.is_excited else [True]
     places = [range(n_outputs), *([j] for j in range(n_outputs))] if n_outputs > 1 else [range(1)]
-    level = _SIGNIFICANCE / (len(own_motions) * len(places))
     for with_free_motion in own_motions:
         for outputs in places:
             telling = slice(
                 0 if band.is_excited else problem.n_forced, None if with_free_motion else problem.n_forced
             )
             statistic, freedom = _significance(fit, mode, outputs, telling)
-            if freedom and statistic > chi_squared_isf(freedom, level):
+            if freedom and statistic > chi_squared_isf(freedom, _SIGNIFICANCE):
                 return True
     return False
 

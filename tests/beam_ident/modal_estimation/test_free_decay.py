@@ -5,6 +5,7 @@ import pytest
 
 from beam_ident import EstimationError, OutputSignal
 from beam_ident.modal_estimation.free_decay import _DecayBasis, fit_free_decay
+from benchmarks.ident.free_decays import LOCAL_HZ, ManyPoints
 from tests.beam_ident.truth import averaged_cosine
 
 OMEGAS, ZETAS = 2 * np.pi * np.array([4.4, 28.3]), np.array([0.005, 0.008])
@@ -62,6 +63,42 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(decays(0.1), end_s=2.05)
     with pytest.raises(EstimationError, match="n_modes is 0"):
         fit_free_decay(decays(0.1), n_modes=0)
+
+
+def test_many_points_find_what_the_best_of_them_finds_alone():
+    case = ManyPoints()
+    points = case.signals(3)
+    alone = fit_free_decay(points[case.local_point])
+    together = fit_free_decay(points)
+    # Of nine modes' worth of parameters the local one explains those of one point: it was not worth the others'.
+    assert np.min(np.abs(alone.frequencies_hz / LOCAL_HZ - 1.0)) < 0.01
+    for hertz in alone.frequencies_hz:
+        assert np.min(np.abs(together.frequencies_hz / hertz - 1.0)) < 0.01
+    errors = np.concatenate([together.natural_frequencies, together.damping_ratios]) - case.truth
+    assert np.max(np.abs(errors / case.bound)) < 4.0
+
+
+@pytest.mark.parametrize("shape", ["straight", "bent"])
+def test_drift_is_no_mode_and_hides_none(shape):
+    elapsed = (TIMES - TIMES[0]) / 6.0
+    drift = 5.0 * elapsed if shape == "straight" else 5.0 * elapsed + 8.0 * elapsed**2 * (1.0 - elapsed)
+    signals = [
+        OutputSignal(s.name, s.unit, s.times_s, s.values + k * drift) for k, s in enumerate(decays(0.02), 1)
+    ]
+    found, still = fit_free_decay(signals), fit_free_decay(decays(0.02))
+    assert len(found.natural_frequencies) == 2
+    moved = (found.natural_frequencies - still.natural_frequencies) / still.natural_frequency_sd
+    assert np.max(np.abs(moved)) < 0.5
+    assert found.natural_frequency_sd == pytest.approx(still.natural_frequency_sd, rel=0.1)
+
+
+def test_points_that_share_their_stamps_share_their_columns():
+    found = fit_free_decay(decays(0.02), n_modes=2)
+    apart = decays(0.02)
+    apart[1] = OutputSignal("root", "m", apart[1].times_s + 1e-12, apart[1].values)
+    other = fit_free_decay(apart, n_modes=2)
+    np.testing.assert_allclose(found.natural_frequencies, other.natural_frequencies, rtol=1e-7)
+    np.testing.assert_allclose(found.natural_frequency_sd, other.natural_frequency_sd, rtol=1e-4)
 
 
 def test_the_slopes_of_a_decay_seen_through_an_exposure_are_its_differences():
