@@ -78,6 +78,7 @@ from beam_ident.responses.detection_lines import NonlinearDistortion as Nonlinea
 from beam_ident.responses.detection_lines import nonlinear_distortion as nonlinear_distortion
 from beam_ident.responses.half_power import HalfPowerDamping as HalfPowerDamping
 from beam_ident.responses.half_power import half_power_damping as half_power_damping
+from beam_ident.responses.hammer import hammer_response as hammer_response
 from beam_ident.responses.local_polynomial import local_polynomial_response as local_polynomial_response
 from beam_ident.responses.periodic_averaging import PeriodicResponse as PeriodicResponse
 from beam_ident.responses.periodic_averaging import periodic_response as periodic_response

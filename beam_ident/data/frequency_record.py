@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
-from beam_ident.data.stored_form import read, written
+from beam_ident.data.stored_form import ADDED_LATER, read, written
 from beam_ident.errors import RecordError
 
 SCHEMA = 2
@@ -117,6 +117,10 @@ class FrequencyRecord:
     shared_lines : float
         Over how many neighbouring lines an error reaches, 1 where lines err independently.
     warnings : sequence of str -- what was found when it was made, for every fit to it to pass on
+    decay_rate : float
+        Of the exponential window ``e^(-decay_rate t)`` through which inputs and outputs were seen [1/s], 0 without
+        one. A line is then the response at ``decay_rate + j omega``, and every fit takes it for that: the damping
+        that the window adds is in no result.
 
     Raises
     ------
@@ -139,6 +143,7 @@ class FrequencyRecord:
     name: str = field(default="frequency record")
     shared_lines: float = 1.0
     warnings: Sequence[str] = ()
+    decay_rate: float = field(default=0.0, metadata=ADDED_LATER)
 
     def __post_init__(self) -> None:
         omegas = self._numbers("omegas", np.float64)
@@ -160,6 +165,10 @@ class FrequencyRecord:
             )
         if not 1.0 <= self.shared_lines < np.inf:
             self._refuse(f"shared_lines is {self.shared_lines}; expected a number of at least 1")
+        if not 0.0 <= self.decay_rate < np.inf or (self.decay_rate and self.folding is not None):
+            self._refuse(
+                f"decay_rate is {self.decay_rate}; expected a finite number of at least 0 [1/s], and 0 with folding"
+            )
         shape = shape + (1,) * (3 - response.ndim)
         object.__setattr__(self, "omegas", _fixed(omegas, np.float64))
         object.__setattr__(self, "response", _fixed(response.reshape(shape), np.complex128))
@@ -237,6 +246,11 @@ class FrequencyRecord:
         return np.asarray(self.omegas / (2.0 * np.pi))
 
     @property
+    def s(self) -> ComplexArray:
+        """Complex frequencies of the lines [rad/s], beside the imaginary axis where a window was exponential."""
+        return np.asarray(self.decay_rate + 1j * self.omegas, dtype=np.complex128)
+
+    @property
     def sd(self) -> FloatArray | None:
         """Standard deviation of every complex value, both parts together, or None."""
         return None if self.variance is None else np.asarray(np.sqrt(self.variance))
@@ -248,8 +262,8 @@ class FrequencyRecord:
             return tuple(self.warnings)
         return (
             *self.warnings,
-            f"neighbouring lines share data ({self.method}): noise may look like modes, and standard deviations may "
-            f"be too small by up to {np.sqrt(self.shared_lines):.1f} times; fit samples, or a response from periods",
+            f"neighbouring lines share data ({self.method}): noise may look like modes; standard deviations count it "
+            "as far as the residuals show it. Fit samples, or a response from periods",
         )
 
     def series(self) -> tuple[ResponseSeries, ...]:
@@ -336,6 +350,11 @@ def beside(records: Sequence[FrequencyRecord], name: str = "joined") -> Frequenc
     if not records:
         raise RecordError("no frequency record to join; give at least one")
     first = records[0]
+    if len({record.decay_rate for record in records}) > 1:
+        raise RecordError(
+            "frequency records seen through different exponential windows cannot stand beside each other; make them "
+            "with one decay_rate"
+        )
     for record in records[1:]:
         if record.output_names != first.output_names or not np.array_equal(record.omegas, first.omegas):
             raise RecordError(
@@ -356,4 +375,5 @@ def beside(records: Sequence[FrequencyRecord], name: str = "joined") -> Frequenc
         name=name,
         shared_lines=max(record.shared_lines for record in records),
         warnings=tuple(dict.fromkeys(said for record in records for said in record.warnings)),
+        decay_rate=first.decay_rate,
     )

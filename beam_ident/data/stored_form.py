@@ -21,6 +21,10 @@ from beam_ident.errors import ModelFormatError
 
 T = TypeVar("T")
 
+ADDED_LATER = {
+    "added_later": True
+}  # metadata of a field that what was stored before has not: its default holds
+
 
 def written(value: Any, kind: str, schema: int) -> dict[str, Any]:
     """Return a frozen dataclass as plain lists and numbers, under its type and schema number."""
@@ -119,6 +123,8 @@ def _rebuilt_fields(kind: type[T], data: Mapping[str, Any], where: str) -> T:
     for own in dataclasses.fields(kind):  # type: ignore[arg-type]
         place = f"{where}{own.name}"
         if own.name not in data:
+            if ADDED_LATER.items() <= own.metadata.items():
+                continue
             raise KeyError(place)
         values[own.name] = _rebuilt(hints[own.name], data[own.name], place)
     return kind(**values)

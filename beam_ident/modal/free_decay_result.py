@@ -26,7 +26,7 @@ class FreeDecay:
     damping_ratios, damping_ratio_sd : ndarray, shape (n_modes,)
     covariance : ndarray, shape (2 n_modes, 2 n_modes) -- of frequencies and damping ratios
     amplitudes : complex ndarray, shape (n_outputs, n_modes)
-        At ``start_s``; their real part is the displacement, their size the envelope.
+        At ``start_s``; their real part is the displacement, their size the envelope. 0 where a mode does not show.
     offsets : ndarray, shape (n_outputs,) -- the drift's mean
     start_s : float -- instant of the first sample used [s]
     output_names : tuple of str

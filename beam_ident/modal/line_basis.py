@@ -33,7 +33,7 @@ class LineBasis(ColumnBasis):
     def __init__(self, record: FrequencyRecord, structure: ModalStructure, is_late: bool = True) -> None:
         self.structure, self.is_late = structure, is_late
         self.folding = record.folding
-        s: ComplexArray = np.asarray(1j * record.omegas[:, None], dtype=np.complex128)
+        s = record.s[:, None]
         weights = np.ones(s.shape, dtype=np.complex128)
         self.tails: ComplexArray | None = None
         if self.folding is not None:
@@ -47,7 +47,7 @@ class LineBasis(ColumnBasis):
                     f"{structure.kind} differentiates it. Give the input hold='cubic', or has_residual=False"
                 )
         self.s, self.weights = s, weights
-        self._squares = s.imag**2
+        self._squares = s.imag**2 if record.decay_rate == 0.0 else -(s**2)
         # What every mode is multiplied by, and that once more times s: a fit asks for it many hundred times.
         self._front = weights * structure.sign * s**structure.differentiations
         self._rising = self._front * s

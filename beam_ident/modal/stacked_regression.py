@@ -7,13 +7,14 @@ several, each row with a weight of its own.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import AnyArray, FloatArray
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes
 
@@ -88,10 +89,9 @@ class StackedRegression:
             np.concatenate([part.weights * part.values for part in own]) for own in outputs
         ]
         # Outputs whose rows and weights are the same share their columns, and what is computed of them.
-        keys = [tuple((part.basis, part.weights.tobytes()) for part in own) for own in outputs]
-        distinct = list(dict.fromkeys(keys))
-        self.block_of = [distinct.index(key) for key in keys]
-        self._blocks = [outputs[self.block_of.index(block)] for block in range(len(distinct))]
+        self._keys = [tuple((part.basis, part.weights.tobytes()) for part in own) for own in outputs]
+        self._find_blocks([b""] * len(outputs))
+        self._absent: AnyArray | None = None
         self.segments: list[list[tuple[int, slice]]] = []  # of every output: basis and its rows
         for own in outputs:
             ends = np.cumsum([len(part.values) for part in own]).tolist()
@@ -99,6 +99,24 @@ class StackedRegression:
             self.segments.append([(part.basis, here) for part, here in zip(own, rows, strict=True)])
         self.n_shared_fixed: int = bases[0].fixed(0.0).value.shape[1]
         self._width: int = bases[0].modal(1.0, 0.1, 0.0).value.shape[1]
+
+    def _find_blocks(self, of_outputs: Sequence[bytes]) -> None:
+        keys = list(zip(self._keys, of_outputs, strict=True))
+        distinct = list(dict.fromkeys(keys))
+        self.block_of = [distinct.index(key) for key in keys]
+        self._blocks = [self.block_of.index(block) for block in range(len(distinct))]
+
+    def without(self, absent: AnyArray) -> StackedRegression:
+        """Return the regression in which some modes have no share in some outputs.
+
+        Parameters
+        ----------
+        absent : ndarray of bool, shape (n_outputs, n_modes)
+        """
+        result = copy.copy(self)
+        result._absent = absent
+        result._find_blocks([own.tobytes() for own in absent])
+        return result
 
     @property
     def n_samples(self) -> int:
@@ -136,12 +154,17 @@ class StackedRegression:
         by_time = [np.concatenate(rate, axis=1) for rate in rates] if is_late else []
         columns = self.n_shared_fixed + np.arange(n * self._width).reshape(n, self._width)
         result = []
-        for output in self._blocks:
+        for number in self._blocks:
+            output = self.outputs[number]
             n_rows = sum(len(part.values) for part in output)
             slopes = _weighed(output, by_pole).reshape(n_rows, 2, n, self._width)
+            matrix = _weighed(output, plain)
+            if self._absent is not None:
+                matrix[:, columns[self._absent[number]].ravel()] = 0.0
+                slopes[:, :, self._absent[number]] = 0.0
             result.append(
                 ColumnBlock(
-                    matrix=_weighed(output, plain),
+                    matrix=matrix,
                     mode_columns=columns,
                     modes=tuple(ModeSlopes(slopes[:, 0, k], slopes[:, 1, k]) for k in range(n)),
                     by_time=_weighed(output, by_time) if is_late else None,
@@ -156,7 +179,7 @@ class StackedRegression:
         found = [basis.scanned(omegas, zetas, clock.latency) for basis in self.bases]
         return [
             np.concatenate([found[part.basis] * part.weights for part in output], axis=2)
-            for output in self._blocks
+            for output in (self.outputs[number] for number in self._blocks)
         ]
 
     def modelled(self, fit: ModalFit) -> list[FloatArray]:

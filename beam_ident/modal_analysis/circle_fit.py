@@ -101,6 +101,7 @@ def circle_fit(
     strength = 2.0 * radius * np.exp(1j * turn) * 2.0 * zeta * omega
     residue = strength / (2j * omega * math.sqrt(1.0 - zeta**2))
     roundness = float(np.sqrt(np.mean((np.abs(points - centre) - radius) ** 2)) / radius)
+    zeta -= record.decay_rate / omega  # what an exponential window adds
     return CircleFit(omega, zeta, complex(residue), centre, radius, omegas, points, roundness, converged)
 
 

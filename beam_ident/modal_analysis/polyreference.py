@@ -82,7 +82,12 @@ def polyreference_poles(record: FrequencyRecord, max_order: int) -> tuple[OrderP
     of_square = np.einsum("kl,loi,loj->kij", turns, np.conj(response), response, optimize=True)
     found = []
     for order in range(1, max_order + 1):
-        found.append(_of_order(order, max_order, of_one, of_response, of_square, low, high, period))
+        seen = _of_order(order, max_order, of_one, of_response, of_square, low, high, period)
+        if record.decay_rate:  # the window moved them to the left
+            poles = seen.poles + record.decay_rate
+            still = poles.real < 0.0
+            seen = OrderPoles(order, poles[still], seen.participation[still])
+        found.append(seen)
     return tuple(found)
 
 
@@ -149,7 +154,7 @@ def residues_at(
     ``H = s^d [ sum_r A_r / (s - p_r) + conj(A_r) / (s - conj(p_r)) + U + L / s^2 ]``.
     """
     keep = np.unique(np.linspace(0, record.n_lines - 1, min(record.n_lines, max_lines)).astype(np.intp))
-    s = 1j * record.omegas[keep]
+    s = record.s[keep]
     values = record.response[keep].reshape(len(keep), -1)
     one, other = 1.0 / (s[:, None] - poles), 1.0 / (s[:, None] - np.conj(poles))
     columns = np.concatenate(

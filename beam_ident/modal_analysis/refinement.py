@@ -24,6 +24,7 @@ from scipy.special import chdtrc as chi_squared_sf
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import finite_row
+from beam_ident.data.bandwidth import Band
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.prior import Prior
 from beam_ident.data.stored_form import read, require_shapes, written
@@ -33,7 +34,9 @@ from beam_ident.modal.regression import ClockState
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_collinearity
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
-from beam_ident.modal_estimation.variable_projection import fit_modes
+from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
+from beam_ident.modal_estimation.variable_projection import designs, fit_modes
+from beam_ident.noise.line_correlation import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -155,7 +158,7 @@ class _ResidueBasis(ColumnBasis):
     def __init__(
         self, record: FrequencyRecord, differentiations: int, has_upper: bool, has_lower: bool
     ) -> None:
-        self.s = 1j * record.omegas
+        self.s = record.s
         self.front = self.s**differentiations
         parts = []
         if has_upper:
@@ -232,8 +235,9 @@ def analyse_modes(
         [Part(0, stacked_values(record.response[:, j, i]), line_weights(record, j, i))] for j, i in pairs
     ]
     problem = StackedRegression([basis], outputs, record.variance is not None)
-    fit = fit_modes(problem, omegas, zetas, ClockState(), Prior(), Prior(), _ITERATIONS)
-    return _result(chart, problem, fit, has_upper, has_lower)
+    hertz = record.frequencies_hz
+    fit, refused = _credible(problem, omegas, zetas, Band(float(hertz[0]), float(hertz[-1]), True))
+    return _result(chart, problem, fit, has_upper, has_lower, refused)
 
 
 def _start(
@@ -270,13 +274,21 @@ def _result(
     fit: ModalFit,
     has_upper: bool,
     has_lower: bool,
+    refused: tuple[str, ...],
 ) -> ModalAnalysis:
     record = chart.record
     n, m, k = len(fit.omegas), record.n_outputs, record.n_inputs
     n_fixed = int(has_upper) + int(has_lower)
     coefficients = np.array(fit.coefficients)
     width = coefficients.shape[1]
-    fit = dataclasses.replace(fit, covariance=fit.covariance * weighting_loss(record.degrees_of_freedom))
+    misfit = UNKNOWN_NOISE
+    if problem.is_noise_known:
+        chi_squared = float(sum(e @ e for e in fit.residuals))
+        misfit = LineMisfit.of(
+            chi_squared, problem.n_samples, fit.n_parameters, m * k, record.degrees_of_freedom
+        )
+    inflation = weighting_loss(record.degrees_of_freedom) * misfit.inflation
+    fit = dataclasses.replace(fit, covariance=fit.covariance * inflation)
     covariance = fit.pole_covariance
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     residues, residue_sd = np.empty((m * k, n), dtype=np.complex128), np.empty((m * k, n))
@@ -307,12 +319,6 @@ def _result(
     zeros = np.zeros((m, k))
     (total,) = problem.modelled(fit)
     lines = record.n_lines
-    misfit = UNKNOWN_NOISE
-    if problem.is_noise_known:
-        chi_squared = float(sum(e @ e for e in fit.residuals))
-        misfit = LineMisfit.of(
-            chi_squared, problem.n_samples, fit.n_parameters, m * k, record.degrees_of_freedom
-        )
     modelled = (total[:lines] + 1j * total[lines:]).reshape(lines, m, k)
     left_over = np.where(np.isfinite(record.response), record.response - modelled, 0.0)
     return ModalAnalysis(
@@ -336,8 +342,47 @@ def _result(
         converged=fit.converged,
         reason=fit.reason,
         iterations=fit.iterations,
-        warnings=(*record.warnings, *_warnings(fit, misfit, sd, _likeness(fit, lines))),
+        warnings=(*record.warnings, *refused, *_warnings(fit, misfit, sd, _likeness(fit, lines))),
     )
+
+
+def _credible(
+    problem: StackedRegression, omegas: FloatArray, zetas: FloatArray, band: Band
+) -> tuple[ModalFit, tuple[str, ...]]:
+    """Return the refined fit of the modes that pass the gates of all estimators, and what was left out.
+
+    Raises
+    ------
+    EstimationError
+        No mode passes them.
+    """
+    refused: list[str] = []
+    while True:
+        plain = fit_modes(problem, omegas, zetas, ClockState(), Prior(), Prior(), _ITERATIONS)
+        fit = _with_neighbours(problem, plain)
+        modes = range(len(fit.omegas))
+        complaints = {mode: said for mode in modes if (said := mode_complaint(fit, problem, mode, band))}
+        if not complaints:
+            return fit, tuple(refused)
+        worst = min(complaints, key=lambda mode: mode_significance(fit, problem, mode, band)[0])
+        refused.append(f"a mode of the chart was left out: {complaints[worst]}")
+        if len(fit.omegas) == 1:
+            raise EstimationError(
+                f"no mode can be trusted ({complaints[worst]}). Measure more lines, or other bands"
+            )
+        omegas, zetas = np.delete(fit.omegas, worst), np.delete(fit.zetas, worst)
+
+
+def _with_neighbours(problem: StackedRegression, fit: ModalFit) -> ModalFit:
+    """Return the fit with what neighbouring lines have in common in its covariance (``noise.line_correlation``)."""
+    middle = np.zeros_like(fit.covariance)
+    place = fit.n_theta
+    for j, design in enumerate(designs(problem, fit, Prior(), Prior())):
+        width = len(fit.coefficients[j])
+        own = np.append(np.arange(fit.n_theta), place + np.arange(width))
+        place += width
+        middle[np.ix_(own, own)] += excess_over_lines(design, fit.residuals[j]) / fit.sigmas[j] ** 2
+    return dataclasses.replace(fit, covariance=fit.covariance + fit.covariance @ middle @ fit.covariance)
 
 
 def _residue(omega: float, zeta: float, a: float, b: float) -> tuple[complex, ComplexArray]:
@@ -372,7 +417,7 @@ def _warnings(fit: ModalFit, misfit: LineMisfit, sd: FloatArray, likeness: float
     if likeness < _ALIKE:
         found.append(
             "the residuals of neighbouring lines are alike: modes are missing, or the noise is not independent from "
-            "line to line and the standard deviations are too small"
+            "line to line. The standard deviations count it as noise"
         )
     if not fit.converged:
         found.append(f"the refinement did not converge: {fit.reason}")

@@ -132,9 +132,9 @@ def fit_free_decay(
     failure: EstimationError | None = None
     try:
         straight = _DecaySearch(seen, _STRAIGHT)
-        found = straight.result(n_modes, max_modes)
+        decay = straight.result(n_modes, max_modes)
         if not straight.is_bent:
-            return found
+            return decay
     except EstimationError as err:
         failure = err
     try:
@@ -169,7 +169,8 @@ class _DecaySearch(ModeSearch[StackedRegression]):
     def _problem(self, degree: int) -> StackedRegression:
         """Return the regression with a drift of some degree, outputs in units of their size."""
         places: dict[tuple[bytes, float], int] = {}
-        bases, outputs = [], []
+        bases: list[_DecayBasis] = []
+        outputs = []
         for signal, size in zip(self.signals, self.sizes, strict=True):
             key = (signal.times_s.tobytes(), signal.exposure_s)
             if key not in places:
@@ -190,14 +191,9 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         """
         sizes = [len(values) for values in self.problem.values]
         total = 2.0 * fit.cost + fit.n_theta * math.log(max(sizes))
-        place = fit.n_theta
-        for size, found, columns in zip(sizes, fit.coefficients, fit.mode_columns, strict=True):
-            total += (len(found) - columns.size) * math.log(size)
-            for own in columns:
-                spread = fit.covariance[np.ix_(place + own, place + own)]
-                explained = float(found[own] @ np.linalg.lstsq(spread, found[own], rcond=1e-12)[0])
-                total += min(explained, len(own) * math.log(size))
-            place += len(found)
+        for size, found, explained in zip(sizes, fit.coefficients, _explained(fit), strict=True):
+            total += (len(found) - 2 * len(explained)) * math.log(size)
+            total += float(np.sum(np.minimum(explained, 2.0 * math.log(size))))
         return total
 
     def _target(self, current: ModalFit, n_modes: int | None) -> float:
@@ -226,13 +222,26 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         return rivals(self.problem, fit, [(grid.ravel(), damping.ravel())], excluded)
 
     def weighed(self, fit: ModalFit) -> Weighed[StackedRegression]:
-        """Return the fit, weighed by the colour of the noise."""
-        last = WeightedFit([], self.plain, fit, self.latency, self.clock_rate)
-        return Weighed(last.result(), self.plain, self.plain)
+        """Return the fit, weighed by the colour of the noise, each mode at the outputs where it shows.
+
+        Notes
+        -----
+        Amplitudes of a mode that does not ring at an output follow the noise there, and poles follow them: with many
+        such outputs they scatter more than their information says.
+        """
+        limits = 2.0 * np.log([len(values) for values in self.plain.values])
+        absent = _explained(fit) < limits[:, None]
+        absent[:, np.all(absent, axis=0)] = False
+        problem = self.plain.without(absent) if np.any(absent) else self.plain
+        if np.any(absent):
+            fit = fit_modes(problem, fit.omegas, fit.zetas, fit.clock, Prior(), Prior())
+        last = WeightedFit([], problem, fit, self.latency, self.clock_rate)
+        return Weighed(last.result(), problem, problem)
 
     def result(self, n_modes: int | None, max_modes: int) -> FreeDecay:
         """Search, and return what was found."""
-        fit = self.run(n_modes, max_modes).fit
+        weighed = self.run(n_modes, max_modes)
+        fit = weighed.fit
         bent = fit_modes(self._problem(_BENT), fit.omegas, fit.zetas, fit.clock, Prior(), Prior(), SHORT)
         self.is_bent = self._bic(bent) < self._bic(fit)
         n, signals, n_fixed = len(fit.omegas), self.signals, 1 + self.degree
@@ -241,7 +250,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         measured = tuple(s.values for s in signals)
         whiteness = tuple(Whiteness.of(e) for e in residuals)
         coefficients, sizes = np.array(fit.coefficients), np.array(self.sizes)
-        warnings = mode_warnings(fit, self.plain, self.band)
+        warnings = mode_warnings(fit, weighed.problem, self.band)
         warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
         return FreeDecay(
             natural_frequencies=fit.omegas,
@@ -267,3 +276,15 @@ class _DecaySearch(ModeSearch[StackedRegression]):
             iterations=fit.iterations,
             warnings=tuple(warnings),
         )
+
+
+def _explained(fit: ModalFit) -> FloatArray:
+    """Return what leaving a mode out at an output would cost: chi-squared (Wald), shape (n_outputs, n_modes)."""
+    result = np.zeros((len(fit.coefficients), len(fit.omegas)))
+    place = fit.n_theta
+    for output, (found, columns) in enumerate(zip(fit.coefficients, fit.mode_columns, strict=True)):
+        for mode, own in enumerate(columns):
+            spread = fit.covariance[np.ix_(place + own, place + own)]
+            result[output, mode] = found[own] @ np.linalg.lstsq(spread, found[own], rcond=1e-12)[0]
+        place += len(found)
+    return result

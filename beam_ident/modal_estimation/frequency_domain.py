@@ -35,6 +35,7 @@ from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, Family, rivals
 from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
 from beam_ident.modal_estimation.variable_projection import designs
+from beam_ident.noise.line_correlation import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -177,11 +178,30 @@ class _LineSearch(ModeSearch[StackedRegression]):
         several outputs have in common, widens the intervals.
         """
         covariance = self._under_common_noise(fit) * weighting_loss(self._freedom)
+        covariance = covariance + self._of_neighbours(fit)
         return Weighed(dataclasses.replace(fit, covariance=covariance), self.plain, self.plain)
 
     @property
     def _freedom(self) -> float:
         return min(record.degrees_of_freedom for record in self.data)
+
+    def _of_neighbours(self, fit: ModalFit) -> FloatArray:
+        """Return what errors that neighbouring lines share add to the covariance (``noise.line_correlation``)."""
+        jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
+        middle = np.zeros_like(fit.covariance)
+        place = fit.n_theta
+        for j, (design, residuals) in enumerate(zip(jacobians, fit.residuals, strict=True)):
+            width = len(fit.coefficients[j])
+            own = np.append(np.arange(fit.n_theta), place + np.arange(width))
+            place += width
+            first = 0
+            for record in self.data:
+                rows = slice(first, first + 2 * record.n_lines)
+                first += 2 * record.n_lines
+                middle[np.ix_(own, own)] += (
+                    excess_over_lines(design[rows], residuals[rows]) / fit.sigmas[j] ** 2
+                )
+        return np.asarray(fit.covariance @ middle @ fit.covariance)
 
     def _under_common_noise(self, fit: ModalFit) -> FloatArray:
         """Return the covariance where errors of several outputs depend on each other.
@@ -228,6 +248,7 @@ class _LineSearch(ModeSearch[StackedRegression]):
             chi_squared = float(sum(e @ e for e in fit.residuals))
             m = len(fit.coefficients)
             misfit = LineMisfit.of(chi_squared, problem.n_samples, fit.n_parameters, m, self._freedom)
+        fit = dataclasses.replace(fit, covariance=fit.covariance * misfit.inflation)
         warnings = [misfit.warning] if misfit.warning else []
         warnings += list(dict.fromkeys(said for record in self.data for said in record.fit_warnings))
         warnings += mode_warnings(fit, problem, self.band)

@@ -59,13 +59,18 @@ class LineMisfit:
         return not self.chi_squared > self.expected + _SUSPICIOUS * self.sd
 
     @property
+    def inflation(self) -> float:
+        """By how much variances grow where more than noise is left: as if it were noise, what else is not known."""
+        return 1.0 if self.is_noise else self.chi_squared / self.expected
+
+    @property
     def warning(self) -> str:
         """What a reader must know, or an empty string."""
         if self.is_noise:
             return ""
         return (
             f"the residuals hold {self.chi_squared / self.expected:.2f} times what noise alone would leave: modes "
-            "or distortion are not in the model"
+            "or distortion are not in the model, and standard deviations count it as noise"
         )
 
 

@@ -106,6 +106,7 @@ def half_power_damping(
     # The width that is read is already too wide: solve for the true one behind the worst case.
     true = math.sqrt(max(1.0 - 2.0 * offset**2, 0.0))
     bias = 1.0 / true - 1.0 if true > 0.0 else math.inf
+    zeta -= record.decay_rate / omega  # what an exponential window adds
     return HalfPowerDamping(omega, zeta, low, high, (high - low) / spacing, bias)
 
 

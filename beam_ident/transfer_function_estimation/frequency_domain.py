@@ -86,7 +86,7 @@ class _Likelihood:
     def __init__(self, record: FrequencyRecord, n_poles: int, n_zeros: int, delay: Prior) -> None:
         self.n, self.m, self.delay = n_poles, n_zeros, delay
         self.scale = math.sqrt(float(record.omegas[0] * record.omegas[-1]))
-        self.s = 1j * record.omegas[:, None] / self.scale
+        self.s = record.s[:, None] / self.scale
         self.fold = np.ones(self.s.shape, dtype=np.complex128)
         self.tails: ComplexArray | None = None
         if record.folding is not None:

@@ -12,7 +12,17 @@ import time
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, identify
+from beam_ident import (
+    InputSignal,
+    ModalStructure,
+    OutputSignal,
+    TimeRecord,
+    analyse_modes,
+    fit_frequency_modes,
+    hammer_response,
+    identify,
+    stabilisation_chart,
+)
 from beam_ident.errors import EstimationError
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 
@@ -105,6 +115,29 @@ class Blow:
             result += own.T @ own
         return result
 
+    def scatter_under_window(self, rate: float) -> np.ndarray:
+        """Return standard deviations of least squares on samples that an exponential weighs, from rest."""
+        weight = np.exp(-rate * np.maximum(self.times - self.blow_s, 0.0))
+        columns, slopes = [self.fine[::FINE]], []
+        for omega, zeta in zip(OMEGAS, ZETAS, strict=True):
+            columns.append(self.mode(omega, zeta))
+            dw, dz = 1e-5 * omega, 1e-6
+            slopes.append((self.mode(omega + dw, zeta) - self.mode(omega - dw, zeta)) / (2.0 * dw))
+            slopes.append((self.mode(omega, zeta + dz) - self.mode(omega, zeta - dz)) / (2.0 * dz))
+        matrix = np.stack(columns, axis=1)
+        matrix = matrix / np.linalg.norm(matrix, axis=0)
+        none = np.zeros_like(matrix)
+        rows = []
+        for j, (row, sigma) in enumerate(zip(RESIDUES, self.noise, strict=True)):
+            own = np.stack([row[k // 2] * slopes[k] for k in (0, 2, 4, 1, 3, 5)], axis=1) / sigma
+            rows.append(np.concatenate([own, *(matrix if k == j else none for k in range(2))], axis=1))
+        design = np.concatenate(rows) * np.tile(weight, 2)[:, None]
+        sizes = np.linalg.norm(design, axis=0)
+        design = design / sizes
+        solved = np.linalg.pinv(design, rcond=1e-10)
+        # Noise under the window has its level: what scatters is the pseudo-inverse times the weights.
+        return np.asarray(np.linalg.norm(solved * np.tile(weight, 2), axis=1)[:6] / sizes[:6])
+
 
 class Hammer(AgainstBound):
     """Natural frequencies and damping ratios from samples, without a hint; another number of modes is a failure."""
@@ -143,6 +176,38 @@ class Hammer(AgainstBound):
         )
 
 
+class WindowedHammer(Hammer):
+    """The same through windowed, averaged responses: the mode search and modal analysis, side by side.
+
+    The bound is the scatter of least squares on the samples under the same window: the lines are their transform.
+    """
+
+    truth = np.tile(Hammer.truth, 2)
+
+    def __init__(self, n_blows: int, end_share: float | None = None, duration_s: float = 2.0) -> None:
+        super().__init__("receptance", 0.02, duration_s, n_blows)
+        self.end_share = end_share
+        rate = hammer_response(self.records(0), end_share=end_share).decay_rate
+        self.bound = np.tile(self.blow.scatter_under_window(rate) / np.sqrt(n_blows), 2)
+
+    def run(self, seed: int) -> Outcome:
+        """Fit the averaged response of one seed both ways."""
+        records = self.records(seed)
+        start = time.perf_counter()
+        lines = hammer_response(records, end_share=self.end_share)
+        searched = fit_frequency_modes(lines, ModalStructure("receptance")).model
+        analysed = analyse_modes(stabilisation_chart(lines, "receptance", max_order=20))
+        seconds = time.perf_counter() - start
+        if not searched.n_modes == len(analysed.damping_ratios) == len(OMEGAS):
+            return Outcome(seconds)
+        both = (searched, analysed)
+        return Outcome(
+            seconds,
+            np.concatenate([v for m in both for v in (m.natural_frequencies, m.damping_ratios)]),
+            np.concatenate([v for m in both for v in (m.natural_frequency_sd, m.damping_ratio_sd)]),
+        )
+
+
 STUDIES = {
     "hammer-start": Study(
         "blow at 0.2 ms, displacement, still ringing at the end",
@@ -160,5 +225,9 @@ STUDIES = {
     ),
     "hammer-ten": Study(
         "ten blows at 0.2 ms, acceleration", 200, lambda: Hammer("accelerance", 2e-4, 2.0, 10, is_free=False)
+    ),
+    "hammer-averaged": Study("five blows averaged, exponential window", 200, lambda: WindowedHammer(5)),
+    "hammer-averaged-long": Study(
+        "five blows averaged, rung down, exponential window", 200, lambda: WindowedHammer(5, duration_s=12.0)
     ),
 }
