@@ -127,7 +127,7 @@ def hammer_response(
     """
     data = require_records(records)
     if end_share is not None and not 0.0 < end_share <= 1.0:
-        raise EstimationError(f"end_share is {end_share}; expected above 0 and at most 1, which is no window")
+        raise EstimationError(f"end_share is {end_share}; expected above 0 and at most 1 (no window)")
     drives = [_drive(record, input_name) for record in data]
     names = list(data[0].output_names if output_names is None else output_names)
     outputs = [[record.output(name) for name in names] for record in data]
