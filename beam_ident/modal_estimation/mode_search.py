@@ -34,7 +34,7 @@ from beam_ident.modal.identification_result import OrderEntry
 from beam_ident.modal.regression import ClockState
 from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
 from beam_ident.modal_estimation.mode_scan import Candidate
-from beam_ident.modal_estimation.variable_projection import ModalProblem, fit_modes
+from beam_ident.modal_estimation.variable_projection import SINGULAR, ModalProblem, fit_modes
 from beam_ident.noise.scores import Scores
 from beam_ident.numerics.levenberg_marquardt import HOPELESS
 
@@ -52,6 +52,8 @@ _RIVAL_ITERATIONS = 6
 # From here on most are spurious: a given order is reached by short fits, the last one in full.
 MANY_MODES = 12
 _TRIES_PER_ORDER = 2
+_GLANCE = 3  # iterations between two modes that are only placed
+_MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a poor one
 _PATIENCE = 6  # orders past the last that was believed
 
 ProblemT = TypeVar("ProblemT", bound=ModalProblem)
@@ -113,6 +115,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.entries: list[OrderEntry] = [self._entry(base, "")]
         self.chosen_entry = 0
         self._believed = (base, 0)  # the last fit that passed every gate, and its entry
+        self._is_unsettled = False  # whether a fit that did not converge promised more since
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -164,19 +167,11 @@ class ModeSearch(ABC, Generic[ProblemT]):
             No mode stands out of the noise.
         """
         limit = max_modes if n_modes is None else n_modes
-        thorough = self.max_iterations = self.trial_iterations if n_modes is None else _ITERATIONS
-        ended = "no candidate"
-        while (n := len(self.chosen.omegas)) < limit:
-            self.reweigh()
-            is_on_the_way = n_modes is not None and MANY_MODES <= n < limit - 1
-            self.max_iterations = SHORT if is_on_the_way else thorough
-            if n_modes is None and not self._affords(n + 1):
-                ended = "too few data for its parameters"
-                break
-            if not self._adds_mode(n_modes, limit):
-                break
-        if n_modes is None:
-            self._settle()
+        ended = self._extend(n_modes, limit)
+        if n_modes is None and self._is_unsettled:
+            self._settle(limit)
+            ended = self._extend(None, limit)
+            self.chosen, self.chosen_entry = self._believed
         if not len(self.chosen.omegas):
             raise EstimationError(
                 f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
@@ -186,6 +181,19 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.progress("weighing by the noise as it is", 0.97)
         weighed = self.weighed(self.chosen)
         return weighed if n_modes is not None else self._confirmed(weighed)
+
+    def _extend(self, n_modes: int | None, limit: int) -> str:
+        """Add modes to the present model, and return why no further one was tried."""
+        thorough = self.trial_iterations if n_modes is None else _ITERATIONS
+        while (n := len(self.chosen.omegas)) < limit:
+            self.reweigh()
+            is_on_the_way = n_modes is not None and MANY_MODES <= n < limit - 1
+            self.max_iterations = SHORT if is_on_the_way else thorough
+            if n_modes is None and not self._affords(n + 1):
+                return "too few data for its parameters"
+            if not self._adds_mode(n_modes, limit):
+                break
+        return "no candidate"
 
     @property
     def orders(self) -> tuple[OrderEntry, ...]:
@@ -220,39 +228,66 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:
                 self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
+                self._is_unsettled = False
                 return True
             if trial.reason != HOPELESS and self._bic(trial) < self._bic(current):
-                doubted.append((trial, len(self.entries) - 1))
+                self._is_unsettled |= not trial.converged
+                if trial.information_condition < SINGULAR:
+                    doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
-        if not doubted or n + 1 > len(self._believed[0].omegas) + _PATIENCE:
+        if not (doubted and self._is_unsettled) or n + 1 > len(self._believed[0].omegas) + _PATIENCE:
             return False
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True
 
-    def _settle(self) -> None:
+    def _settle(self, limit: int) -> None:
         """Return from orders that are not believed to one that is.
 
-        Of the last fit the modes with a complaint are left out, one after the other; what passes the gates then, and
-        is better by the criterion than what was believed before, is chosen.
+        Modes that were placed with hardly any refinement between them are a second start: they cannot run into
+        each other while others are missing.
         """
         believed, entry = self._believed
-        if self.chosen is believed:
-            return
-        self.max_iterations = 2 * _ITERATIONS
-        fit = self.fit(self.chosen.omegas, self.chosen.zetas, self.chosen.clock)
         if self.problem is not self.plain:  # records weigh otherwise by now
             believed = self.fit(believed.omegas, believed.zetas, believed.clock)
-        while len(fit.omegas) > len(believed.omegas):
+        self.max_iterations = 2 * _ITERATIONS
+        found = [(believed, entry)]
+        for start in sorted([self.chosen, self._pursued(limit)], key=self._bic):
+            self._sound(start, found)
+            if len(found) > 1:
+                break
+        self.chosen, self.chosen_entry = self._believed = min(found, key=lambda own: self._bic(own[0]))
+
+    def _sound(self, start: ModalFit, found: list[tuple[ModalFit, int]]) -> None:
+        """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found."""
+        believed = found[0][0]
+        fit = self.fit(start.omegas, start.zetas, start.clock)
+        fewest = max(len(believed.omegas) + 1, len(start.omegas) - _MOST_LEFT_OUT)
+        while len(fit.omegas) >= fewest:
             refusal = self._refusal(fit, believed, is_given=False)
             self.entries.append(self._entry(fit, refusal))
             if not refusal:
-                self.chosen, self.chosen_entry = fit, len(self.entries) - 1
+                found.append((fit, len(self.entries) - 1))
                 return
             modes = range(len(fit.omegas))
             doubtful = [m for m in modes if mode_complaint(fit, self.problem, m, self.band)] or list(modes)
             weakest = min(doubtful, key=lambda m: mode_significance(fit, self.problem, m, self.band)[0])
             fit = self.fit(np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest), fit.clock)
-        self.chosen, self.chosen_entry = believed, entry
+
+    def _pursued(self, limit: int) -> ModalFit:
+        """Return modes placed one after the other as long as the criterion falls, refined by a few steps each."""
+        fit = self.fit(np.empty(0), np.empty(0), self.chosen.clock)
+        while (n := len(fit.omegas)) < limit and self._affords(n + 1):
+            self.progress(f"placing mode {n + 1}", 0.95)
+            candidates = self.propose(fit, ())
+            if not candidates:
+                break
+            starts = [(np.append(fit.omegas, c.omega), np.append(fit.zetas, c.zeta)) for c in candidates]
+            trials = [self.fit(*start, fit.clock, _GLANCE) for start in starts]
+            trial = min(trials, key=lambda own: own.cost)
+            if not self._bic(trial) < self._bic(fit):
+                break
+            fit = trial
+        return fit
 
     def _affords(self, n_modes: int) -> bool:
         unknowns = self.problem.n_columns(n_modes) + 2 * n_modes

@@ -37,6 +37,7 @@ from beam_ident.numerics.linear_least_squares import LinearSolution
 
 MIN_DAMPING = 1e-6
 MAX_DAMPING = 0.95
+SINGULAR = 1e12  # condition of the scaled information matrix: beyond it the poles are not determined
 
 _MAX_CLOCK_RATE = 0.1
 _NOISE_FLOOR = 1e-10  # of the output's size: where rounding ends what residuals can tell
@@ -298,7 +299,7 @@ def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
     scaled = information * np.outer(scale, scale)
     condition = float(np.linalg.cond(scaled)) if n_theta else 1.0
     theta_covariance = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
-    if n_theta and not condition < 1e12:
+    if n_theta and not condition < SINGULAR:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
     # With theta held, b_j scatters by s_j (X^T X)^-1; a change of theta moves it by B = -X^+ J. Together
     # cov(theta, b) = (1, B)^T cov(theta) (1, B) + diag(0, s_j (X^T X)^-1), the inverse of the full information.
