@@ -111,7 +111,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.progress = progress
         self.max_iterations = _ITERATIONS
         base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
-        self.chosen = base
+        self.chosen = self.without_modes = base
         self.entries: list[OrderEntry] = [self._entry(base, "")]
         self.chosen_entry = 0
         self._believed = (base, 0)  # the last fit that passed every gate, and its entry

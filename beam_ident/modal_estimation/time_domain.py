@@ -44,7 +44,8 @@ from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_gri
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.quantisation import rounding_warning, without_clipped
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
-from beam_ident.noise.scores import Scores, Whiteness, colour_warning
+from beam_ident.noise.relation import innovation_criterion, without_drift
+from beam_ident.noise.scores import Scores, Whiteness, are_rounding, colour_warning
 from beam_ident.noise.still_noise import StillNoise, found_noise_warning, with_found_noise
 from beam_ident.numerics.blas_threads import on_one_thread
 
@@ -271,6 +272,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Search, and return what was found."""
         weighed = self.run(n_modes, max_modes)
         fit, regression = weighed.fit, weighed.problem
+        unrelated = self._unrelated(fit)
+        if unrelated and n_modes is None:
+            raise EstimationError(
+                f"{unrelated}. Check that input and outputs belong together and share a clock, excite more, or ask "
+                "for a number of modes to see the best candidates"
+            )
         model = self._model(fit)
         self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
@@ -289,7 +296,31 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             converged=fit.converged,
             reason=fit.reason,
             iterations=fit.iterations,
-            warnings=tuple(self._warnings(fit, regression, outputs)),
+            warnings=tuple([f"{unrelated}."] * bool(unrelated) + self._warnings(fit, regression, outputs)),
+        )
+
+    def _unrelated(self, fit: ModalFit) -> str:
+        """Return that modes explain no more of the outputs than noise of any colour would, or an empty string."""
+        if not self.band.is_excited:
+            return ""
+        regression, terms = self.plain, self.plain.structure
+        log_n = math.log(regression.n_samples)
+        parts = [(j, part) for j, segments in enumerate(regression.segments) for _, part in segments]
+        base = self.without_modes
+        # Direct terms that were fitted as if noise were white may themselves make it look less predictable.
+        measured = [(regression.times[j][part], regression.values[j][part]) for j, part in parts]
+        drifts = (int(terms.has_offset) + int(terms.has_ramp)) * len(parts)
+        without = min(
+            innovation_criterion([base.residuals[j][part] for j, part in parts]) + base.n_parameters * log_n,
+            innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n,
+        )
+        with_modes = innovation_criterion([fit.residuals[j][part] for j, part in parts])
+        are_exact = all(are_rounding(v, e) for v, e in zip(regression.values, fit.residuals, strict=True))
+        if are_exact or with_modes + fit.n_parameters * log_n < without:
+            return ""
+        return (
+            f"the modes driven by {regression.drives[0].name!r} explain no more than chance would: BIC prefers noise "
+            "without an input"
         )
 
     def _output_fit(

@@ -23,13 +23,14 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import in_units_of_level, pooled_scores
+from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness, is_coloured
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.piecewise import Instants
 from beam_ident.numerics.rational_response import RationalResponse, upper_roots
 from beam_ident.subspace.po_moesp import N_BLOCK_ROWS, Stretch, Window, subspace_windows
-from beam_ident.transfer_function.structure_gates import criterion_of_nothing, information_criterion
+from beam_ident.transfer_function.structure_gates import UNRELATED
 
 SCHEMA = 1
 _MAX_ORDER = 40
@@ -204,10 +205,8 @@ def _model(
         parts = np.split(residuals[j], np.cumsum([len(t) for t, _ in signals])[:-1])
         scores.append(pooled_scores([(y, e) for (_, y), e in zip(signals, parts, strict=True)]))
         whiteness.append(Whiteness.of(in_units_of_level(parts)))
-        if not information_criterion(parts, n_parameters) < criterion_of_nothing(signals, True, True):
-            warnings.append(
-                f"Output {output.name}: the model explains no more than chance would: BIC prefers no model."
-            )
+        if not is_related(signals, parts, n_parameters, True, True):
+            warnings.append(f"Output {output.name}: {UNRELATED}")
         if is_coloured(whiteness[-1], measured[-1], residuals[j]):
             warnings.append(
                 f"Output {output.name}: the residuals are not white: use the poles as a start, or ask for more."

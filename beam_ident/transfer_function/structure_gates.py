@@ -1,6 +1,6 @@
 """Why the structure of a transfer function, or all of it, is not to be believed.
 
-A fit of noise converges too: what it converged to must explain the data better than nothing does,
+A fit of noise converges too: what it converged to must explain the data better than noise of any colour does,
 every pole must be known well enough to mean something, and no pole may be cancelled by a zero
 within their uncertainty.
 """
@@ -17,8 +17,9 @@ from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.quantisation import rounding_warning
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import Whiteness, is_coloured
-from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.transfer_function.model import TransferFunctionModel
+
+UNRELATED = "The model explains no more than chance would: BIC prefers noise without an input."
 
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
@@ -36,29 +37,6 @@ def information_criterion(residuals: Sequence[FloatArray], n_parameters: int) ->
     return misfit + n_parameters * math.log(n)
 
 
-def criterion_of_nothing(
-    records: Sequence[tuple[FloatArray, FloatArray]], has_offset: bool, has_ramp: bool
-) -> float:
-    """Return BIC of no model at all, beside offsets and ramps where these are estimated anyway.
-
-    Parameters
-    ----------
-    records : sequence of (times [s], measured) -- each of shape (n,)
-    has_offset, has_ramp : bool
-    """
-    left, n_parameters = [], 0
-    for times_s, measured in records:
-        columns = [np.ones_like(times_s)] if has_offset else []
-        if has_ramp:
-            columns.append((times_s - times_s.mean()) / float(np.ptp(times_s)))
-        if columns:
-            known = np.stack(columns, axis=1)
-            measured = measured - known @ LinearSolution.of(known).coefficients(measured)
-        n_parameters += len(columns)
-        left.append(measured)
-    return information_criterion(left, n_parameters)
-
-
 def transfer_function_warnings(
     models: Sequence[TransferFunctionModel],
     records: Sequence[RecordFit],
@@ -74,13 +52,13 @@ def transfer_function_warnings(
     models : sequence of TransferFunctionModel -- one for each input
     records : sequence of RecordFit -- of the output
     whiteness : Whiteness -- of the residuals, or of the innovations under the noise's model
-    is_worth_it : bool -- whether the criterion prefers them to no model at all
+    is_worth_it : bool -- whether they explain more than noise of any colour would (``noise.relation``)
     converged, reason
         How the fit ended.
     """
     warnings = [] if converged else [f"The fit did not converge: {reason}."]
     if not is_worth_it:
-        warnings.append("The model explains no more than chance would: BIC prefers no model.")
+        warnings.append(UNRELATED)
     for model in models:
         complaint = structure_complaint(model) or _damping_complaint(model)
         if complaint:

@@ -33,6 +33,7 @@ from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
 from beam_ident.noise.record_fit import OverOneOutput, RecordFit, pooled_scores
+from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial, regular_period
@@ -40,8 +41,6 @@ from beam_ident.numerics.rational_response import RationalResponse, full_roots, 
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
 from beam_ident.transfer_function.structure_gates import (
-    criterion_of_nothing,
-    information_criterion,
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.estimation import estimate_transfer_function
@@ -414,12 +413,10 @@ class _Loop:
             input_name=self.records[0].drive.name,
             output_name=self.records[0].output.name,
         )
-        of_nothing = criterion_of_nothing(
-            [(own.times, own.values) for own in self.records], self.has_offset, self.has_ramp
-        )
         n_parameters = len(theta) + self.n_own * len(self.records)
         whiteness = Whiteness.of(white)
-        is_worth_it = information_criterion(parts, n_parameters) < of_nothing
+        signals = [(own.times, own.values) for own in self.records]
+        is_worth_it = is_related(signals, parts, n_parameters, self.has_offset, self.has_ramp)
         fits = self._record_fits(point, parts, white)
         return ClosedLoopResult(
             model=model,

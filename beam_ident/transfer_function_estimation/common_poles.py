@@ -28,13 +28,12 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.quantisation import without_clipped
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
+from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import (
-    criterion_of_nothing,
-    information_criterion,
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
@@ -302,11 +301,11 @@ def _result(
         joint.problems, states, models, fits, whiteness, strict=True
     ):
         terms = problem.nuisances
-        of_nothing = criterion_of_nothing(
-            [(e.times, e.values) for e in problem.experiments], terms.has_offset, terms.has_ramp
-        )
         n_own = len(own.theta) + len(own.coefficients)
-        is_worth_it = information_criterion([e.residuals for e in of_records], n_own) < of_nothing
+        signals = [(e.times, e.values) for e in problem.experiments]
+        is_worth_it = is_related(
+            signals, [e.residuals for e in of_records], n_own, terms.has_offset, terms.has_ramp
+        )
         warnings += [
             f"Output {found.output_name}: {said}"
             for said in transfer_function_warnings([found], of_records, of_residuals, is_worth_it, True, "")

@@ -31,14 +31,13 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.quantisation import without_clipped
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
+from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.noise.still_noise import StillNoise, found_noise_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
-    criterion_of_nothing,
-    information_criterion,
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.additive_fit import estimate_additive
@@ -449,14 +448,12 @@ def _result(
     }
     noise_sd = pooled_level(records)
     model = physical_model(problem, state, joint.values, n_integrators, noise_sd, output_name)
-    of_nothing = criterion_of_nothing(
-        [(own.times, own.values) for own in problem.experiments], terms.has_offset, terms.has_ramp
-    )
+    signals = [(own.times, own.values) for own in problem.experiments]
     figures["warnings"] = transfer_function_warnings(
         [model.path(k) for k in range(len(problem.paths))],
         records,
         figures["whiteness"],
-        information_criterion([own.residuals for own in records], n_all) < of_nothing,
+        is_related(signals, [own.residuals for own in records], n_all, terms.has_offset, terms.has_ramp),
         converged,
         reason,
     )

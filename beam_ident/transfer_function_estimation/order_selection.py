@@ -22,7 +22,7 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.noise_model import RecordNoise
 from beam_ident.noise.scores import are_rounding
-from beam_ident.transfer_function.structure_gates import criterion_of_nothing, structure_complaint
+from beam_ident.transfer_function.structure_gates import UNRELATED, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import (
     TransferFunctionResult,
     estimate_transfer_function,
@@ -259,11 +259,8 @@ def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEn
     n_samples = len(outcome.measured)
     n_parameters = n + m + 1
     refusal = "" if outcome.converged else outcome.reason
-    of_nothing = criterion_of_nothing(
-        [(own.times_s, own.measured) for own in outcome.records], outcome.offset != 0.0, outcome.ramp != 0.0
-    )
-    if not refusal and not outcome.bic < of_nothing:
-        refusal = "no better by BIC than no model at all"
+    if not refusal and UNRELATED in outcome.warnings:
+        refusal = "it explains no more than noise of any colour would"
     return StructureEntry(
         n,
         m,

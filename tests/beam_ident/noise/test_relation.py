@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from beam_ident import EstimationError, estimate_transfer_function, identify, select_transfer_function
+from beam_ident.noise.relation import innovation_criterion, is_related
+from benchmarks.ident.unrelated_input import unrelated_record
+
+RNG = np.random.default_rng(4)
+TIMES = 0.01 * np.arange(2000)
+
+
+@pytest.mark.parametrize("colour", [[1.0], [1.0, -0.9], [1.0, -1.8513, 0.9948]])
+def test_the_criterion_is_that_of_the_innovations_whatever_the_colour(colour):
+    noise = lfilter([1.0], colour, 3.0 * RNG.standard_normal(4000))[2000:]
+    expected = 2000 * math.log(9.0) + (len(colour) - 1) * math.log(2000)
+    # log of a variance from n samples scatters by sqrt(2 / n): 63 over 2000 samples.
+    assert abs(innovation_criterion([noise]) - expected) < 200.0
+
+
+def test_a_response_that_noise_hides_to_the_eye_is_related():
+    drive = RNG.standard_normal(2000)
+    response = lfilter([0.02], [1.0, -1.8, 0.95], drive)
+    noise = RNG.standard_normal(2000) * 2.0 * np.std(response)
+    assert is_related([(TIMES, response + noise)], [noise], 4, False, False)
+    assert not is_related([(TIMES, noise)], [noise], 4, False, False)
+
+
+def test_drift_that_a_model_has_beside_the_input_does_not_count_for_it():
+    noise = RNG.standard_normal(2000)
+    assert not is_related([(TIMES, 40.0 + 3.0 * TIMES + noise)], [noise], 5, True, True)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 6, 13])
+def test_noise_that_rings_is_no_model_of_an_unrelated_input(seed):
+    record = unrelated_record(seed)
+    for refused in (
+        lambda: select_transfer_function(record, range(1, 3)),
+        lambda: identify(record, "receptance"),
+    ):
+        with pytest.raises(EstimationError):
+            refused()
+    found = estimate_transfer_function(record, 2, 1)
+    assert any("no more than chance" in said for said in found.warnings)
+    found = identify(record, "receptance", n_modes=1)
+    assert any("no more than chance" in said for said in found.warnings)
