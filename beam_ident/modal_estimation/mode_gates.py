@@ -13,12 +13,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtri as chi_squared_isf
 
+from beam_ident.arrays import FloatArray
 from beam_ident.data.bandwidth import Band
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal_estimation.variable_projection import MIN_DAMPING, ModalProblem
 from beam_ident.noise.scores import Whiteness
 
 _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
+_MISTAKEN_GAIN = 5.0  # standard deviations from zero: a gain that is known this well names a mistake
+_OTHER_UNIT = 30.0  # between what a calibration may be off and a factor of 1000
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
 _SAME_SHAPE = 0.98  # modal assurance criterion beyond which outputs do not tell two shapes apart
 
@@ -95,6 +98,29 @@ def _significance(fit: ModalFit, mode: int, outputs: Sequence[int], telling: sli
     return float(scaled @ np.linalg.lstsq(covariance / np.outer(sd, sd), scaled, rcond=1e-12)[0]), len(
         amplitudes
     )
+
+
+def gain_warnings(gains: FloatArray, gain_sd: FloatArray, names: Sequence[str]) -> list[str]:
+    """Return which outputs do not follow the base as they must: a sign, or a unit, is mistaken.
+
+    Parameters
+    ----------
+    gains, gain_sd : ndarray, shape (n_outputs,) -- one for an output that moves with the base
+    names : sequence of str -- of the outputs
+    """
+    warnings = []
+    for name, gain, sd in zip(names, gains, gain_sd, strict=True):
+        if not abs(gain) > _MISTAKEN_GAIN * sd:
+            continue
+        mistakes = ["the sign of one of them is turned"] * bool(gain < 0.0)
+        if abs(gain) > _OTHER_UNIT:
+            mistakes.append("the output may be in millimetres, or the input in kilometres")
+        elif abs(gain) < 1.0 / _OTHER_UNIT:
+            mistakes.append("the input may be in millimetres, or the output does not move with the base")
+        if mistakes:
+            said = " and ".join(mistakes)
+            warnings.append(f"Output {name} follows the base with a gain of {gain:.4g}, not 1: {said}.")
+    return warnings
 
 
 def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]:

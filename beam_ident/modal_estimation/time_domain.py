@@ -26,7 +26,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.clock_search import clock_places
 from beam_ident.modal_estimation.hub_friction import FrictionEstimate
-from beam_ident.modal_estimation.mode_gates import mode_warnings
+from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
     MANY_MODES,
@@ -296,8 +296,17 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             converged=fit.converged,
             reason=fit.reason,
             iterations=fit.iterations,
-            warnings=tuple([f"{unrelated}."] * bool(unrelated) + self._warnings(fit, regression, outputs)),
+            warnings=tuple(
+                [f"{unrelated}."] * bool(unrelated)
+                + self._gain_warnings(model)
+                + self._warnings(fit, regression, outputs)
+            ),
         )
+
+    def _gain_warnings(self, model: ModalModel) -> list[str]:
+        if not (self.band.is_excited and self.plain.structure.is_motion):
+            return []
+        return gain_warnings(model.gains, model.gain_sd, model.output_names)
 
     def _unrelated(self, fit: ModalFit) -> str:
         """Return that modes explain no more of the outputs than noise of any colour would, or an empty string."""

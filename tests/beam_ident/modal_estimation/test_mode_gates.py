@@ -23,6 +23,7 @@ from beam_ident import (
     fit_frequency_modes,
     identify,
 )
+from tests.beam_ident.truth import beam_record
 
 PLAIN = ModalStructure(
     "receptance", has_residual=False, has_offset=False, has_ramp=False, has_free_response=False
@@ -178,3 +179,19 @@ def test_two_close_modes_of_different_shapes_are_believed() -> None:
     result = identify(_swept(coupled), PLAIN, None, Prior(), Prior())
     assert result.model.n_modes == 2
     assert not any("overlap" in said for said in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(-1.0, ["sign"]), (1e3, ["millimetres"]), (-1e3, ["sign", "millimetres"]), (1.1, [])],
+)
+def test_a_sign_or_a_unit_that_is_mistaken_is_named(factor, words):
+    record = beam_record(6)
+    mistaken = record.outputs[-1]
+    outputs = [
+        OutputSignal(o.name, o.unit, o.times_s, o.values * (factor if o is mistaken else 1.0), o.exposure_s)
+        for o in record.outputs
+    ]
+    said = " ".join(identify(TimeRecord(record.inputs, tuple(outputs)), n_modes=3).warnings)
+    assert (f"Output {mistaken.name} follows" in said) == bool(words)
+    assert all(word in said for word in words)
