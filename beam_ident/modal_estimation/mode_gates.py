@@ -91,13 +91,14 @@ def _significance(fit: ModalFit, mode: int, outputs: Sequence[int], telling: sli
             values.append(found[own])
         place += len(found)
     places, amplitudes = np.concatenate(index), np.concatenate(values)
-    covariance = fit.covariance[np.ix_(places, places)]
+    # A column that is not told from others was set to zero, without a variance.
+    known = np.diag(fit.covariance)[places] > 0.0
+    covariance = fit.covariance[np.ix_(places[known], places[known])]
     # In units of their own scatter, since forced and free columns have other units.
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    scaled = amplitudes / sd
-    return float(scaled @ np.linalg.lstsq(covariance / np.outer(sd, sd), scaled, rcond=1e-12)[0]), len(
-        amplitudes
-    )
+    sd = np.sqrt(np.diag(covariance))
+    scaled = amplitudes[known] / sd
+    statistic = scaled @ np.linalg.lstsq(covariance / np.outer(sd, sd), scaled, rcond=1e-12)[0]
+    return float(statistic), len(scaled)
 
 
 def gain_warnings(gains: FloatArray, gain_sd: FloatArray, names: Sequence[str]) -> list[str]:
