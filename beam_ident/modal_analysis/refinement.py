@@ -36,7 +36,7 @@ from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
 from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes
-from beam_ident.noise.line_correlation import excess_over_lines
+from beam_ident.noise.autoregression import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -374,7 +374,7 @@ def _credible(
 
 
 def _with_neighbours(problem: StackedRegression, fit: ModalFit) -> ModalFit:
-    """Return the fit with what neighbouring lines have in common in its covariance (``noise.line_correlation``)."""
+    """Return the fit with what neighbouring lines have in common in its covariance (``noise.autoregression``)."""
     middle = np.zeros_like(fit.covariance)
     place = fit.n_theta
     for j, design in enumerate(designs(problem, fit, Prior(), Prior())):

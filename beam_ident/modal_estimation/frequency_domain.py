@@ -35,7 +35,7 @@ from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, Family, rivals
 from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
 from beam_ident.modal_estimation.variable_projection import designs
-from beam_ident.noise.line_correlation import excess_over_lines
+from beam_ident.noise.autoregression import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -171,6 +171,26 @@ class _LineSearch(ModeSearch[StackedRegression]):
         frequencies = [np.unique(np.concatenate(parts)) for parts in (own, images)]
         return rivals(self.problem, fit, [_crossed(w) for w in frequencies if len(w)], excluded)
 
+    def _bic(self, fit: ModalFit) -> float:
+        """Return the information criterion of lines that share errors.
+
+        Notes
+        -----
+        What is taken for a mode gains as many times more by chance as errors are shared: the likelihood counts that
+        much less, and so do the lines.
+        """
+        shared = max(record.shared_lines for record in self.data)
+        return 2.0 * fit.cost / shared + fit.n_parameters * math.log(
+            max(self.problem.n_samples / shared, math.e)
+        )
+
+    def _target(self, current: ModalFit, n_modes: int | None) -> float:
+        if n_modes is not None:
+            return math.inf
+        shared = max(record.shared_lines for record in self.data)
+        price = self.problem.n_parameters_of_a_mode * math.log(max(self.problem.n_samples / shared, math.e))
+        return current.cost - 0.5 * shared * price
+
     def weighed(self, fit: ModalFit) -> Weighed[StackedRegression]:
         """Return the fit with the covariance of this estimator under the full covariance of the records.
 
@@ -186,7 +206,7 @@ class _LineSearch(ModeSearch[StackedRegression]):
         return min(record.degrees_of_freedom for record in self.data)
 
     def _of_neighbours(self, fit: ModalFit) -> FloatArray:
-        """Return what errors that neighbouring lines share add to the covariance (``noise.line_correlation``)."""
+        """Return what errors that neighbouring lines share add to the covariance (``noise.autoregression``)."""
         jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
         middle = np.zeros_like(fit.covariance)
         place = fit.n_theta

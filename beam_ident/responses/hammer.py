@@ -164,8 +164,8 @@ def hammer_response(
         )
     first, n = outputs[0], len(segments)
     turned = -math.log(share)
-    # Errors of neighbouring lines go together as the transform of the window's square says.
-    reach = _reach(share)
+    # The noise is loudest where the window begins: by so much more than on average a mode may gain there by chance.
+    loudest = 2.0 * turned / (1.0 - share**2) if share < 1.0 else 1.0
     return FrequencyRecord(
         found.lines,
         found.response.T,
@@ -178,7 +178,7 @@ def hammer_response(
         degrees_of_freedom=found.freedom,
         method=f"H1 over {n} blow{'s' if n > 1 else ''}",
         name=data[0].name,
-        shared_lines=reach,
+        shared_lines=loudest,
         warnings=said,
         decay_rate=turned / (length * period),
     )
@@ -244,7 +244,12 @@ class _Segment:
 
 
 def _reach(share: float) -> float:
-    """Return over how many lines an error reaches under a window that ends at this share."""
+    """Return how many lines have one degree of freedom in common under a window that ends at this share.
+
+    Notes
+    -----
+    The sum of the squared correlations of a line with all others; they are the transform of the window's square.
+    """
     turned = -math.log(share)
     return turned / math.tanh(turned) if turned > 0.0 else 1.0
 

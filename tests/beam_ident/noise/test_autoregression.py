@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from beam_ident.noise.autoregression import score_covariance
+from beam_ident import FrequencyRecord, analyse_modes, fit_frequency_modes, stabilisation_chart
+from beam_ident.noise.autoregression import (
+    excess_over_lines,
+    line_autoregression,
+    line_correlation,
+    score_covariance,
+)
+
+HERTZES = np.array([12.0, 31.0])
+OMEGAS, ZETAS = 2.0 * np.pi * HERTZES, np.array([0.02, 0.015])
 
 
 @pytest.mark.parametrize("n", [1, 2, 17, 60, 101])
@@ -13,3 +22,62 @@ def test_the_covariance_of_a_score_is_that_of_the_full_correlation_matrix(n):
     correlation = 0.9 ** np.arange(n) * np.cos(0.3 * np.arange(n))
     expected = design.T @ toeplitz(correlation) @ design
     np.testing.assert_allclose(score_covariance(design, correlation), expected, rtol=1e-11, atol=1e-11)
+
+
+def windowed_noise(rng: np.random.Generator, n: int, decay: float, pad: int) -> np.ndarray:
+    """Return the transform of noise under an exponential window that falls by ``e^-decay``, zero-padded."""
+    values = rng.standard_normal(2 * n // pad) * np.exp(-decay * np.linspace(0.0, 1.0, 2 * n // pad))
+    spectrum = np.fft.fft(values, 2 * n)[1 : n + 1]
+    return spectrum / np.sqrt(np.sum(np.exp(-2.0 * decay * np.linspace(0.0, 1.0, 2 * n // pad))))
+
+
+def test_white_errors_are_left_alone():
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal(800) + 1j * rng.standard_normal(800)
+    assert len(line_autoregression(values)) == 1
+    design = rng.standard_normal((1600, 3))
+    assert not np.any(excess_over_lines(design, np.concatenate([values.real, values.imag])))
+
+
+def test_the_correlation_of_a_window_is_found():
+    rng = np.random.default_rng(1)
+    colour = line_autoregression(windowed_noise(rng, 4000, 4.6, 1))
+    # The transform of the window's square: decay / (decay + j pi m) for m lines.
+    lags = np.arange(6)
+    expected = 4.6 / (4.6 + 1j * np.pi * lags)
+    np.testing.assert_allclose(
+        line_correlation(colour, 4000)[:6], expected, atol=0.1
+    )  # three times the square root of 4.6 / 4000
+
+
+def record(seed: int, decay: float, pad: int, n: int = 600) -> FrequencyRecord:
+    omegas = 2.0 * np.pi * np.linspace(5.0, 45.0, n)
+    s = 1j * omegas[:, None]
+    clean = np.sum(OMEGAS**2 * np.array([1.0, 0.6]) / (s**2 + 2.0 * ZETAS * OMEGAS * s + OMEGAS**2), axis=1)
+    rng = np.random.default_rng(seed)
+    noise = 0.4 * np.stack([windowed_noise(rng, n, decay, pad) for _ in range(2)], axis=1)
+    return FrequencyRecord(omegas, np.stack([clean, 0.5 * clean], axis=1) + noise, np.full((n, 2), 0.16))
+
+
+@pytest.mark.parametrize(("decay", "pad"), [(4.6, 1), (0.0, 8)])
+@pytest.mark.parametrize("fit", ["search", "analysis"])
+def test_intervals_cover_where_lines_share_their_errors(fit, decay, pad):
+    scores = []
+    for seed in range(24):
+        lines = record(seed, decay, pad)
+        if fit == "search":
+            model = fit_frequency_modes(lines, "receptance", 2).model
+            found = (
+                model.natural_frequencies,
+                model.damping_ratios,
+                model.natural_frequency_sd,
+                model.damping_ratio_sd,
+            )
+        else:
+            modes = analyse_modes(stabilisation_chart(lines, max_order=16), HERTZES)
+            found = (
+                modes.natural_frequencies, modes.damping_ratios, modes.natural_frequency_sd, modes.damping_ratio_sd
+            )  # fmt: skip
+        scores += [(found[0] - OMEGAS) / found[2], (found[1] - ZETAS) / found[3]]
+    # 96 scores scatter by 1 +- 0.07; independent lines would have been said to know 2 to 3 times as much.
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
