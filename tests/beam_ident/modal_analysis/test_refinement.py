@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -108,3 +110,26 @@ def test_the_gradient_of_a_residue_is_exact():
         step[k] = 1e-6
         slope = (residue(place + step) - residue(place - step)) / 2e-6
         assert abs(gradient[k] - slope) < 1e-8 * np.max(np.abs(gradient))
+
+
+def test_a_pole_of_the_chart_that_says_nothing_is_left_out_and_named():
+    chart = stabilisation_chart(noisy_record(4, 0.01, (0,)), max_order=30)
+    kept = analyse_modes(chart)
+    # Beyond the band and nearly aperiodic, as a high order makes them up.
+    junk = dataclasses.replace(
+        chart,
+        natural_frequencies=np.append(chart.natural_frequencies, 2.0 * LINES[-1]),
+        damping_ratios=np.append(chart.damping_ratios, 0.9),
+    )
+    found = analyse_modes(junk)
+    np.testing.assert_allclose(found.natural_frequencies, kept.natural_frequencies, rtol=1e-6)
+    assert any("a mode of the chart was left out" in said for said in found.warnings)
+
+
+def test_an_analysis_of_noise_has_no_mode():
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((len(LINES), 2)) @ np.array([1.0, 1j])
+    chart = stabilisation_chart(FrequencyRecord(LINES, noise), max_order=5)
+    made_up = dataclasses.replace(chart, natural_frequencies=OMEGAS[1:2], damping_ratios=np.array([0.05]))
+    with pytest.raises(EstimationError, match="no mode can be trusted"):
+        analyse_modes(made_up)
