@@ -50,6 +50,10 @@ class HeavyTails:
         fits = [HeavyTails(nu, _scale(residuals[kept], nu), residuals, kept) for nu in _FREEDOMS]
         return min(fits, key=lambda own: own._misfit(residuals[kept] / own.scale))
 
+    def followed(self, residuals: FloatArray) -> HeavyTails:
+        """Return the same distribution, at the likeliest scale, for other residuals of the same samples."""
+        return HeavyTails(self.freedom, _scale(residuals[self.kept], self.freedom), residuals, self.kept)
+
     @cached_property
     def weights(self) -> FloatArray:
         """By what the square of every residual counts, shape (n,)."""

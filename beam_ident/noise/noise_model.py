@@ -175,12 +175,8 @@ class RecordNoise:
         return RecordNoise(Whitening(np.ones(1), times_s), tails=HeavyTails.of(residuals, kept))
 
     def followed(self, residuals: FloatArray) -> RecordNoise:
-        """Return the same noise with the weights of tails that other residuals near these have."""
-        if self.tails is None:
-            return self
-        kept = np.ones(len(residuals), dtype=bool)
-        kept[outliers(residuals)] = False
-        return RecordNoise(self.colour, tails=HeavyTails.of(residuals, kept))
+        """Return the same noise, outliers included, with the weights that other residuals have under its tails."""
+        return self if self.tails is None else RecordNoise(self.colour, tails=self.tails.followed(residuals))
 
     @property
     def is_plain(self) -> bool:

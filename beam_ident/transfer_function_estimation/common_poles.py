@@ -39,7 +39,7 @@ from beam_ident.transfer_function.structure_gates import (
 from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
-from beam_ident.transfer_function_estimation.rivc import MAX_TRAVEL
+from beam_ident.transfer_function_estimation.rivc import LOOKS, MAX_TRAVEL
 from beam_ident.transfer_function_estimation.srivc import estimate_denominator
 
 _ITERATIONS = 50
@@ -115,11 +115,15 @@ class _JointProblem:
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         return np.asarray(theta + step)
 
-    def reweighed(self, state: _JointState, as_it_is: bool) -> _JointProblem:
-        """Return the problem under the noise that every output has in every record, or its level alone."""
+    def reweighed(self, state: _JointState, as_it_is: bool, stays: bool = False) -> _JointProblem:
+        """Return the problem under the noise that every output has in every record, or its level alone.
+
+        Where the noise ``stays`` what it was taken for, only levels and the weights of tails follow.
+        """
         pairs = zip(self.problems, state.states, strict=True)
         return _JointProblem(
-            [problem.reweighed(own, as_it_is) for problem, own in pairs], state.states[0].scale
+            [problem.reweighed(own, as_it_is, problem.noise if stays else None) for problem, own in pairs],
+            state.states[0].scale,
         )
 
     @property
@@ -259,8 +263,8 @@ def _in_turns(
     joint: _JointProblem, minimum: Minimum[_JointState], as_it_is: bool
 ) -> tuple[_JointProblem, Minimum[_JointState]]:
     """Estimate poles and noise in turns, until neither moves."""
-    for _ in range(_TURNS):
-        joint = joint.reweighed(minimum.state, as_it_is)
+    for turn in range(_TURNS):
+        joint = joint.reweighed(minimum.state, as_it_is, stays=turn >= LOOKS)
         start = minimum.state.theta
         minimum = minimise(joint, joint.state(start), _ITERATIONS)
         moved = minimum.state.theta - start

@@ -170,7 +170,9 @@ class OutputErrorProblem:
         problem.scale = self.scale
         return problem
 
-    def reweighed(self, state: OutputErrorState, as_it_is: bool) -> OutputErrorProblem:
+    def reweighed(
+        self, state: OutputErrorState, as_it_is: bool, known: NoiseModel | None = None
+    ) -> OutputErrorProblem:
         """Return the problem under the noise that a state's residuals show.
 
         Parameters
@@ -178,6 +180,7 @@ class OutputErrorProblem:
         state : OutputErrorState
         as_it_is : bool
             Whether the noise has a colour, which BIC chooses, and outliers; a level of every record alone.
+        known : NoiseModel or None -- whose colours and outliers stay, while levels and the weights of tails follow
 
         Notes
         -----
@@ -187,7 +190,11 @@ class OutputErrorProblem:
         left = self.unweighed_residuals(state)
         noises = None
         if as_it_is:
-            noises = self._noises(left)
+            if known is not None and known.noises is not None:
+                pairs = zip(known.noises, self.rows, strict=True)
+                noises = [own.followed(left[part]) for own, part in pairs]
+            else:
+                noises = self._noises(left)
             self._shown = state.theta, noises
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:

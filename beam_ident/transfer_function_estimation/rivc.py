@@ -24,6 +24,7 @@ from beam_ident.transfer_function_estimation.srivc import Method, Optimum, srivc
 
 _TURNS = 25  # a few for a colour; weights by the tails settle more slowly
 _ITERATIONS = 30  # of a turn
+LOOKS = 5  # turns in which colour and outliers are found anew
 _SETTLED = 0.02  # standard deviations that a turn may still move the system
 MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a coefficient
 
@@ -84,9 +85,10 @@ def refine_with_noise_model(
     """
     state, iterations = start.state, start.iterations
     weighed = problem
-    for _ in range(_TURNS):
-        # W of (T.9) from the residuals at the present model, then the model under W.
-        weighed = problem.reweighed(state, as_it_is)
+    for turn in range(_TURNS):
+        # W of (T.9) from the residuals at the present model, then the model under W. Samples at the brink of the
+        # rule for outliers could come and go for ever: what the noise is taken for stays after a few turns.
+        weighed = problem.reweighed(state, as_it_is, weighed.noise if turn >= LOOKS else None)
         first = weighed.state(state.theta)
         if method == "srivc":
             found = srivc(weighed, first)
