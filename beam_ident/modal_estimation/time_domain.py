@@ -42,12 +42,12 @@ from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
-from beam_ident.noise.quantisation import rounding_warning, without_clipped
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, Whiteness, are_rounding, colour_warning
-from beam_ident.noise.still_noise import StillNoise, found_noise_warning, with_found_noise
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.quantisation import rounding_warning, without_clipped
+from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)

@@ -14,9 +14,9 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.noise.outliers import outlier_warning
-from beam_ident.noise.quantisation import rounding_warning
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import Whiteness, is_coloured
+from beam_ident.sensing.quantisation import rounding_warning
 from beam_ident.transfer_function.model import TransferFunctionModel
 
 UNRELATED = "The model explains no more than chance would: BIC prefers noise without an input."

@@ -26,12 +26,12 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.noise.quantisation import without_clipped
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
+from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,

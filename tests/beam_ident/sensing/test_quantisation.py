@@ -16,7 +16,7 @@ from beam_ident import (
     estimate_transfer_function,
     identify,
 )
-from beam_ident.noise.quantisation import quantum
+from beam_ident.sensing.quantisation import quantum
 from tests.beam_ident.rao_garnier import PARAMETERS, benchmark_record
 from tests.beam_ident.transfer_function.test_structure_gates import record_of
 from tests.beam_ident.truth import beam_record

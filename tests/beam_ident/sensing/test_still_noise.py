@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beam_ident import InputSignal, LogChirp, TimeRecord, estimate_transfer_function, identify
-from beam_ident.noise.still_noise import StillNoise
+from beam_ident.sensing.still_noise import StillNoise
 from benchmarks.ident.rig import Rig
 
 CHIRP = LogChirp(duration=10.0, still=3.0).sample(1e-3)
