@@ -25,12 +25,12 @@ from scipy.optimize import minimize
 from beam_ident.arrays import FloatArray
 from beam_ident.noise.scores import Whiteness
 
-_LARGEST = 4096  # samples that choose a model: more tell nothing new of its form
+_MAX_SAMPLES = 4096  # samples that choose a model: more tell nothing new of its form
 _STRETCHES = 4  # in which these are taken from a long record
 _TIMES = 9  # time constants that are tried
 _ENOUGH = 0.01  # level of the whiteness test above which no further model is looked for
 _BELOW_NYQUIST = 0.98
-_LEAST_WHITE, _MOST_WHITE = 1e-6, 0.999
+_MIN_WHITE, _MAX_WHITE = 1e-6, 0.999
 _IMPOSSIBLE = 1e300
 
 
@@ -271,9 +271,9 @@ def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNo
 def _thinned(residuals: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a few stretches of a long record: the time between them only makes them independent."""
     n = len(residuals)
-    if n <= _LARGEST:
+    if n <= _MAX_SAMPLES:
         return residuals, times_s
-    size = _LARGEST // _STRETCHES
+    size = _MAX_SAMPLES // _STRETCHES
     starts = np.linspace(0, n - size, _STRETCHES).astype(np.intp)
     kept = np.concatenate([np.arange(start, start + size) for start in starts])
     return residuals[kept], times_s[kept]
@@ -284,7 +284,7 @@ def _exp(value: float) -> float:
 
 
 def _share(value: float) -> float:
-    return _LEAST_WHITE + (_MOST_WHITE - _LEAST_WHITE) / (1.0 + _exp(-value))
+    return _MIN_WHITE + (_MAX_WHITE - _MIN_WHITE) / (1.0 + _exp(-value))
 
 
 def _logit(share: float) -> float:

@@ -29,7 +29,7 @@ _FEW = 8  # samples
 _CLIPPED, _IN_A_ROW = 5, 3  # samples at an end of the range
 _PILE = 2.5  # times as many as at the level before: a sine that is only rounded has 2.4 at most
 _BEYOND = 2.0  # standard deviations by which the model must pass the end on average
-_LEAST = 1e-6  # of the output's size: less is rounding
+_MIN_BEYOND = 1e-6  # of the output's size: less is rounding
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
 _DITHER = 0.3  # steps of noise, below which a sixth of the rounding error and more follows the signal
 
@@ -132,9 +132,9 @@ def without_clipped(
         sd = 1.4826 * float(np.median(np.abs(left))) if len(left) else math.inf
         beyond = end.beyond(predicted)
         known = at_end & np.isfinite(beyond)
-        if np.any(known) and np.mean(beyond[known]) > _BEYOND * sd + quantum(values) + _LEAST * np.nanmax(
-            np.abs(values)
-        ):
+        if np.any(known) and np.mean(beyond[known]) > _BEYOND * sd + quantum(
+            values
+        ) + _MIN_BEYOND * np.nanmax(np.abs(values)):
             clipped.append((end, at_end | (beyond > -_NEAR * sd)))
             counts.append(f"{np.count_nonzero(at_end)} samples of {end.name} at {end.limit:.4g}")
     if not clipped:

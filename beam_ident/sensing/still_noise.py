@@ -17,7 +17,7 @@ from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.sensing.quantisation import quantum
 
 _WINDOW = 50  # samples
-_LEAST = 200  # samples of rest: their deviation is known to 10 %
+_MIN_REST = 200  # samples of rest: their deviation is known to 10 %
 _AS_WHITE = 2.5  # scatter about a line over that of the differences, squared; of white noise 1 +- 0.4
 _SPREAD = 3.0  # of the squared levels of stretches of rest
 _SMALL = 0.01  # of the input's own deviation: more is no noise of a sensor, but the signal
@@ -41,7 +41,7 @@ class StillNoise:
         """Return the noise of an input that is measured; a held command has none."""
         values = drive.values
         n_windows = len(values) // _WINDOW
-        if drive.hold == "zoh" or n_windows * _WINDOW < _LEAST:
+        if drive.hold == "zoh" or n_windows * _WINDOW < _MIN_REST:
             return StillNoise()
         windows = values[: n_windows * _WINDOW].reshape(n_windows, _WINDOW)
         # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 = 70 times its variance.
@@ -57,7 +57,7 @@ class StillNoise:
         # An encoder that stands between two counts shows nothing of its rounding: that is known from its steps.
         sigma = max(math.sqrt(float(np.mean(level[still]))), quantum(values) / math.sqrt(12.0))
         count = int(np.sum(still)) * _WINDOW
-        if count < _LEAST or not _rounding(values) < sigma < _SMALL * float(np.std(values)):
+        if count < _MIN_REST or not _rounding(values) < sigma < _SMALL * float(np.std(values)):
             return StillNoise()
         return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
 
