@@ -10,12 +10,13 @@ signal where it was really measured.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
+from beam_ident.data.gaps import InputGap, bridged
 from beam_ident.errors import RecordError
 from beam_ident.numerics.piecewise import HOLDS, Hold, PiecewisePolynomial, regular_period
 
@@ -82,18 +83,23 @@ class InputSignal:
     unit : str
     times_s : ndarray, shape (n,) or tuple (start, period) -- sample times [s]
     values : ndarray, shape (n,)
+        NaN where a sample is missing, its stamp being known all the same; never at the ends.  Missing ones
+        are filled in from both sides, see ``gaps``.
     hold : {"zoh", "linear", "cubic", "band_limited"}
         Constant until the next sample, straight lines, a cubic spline, or the signal without
         content above half the sampling rate that the samples determine (a spline of degree 9
         stands for it, see ``PiecewisePolynomial.from_samples``).
     sigma : float
         Standard deviation of the noise on each value; 0 for a known input.
+    gaps : tuple of InputGap
+        Where values were missing and are filled in, with the uncertainty of that.  Found from NaN; given only for
+        values that are filled in already.
 
     Raises
     ------
     RecordError
-        Stamps that repeat or run backwards, fewer than two samples, values that
-        are not finite, an unknown hold.
+        Stamps that repeat or run backwards, fewer than two samples, infinite values, the first or the last
+        missing, an unknown hold.
     """
 
     name: str
@@ -102,6 +108,7 @@ class InputSignal:
     values: FloatArray
     hold: Hold = "zoh"
     sigma: float = 0.0
+    gaps: tuple[InputGap, ...] = ()
 
     def __post_init__(self) -> None:
         values = _numbers(self.name, "values", self.values)
@@ -109,11 +116,10 @@ class InputSignal:
             raise RecordError(
                 f"input {self.name!r}: values have shape {values.shape}; expected at least two in a row"
             )
-        if not np.all(np.isfinite(values)):
-            first = int(np.flatnonzero(~np.isfinite(values))[0])
+        if np.any(np.isinf(values)):
+            first = int(np.flatnonzero(np.isinf(values))[0])
             raise RecordError(
-                f"input {self.name!r}: value {first} is {values[first]}; an input has no missing samples. "
-                "Leave out the stretch before or after the gap"
+                f"input {self.name!r}: value {first} is {values[first]}; mark a missing sample with NaN, never inf"
             )
         if self.hold not in HOLDS:
             raise RecordError(
@@ -121,7 +127,11 @@ class InputSignal:
             )
         if not (_is_number(self.sigma) and self.sigma >= 0.0):
             raise RecordError(f"input {self.name!r}: sigma is {self.sigma!r}; expected a finite number >= 0")
-        object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
+        times = _stamps(self.name, self.times_s, len(values))
+        if np.any(np.isnan(values)):
+            values, gaps = bridged(self.name, times, values)
+            object.__setattr__(self, "gaps", (*self.gaps, *gaps))
+        object.__setattr__(self, "times_s", _read_only(times))
         object.__setattr__(self, "values", _read_only(values))
 
     @property
@@ -154,9 +164,9 @@ class InputSignal:
         """Return the part of the input that covers an interval [s]."""
         first = max(int(np.searchsorted(self.times_s, start_s, side="right")) - 1, 0)
         last = int(np.searchsorted(self.times_s, end_s, side="left")) + 1
-        return InputSignal(
-            self.name, self.unit, self.times_s[first:last], self.values[first:last], self.hold, self.sigma
-        )
+        times = self.times_s[first:last]
+        gaps = tuple(gap for gap in self.gaps if gap.end_s > times[0] and gap.start_s < times[-1])
+        return replace(self, times_s=times, values=self.values[first:last], gaps=gaps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +232,11 @@ class OutputSignal:
         """Return which samples lie in an interval [s] with all of their exposure, shape (n,)."""
         half = 0.5 * self.exposure_s
         return np.asarray((self.times_s - half >= first_s) & (self.times_s + half <= last_s))
+
+    def overlaps(self, first_s: float, last_s: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Return which samples saw, with some of their exposure, an open interval [s], shape (n,)."""
+        half = 0.5 * self.exposure_s
+        return np.asarray((self.times_s + half > first_s) & (self.times_s - half < last_s))
 
     def between(self, start_s: float, end_s: float) -> OutputSignal:
         """Return the samples whose stamps lie in an interval [s]."""

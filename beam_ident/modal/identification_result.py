@@ -92,6 +92,7 @@ class IdentificationResult(OverOutputs):
     reason : str -- why the iteration ended
     iterations : int
     warnings : tuple of str -- what a reader must know before trusting the numbers
+    doubts : tuple of str -- of every mode why it cannot be trusted; empty where it can
         Beside these, everything that ``OverOutputs`` lists.
     """
 
@@ -104,6 +105,7 @@ class IdentificationResult(OverOutputs):
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""

@@ -18,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.data.gaps import InputGap
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.modal.restarts import RestartColumns, Restarts, restart_columns
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.numerics.free_motion import free_motions
@@ -132,19 +134,28 @@ class _GridColumns:
     forced: tuple[FloatArray, ...]  # value[, by log omega, by zeta, by time], each (n_modes, n)
     free: tuple[ComplexArray, ...]
     ramp: FloatArray
+    restarts: tuple[RestartColumns, ...]
 
 
 class _PreparedRecord:
     """One record with its input turned into exact signals."""
 
-    def __init__(self, record: TimeRecord, drive: InputSignal, structure: ModalStructure) -> None:
+    def __init__(
+        self,
+        record: TimeRecord,
+        drive: InputSignal,
+        structure: ModalStructure,
+        restarts: tuple[InputGap, ...] = (),
+        n_drifts: int = 0,
+        latency: float = 0.0,
+    ) -> None:
         kind = structure.kind
         if kind == "base_motion" and drive.hold == "zoh":
             raise EstimationError(
                 f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
                 "give hold='linear', 'cubic' or 'band_limited'"
             )
-        self.structure = structure
+        self.structure, self.restarts, self.n_drifts = structure, restarts, n_drifts
         self.span = drive.span_s
         signal = drive.signal(margin_s=CLOCK_MARGIN_S, from_rest=kind != "base_motion")
         self.rest = float(drive.values[0]) if kind == "base_motion" else 0.0
@@ -179,7 +190,11 @@ class _PreparedRecord:
                 keys[key] = len(self.grids)
                 self.grids.append(_Grid(output.times_s, output.exposure_s))
             self.grid_of[output.name] = keys[key]
-            self.rows_of[output.name] = np.flatnonzero(output.is_within(*self.span) & output.is_valid)
+            usable = output.is_within(*self.span) & output.is_valid
+            for gap in restarts:
+                # Samples that the unknown part of the input touches.
+                usable &= ~output.overlaps(gap.start_s + latency, gap.end_s + latency)
+            self.rows_of[output.name] = np.flatnonzero(usable)
         stamps = np.concatenate([g.times for g in self.grids])
         self.start = float(np.min(stamps))
         self.middle = 0.5 * float(np.min(stamps) + np.max(stamps))
@@ -225,13 +240,23 @@ class _PreparedRecord:
         self._samplings[number] = known
         return known
 
+    def instants(self, number: int, clock: ClockState) -> FloatArray:
+        """Return when the samples at one grid of stamps were taken, on the input's clock [s]."""
+        return np.asarray(self._sampling(number, clock).elapsed + self.start)
+
     def position_integral_at(self, number: int, clock: ClockState) -> FloatArray:
         """Return the integral of the position that the input stands for, at one grid of stamps [m s]."""
         instants = self._sampling(number, clock).instants
         return instants.mean(self.position_integral, self.position_integral.antiderivative())[0]
 
     def columns(
-        self, number: int, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+        self,
+        number: int,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        gradients: bool,
+        with_restarts: bool = True,
     ) -> _GridColumns:
         """Return every column at one grid of stamps."""
         structure, grid = self.structure, self.grids[number]
@@ -265,7 +290,19 @@ class _PreparedRecord:
             free = free_motions(
                 column, sampling.elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
             )
-        return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length)
+        instants = self.instants(number, clock) if self.restarts else sampling.elapsed
+        restarts = tuple(
+            restart_columns(
+                self.n_drifts,
+                column,
+                instants,
+                grid.exposure_s,
+                gap,
+                (by_log_omega, by_zeta) if gradients else (),
+            )
+            for gap in (self.restarts if with_restarts else ())
+        )
+        return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length, restarts)
 
 
 def modal_poles(omegas: FloatArray, zetas: FloatArray) -> ComplexArray:
@@ -293,6 +330,8 @@ class ModalRegression:
 
     smoothing : Smoothing or None
         Low-pass that a noisy input passes first.
+    restarts : Restarts or None
+        The gaps of the inputs after which the modes begin anew; None: where the bridge is poor.
 
     Raises
     ------
@@ -311,6 +350,7 @@ class ModalRegression:
         structure: ModalStructure,
         input_name: str | None = None,
         smoothing: Smoothing | None = None,
+        restarts: Restarts | None = None,
     ) -> None:
         if not records:
             raise EstimationError("no record to identify from; give at least one TimeRecord")
@@ -324,7 +364,11 @@ class ModalRegression:
                 )
             self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
         smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
-        self._prepared = [_PreparedRecord(r, d, structure) for r, d in zip(records, smooth, strict=True)]
+        self.restarts = Restarts.at_poor_bridges(self.drives, structure) if restarts is None else restarts
+        self._prepared = [
+            _PreparedRecord(r, d, structure, gaps, self.restarts.n_drifts, self.restarts.latency)
+            for r, d, gaps in zip(records, smooth, self.restarts.gaps, strict=True)
+        ]
         names = list(dict.fromkeys(name for record in records for name in record.output_names))
         self.units: list[str] = [
             next(o.unit for record in records for o in record.outputs if o.name == name) for name in names
@@ -422,7 +466,9 @@ class ModalRegression:
 
     def n_columns(self, n_modes: int) -> int:
         """Number of linear parameters of an output that is in one record."""
-        return self.n_shared_fixed + n_modes + self.n_nuisance(n_modes)
+        most = max(len(gaps) for gaps in self.restarts.gaps)
+        of_restart = self.restarts.n_drifts + 2 * n_modes
+        return self.n_shared_fixed + n_modes + self.n_nuisance(n_modes) + most * of_restart
 
     def n_nuisance(self, n_modes: int) -> int:
         """Number of columns that each record has for itself."""
@@ -433,7 +479,27 @@ class ModalRegression:
     def n_parameters_of_a_mode(self) -> int:
         """Number of parameters that one more mode adds."""
         n_free = 2 if self.structure.has_free_response else 0
-        return 2 + sum(1 + n_free * len(parts) for parts in self._parts)
+        n_anew = [sum(len(self.restarts.gaps[part[0]]) for part in parts) for parts in self._parts]
+        return 2 + sum(
+            1 + n_free * len(parts) + 2 * anew for parts, anew in zip(self._parts, n_anew, strict=True)
+        )
+
+    def restart_places(self, n_modes: int, output: int) -> list[tuple[InputGap, int]]:
+        """Return every restart at an output, and which is the first of its columns: drifts, then free motions."""
+        parts = self._parts[output]
+        first = self.n_shared_fixed + n_modes + self.n_nuisance(n_modes) * len(parts)
+        gaps = [gap for part in parts for gap in self.restarts.gaps[part[0]]]
+        width = self.restarts.n_drifts + 2 * n_modes
+        return [(gap, first + width * number) for number, gap in enumerate(gaps)]
+
+    def instants(self, clock: ClockState) -> list[FloatArray]:
+        """Return when the samples of every output were taken, on the input's clock [s]."""
+        return [
+            np.concatenate(
+                [self._prepared[part[0]].instants(part[1], clock)[self._rows[part[:3]]] for part in parts]
+            )
+            for parts in self._parts
+        ]
 
     def position_integrals(self, clock: ClockState) -> list[FloatArray]:
         """Return the integral of what stands behind the direct gain, at the samples of every output."""
@@ -448,16 +514,21 @@ class ModalRegression:
         ]
 
     def blocks(
-        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
+        self,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        gradients: bool,
+        with_restarts: bool = True,
     ) -> list[ColumnBlock]:
         """Return the columns of every group of outputs that share stamps.
 
         Columns stand in the order direct gain, residual term, residues of all modes,
         then for each record offset, ramp, and the real and imaginary free response of
-        each mode.
+        each mode; then for each restart its drifts, and the free responses again.
         """
         cache = {
-            (index, number): prepared.columns(number, omegas, zetas, clock, gradients)
+            (index, number): prepared.columns(number, omegas, zetas, clock, gradients, with_restarts)
             for index, prepared in enumerate(self._prepared)
             for number in range(len(prepared.grids))
         }
@@ -465,7 +536,7 @@ class ModalRegression:
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
         """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
-        blocks = self.blocks(omegas, zetas, clock, gradients=False)
+        blocks = self.blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
         return [block.matrix.T[block.mode_columns] for block in blocks]
 
     def _assemble(
@@ -478,21 +549,25 @@ class ModalRegression:
         structure = self.structure
         n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
         lengths = [len(self._rows[part[:3]]) for part in parts]
-        n_rows, n_columns = sum(lengths), n_fixed + n_modes + n_own * len(parts)
+        sources = [cache[part[0], part[1]] for part in parts]
+        n_anew = self.restarts.n_drifts + 2 * n_modes
+        n_restarts = sum(len(source.restarts) for source in sources)
+        n_plain = n_fixed + n_modes + n_own * len(parts)
+        n_rows, n_columns = sum(lengths), n_plain + n_anew * n_restarts
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
         n_free = 2 * len(parts) if structure.has_free_response else 0
-        # A mode touches its residue's column and, in every record, the two of its free motion: the rest of
-        # the derivative is zero and is not stored.
-        touched = [np.zeros((2, 1 + n_free, n_rows)) for _ in range(n_modes)] if gradients else []
-        mode_columns = np.zeros((n_modes, 1 + n_free), dtype=np.intp)
+        n_touched = 1 + n_free + 2 * n_restarts
+        # A mode touches its residue's column and, in every record and after every restart, the two of its free
+        # motion: the rest of the derivative is zero and is not stored.
+        touched = [np.zeros((2, n_touched, n_rows)) for _ in range(n_modes)] if gradients else []
+        mode_columns = np.zeros((n_modes, n_touched), dtype=np.intp)
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
-        first = 0
-        for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
+        first, restart = 0, 0
+        for number, (part, length, source) in enumerate(zip(parts, lengths, sources, strict=True)):
             rows, level = self._rows[part[:3]], part[3]
             here = slice(first, first + length)
             first += length
-            source = cache[part[0], part[1]]
             latency_factor[here] = source.sampling.latency_factor[rows]
             rate_factor[here] = source.sampling.rate_factor[rows]
             for column, (value, rate) in enumerate(source.sampling.fixed):
@@ -524,6 +599,23 @@ class ModalRegression:
                     touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
                     touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
                     by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
+            for anew in source.restarts:
+                own = n_plain + n_anew * restart
+                for column, (value, rate) in enumerate(anew.drifts, own):
+                    matrix[here, column] = value[rows]
+                    if by_time is not None:
+                        by_time[here, column] = rate[rows]
+                own += len(anew.drifts)
+                place = slice(1 + n_free + 2 * restart, 3 + n_free + 2 * restart)
+                for mode in range(n_modes):
+                    pair = slice(own + 2 * mode, own + 2 * mode + 2)
+                    mode_columns[mode, place] = np.arange(pair.start, pair.stop)
+                    matrix[here, pair] = _real_pair(anew.free[0][mode][rows]).T
+                    if by_time is not None:
+                        touched[mode][0, place, here] = _real_pair(anew.free[1][mode][rows])
+                        touched[mode][1, place, here] = _real_pair(anew.free[2][mode][rows])
+                        by_time[here, pair] = _real_pair(anew.free[3][mode][rows]).T
+                restart += 1
             if level != 1.0:
                 for columns in (matrix, by_time):
                     if columns is not None:

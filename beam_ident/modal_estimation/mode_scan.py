@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from beam_ident.data.bandwidth import Band
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.modal.restarts import Restarts
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.variable_projection import ModalProblem
 from beam_ident.numerics.linear_least_squares import LinearSolution
@@ -108,6 +110,7 @@ class ModalScan:
     structure : ModalStructure
     input_name : str or None
     band : Band
+    restarts : Restarts -- the gaps of the inputs after which the modes begin anew
     seed : int
         Seed of the choice of stamps where there are too many.
     """
@@ -118,6 +121,7 @@ class ModalScan:
         structure: ModalStructure,
         input_name: str | None,
         band: Band,
+        restarts: Restarts,
         seed: int = 0,
     ) -> None:
         self.band = band
@@ -129,7 +133,7 @@ class ModalScan:
                 kind: StructureKind = "base_motion" if structure.is_motion else "accelerance"
                 structure = dataclasses.replace(structure, kind=kind)
         thinned = [_thinned_record(r, d, seed) for r, d in zip(records, drives, strict=True)]
-        self._plain = self.regression = ModalRegression(thinned, structure)
+        self._plain = self.regression = ModalRegression(thinned, structure, restarts=restarts)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
@@ -279,7 +283,8 @@ def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float
     n = int(max(np.floor((last - first) / longest), 64)) + 1
     step = (last - first) / (n - 1)
     values = signal(np.asarray(first + step * np.arange(n), dtype=np.float64))
-    return InputSignal(drive.name, drive.unit, (first, step), values, "cubic")  # type: ignore[arg-type]
+    grid: Any = (first, step)
+    return InputSignal(drive.name, drive.unit, grid, values, "cubic", gaps=drive.gaps)
 
 
 def _thinned_record(record: TimeRecord, drive: InputSignal, seed: int) -> TimeRecord:

@@ -1,21 +1,28 @@
-"""Modes from several records that are not equally noisy: every output weighs in each by its noise there.
+"""What records bring of their own to a fit of modes: the level of their noise, and the gaps of their inputs.
 
-The levels are those of the residuals of a fit; levels and fit take turns until neither moves.
+Several records are not equally noisy: every output weighs in each by its noise there.  The levels are those of the
+residuals of a fit; levels and fit take turns until neither moves.  What is not known of an input in its gaps
+moves the estimates like noise; where it moves them too far, the modes begin anew (``modal.restarts``).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
+from beam_ident.data.gaps import describe_gaps
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.modal_estimation.variable_projection import fit_modes
+from beam_ident.modal.restarts import Restarts, bridge_amplitudes, bridge_effects
+from beam_ident.modal_estimation.variable_projection import designs, fit_modes
 
+_MOST_FROM_BRIDGES = 0.05  # of the variance of a pole or of the clock
+_NO_ERROR = 1e-9  # of an output's noise: an error of a bridge is never taken to be less
 _TURNS = 6
 _SETTLED = 0.02  # standard deviations that a turn may still move a pole
 
@@ -83,3 +90,100 @@ def record_levels(regression: ModalRegression, fit: ModalFit) -> list[FloatArray
         mean = float(np.average(logs, weights=sizes)) if len(logs) > 1 else logs[0]
         result.append(np.exp(np.array(logs) - mean))
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class BridgeUncertainty:
+    """What the bridges over gaps of the inputs do to a fit.
+
+    Attributes
+    ----------
+    restarts : Restarts -- the gaps after which the modes must begin anew
+    covariance : ndarray -- what all other bridges add to the covariance of the parameters
+    """
+
+    restarts: Restarts
+    covariance: FloatArray
+
+    @staticmethod
+    def of(
+        regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior
+    ) -> BridgeUncertainty:
+        """Judge the bridges by a fit of a regression.
+
+        Notes
+        -----
+        With the derivatives D of the model, the noise's variances s and the covariance C of the parameters, an
+        error d of the outputs moves the estimate by ``C D^T d / s``. Every bridge has errors of its kind at places
+        where the input is known; their mean square is what it adds to the variance. The bridges that add most to
+        some pole or clock are given up, until all others together add no more than a twentieth.
+        """
+        n_shared = regression.n_shared_fixed + len(fit.omegas)
+        kept = regression.restarts
+        rows = [
+            design.T / sigma**2
+            for design, sigma in zip(designs(regression, fit, latency, clock_rate), fit.sigmas, strict=True)
+        ]
+        instants = regression.instants(fit.clock)
+        scale = np.sqrt(np.maximum(np.diag(fit.covariance)[: fit.n_theta], 1e-300))
+        judged = []
+        for index, drive in enumerate(regression.drives):
+            for gap in drive.gaps:
+                if gap in kept.gaps[index]:
+                    continue
+                score = np.zeros((len(fit.covariance), len(gap.errors)))
+                place = fit.n_theta
+                for j, (weighed, found) in enumerate(zip(rows, fit.coefficients, strict=True)):
+                    own = np.concatenate([np.arange(fit.n_theta), np.arange(place, place + len(found))])
+                    place += len(found)
+                    for part in (part for record, part in regression.segments[j] if record == index):
+                        effects = bridge_effects(
+                            gap,
+                            regression.structure,
+                            fit.omegas,
+                            fit.zetas,
+                            found[:n_shared],
+                            instants[j][part],
+                        )
+                        score[own] += weighed[:, part] @ effects.T
+                moved = fit.covariance @ score / math.sqrt(len(gap.errors))
+                share = float(np.max(np.sum(np.square(moved[: fit.n_theta]), axis=1) / scale**2, initial=0.0))
+                judged.append((share, index, gap, moved))
+        judged.sort(key=lambda item: item[0])
+        n_kept = int(np.searchsorted(np.cumsum([item[0] for item in judged]), _MOST_FROM_BRIDGES))
+        given_up = [set(own) for own in kept.gaps]
+        for _, index, gap, _ in judged[n_kept:]:
+            given_up[index].add(gap)
+        added = np.zeros_like(fit.covariance)
+        for _, _, _, moved in judged[:n_kept]:
+            added += moved @ moved.T
+        gaps = tuple(tuple(sorted(own, key=lambda gap: gap.start_s)) for own in given_up)
+        return BridgeUncertainty(Restarts(gaps, kept.n_drifts, fit.clock.latency), added)
+
+
+def restart_priors(regression: ModalRegression, fit: ModalFit) -> list[tuple[int, float]]:
+    """Return what is known of the columns that begin after gaps: their place among the parameters, and its size.
+
+    The bridge is in the regression's input still, so that these columns hold its errors alone, and errors of its
+    kind are known.  With them a restart is a bridge that counts as far as it is to be believed.
+    """
+    n, structure = len(fit.omegas), regression.structure
+    priors, first = [], fit.n_theta
+    for j, found in enumerate(fit.coefficients):
+        residues = found[regression.n_shared_fixed : regression.n_shared_fixed + n]
+        least = _NO_ERROR * float(fit.sigmas[j])
+        for gap, place in regression.restart_places(n, j):
+            modal, drifts = bridge_amplitudes(gap, structure, fit.omegas, fit.zetas)
+            sizes = [abs(float(found[0])) * float(np.linalg.norm(own)) for own in drifts.T]
+            for residue, own in zip(residues, modal.T, strict=True):
+                sizes += 2 * [abs(float(residue)) * float(np.linalg.norm(own)) / math.sqrt(2.0)]
+            for column, size in enumerate(sizes, first + place):
+                priors.append((column, max(size / math.sqrt(len(gap.errors)), least)))
+        first += len(found)
+    return priors
+
+
+def gap_sentences(regression: ModalRegression) -> list[str]:
+    """Return what was done about the gaps of every record's input."""
+    pairs = zip(regression.drives, regression.restarts.gaps, strict=True)
+    return [describe_gaps(drive.name, drive.gaps, drive.unit, anew) for drive, anew in pairs if drive.gaps]

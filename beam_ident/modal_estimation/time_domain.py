@@ -26,7 +26,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.clock_search import clock_places
 from beam_ident.modal_estimation.hub_friction import FrictionEstimate
-from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_warnings
+from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
     MANY_MODES,
@@ -37,7 +37,14 @@ from beam_ident.modal_estimation.mode_search import (
     checked_limit,
     silent,
 )
-from beam_ident.modal_estimation.record_levels import record_levels, unweighed, weigh_records
+from beam_ident.modal_estimation.record_levels import (
+    BridgeUncertainty,
+    gap_sentences,
+    record_levels,
+    restart_priors,
+    unweighed,
+    weigh_records,
+)
 from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
@@ -56,6 +63,7 @@ _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input w
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is reported
 _CLOCK_STARTS = 3
 _CLOCK_ROUNDS = 3
+_RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 
@@ -140,7 +148,13 @@ def identify(
                     return result
             except EstimationError:
                 pass  # a record that begins in motion may not fit at all
-        return search.result(n_modes, max_modes)
+        try:
+            return search.result(n_modes, max_modes)
+        except EstimationError as err:
+            gaps = gap_sentences(search.plain)
+            if not gaps:
+                raise
+            raise EstimationError(f"{err}. {' '.join(gaps)}") from err
 
     def predict(result: IdentificationResult, one: TimeRecord, name: str) -> FloatArray:
         return _prediction(result.model, one, name)
@@ -193,6 +207,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         highest_hz: float = math.inf,
     ) -> None:
         self.records, self.input_name = records, input_name
+        self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
         differentiations = structure.differentiations if structure.is_motion else 0
         bands = [
@@ -203,7 +218,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         band = Band(min(b.low_hz for b in bands), high, any(b.is_excited for b in bands))
         if not band.is_excited:  # without an input there are no two clocks to compare
             latency, clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
-        self.scan = ModalScan(records, structure, input_name, band)
+        self.scan = ModalScan(records, structure, input_name, band, regression.restarts)
         super().__init__(regression, band, latency, clock_rate, structure.has_direct, progress)
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -248,19 +263,44 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     def weighed(self, fit: ModalFit) -> Weighed[ModalRegression]:
         """Return a fit with equal weights, weighed by the colour of the outputs' noise or by that of the input."""
         fit, self.problem = unweighed(self.problem, fit), self.plain
+        fit = self._restarted(fit)
         regression = self.plain
         model = self._model(fit)
         smoothing = None
         shares = [_noise_share(model, drive) for drive in regression.drives]
         if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
             smoothing = Smoothing(self.band.high_hz)
-            regression = ModalRegression(self.records, regression.structure, self.input_name, smoothing)
+            regression = ModalRegression(
+                self.records, regression.structure, self.input_name, smoothing, regression.restarts
+            )
             fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
         by_record = regression
         if smoothing is None:
             by_record, fit = weigh_records(regression, fit, self.latency, self.clock_rate)
-        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing)
-        return Weighed(unweighed(by_record, weighted.result()), regression, by_record)
+        priors = () if self.bridges is None else restart_priors(by_record, fit)
+        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing, priors)
+        found = unweighed(by_record, weighted.result())
+        if self.bridges is not None:
+            found = dataclasses.replace(found, covariance=found.covariance + self.bridges.covariance)
+        return Weighed(found, regression, by_record)
+
+    def _restarted(self, fit: ModalFit) -> ModalFit:
+        """Return the fit with the modes beginning anew at those gaps of the inputs where that is needed.
+
+        Its noise decides, and the gaps that are bridged badly are in its noise: both take turns.
+        """
+        if not any(drive.gaps for drive in self.plain.drives):
+            return fit
+        for _ in range(_RESTART_TURNS):
+            plain = self.plain
+            self.bridges = BridgeUncertainty.of(plain, fit, self.latency, self.clock_rate)
+            if self.bridges.restarts.is_near(plain.restarts):
+                break
+            self.problem = self.plain = ModalRegression(
+                self.records, plain.structure, self.input_name, restarts=self.bridges.restarts
+            )
+            fit = self.fit(fit.omegas, fit.zetas, fit.clock)
+        return fit
 
     def _model(self, fit: ModalFit) -> ModalModel:
         regression = self.plain
@@ -301,6 +341,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 + self._gain_warnings(model)
                 + self._warnings(fit, regression, outputs)
             ),
+            doubts=tuple(mode_complaint(fit, regression, mode, self.band) for mode in range(len(fit.omegas))),
         )
 
     def _gain_warnings(self, model: ModalModel) -> list[str]:
@@ -346,6 +387,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         starts = [n_fixed + n + n_own * k for k in range(len(regression.segments[j]))]
         for own in starts:
             rigid[own : own + n_plain] = found[own : own + n_plain]
+        for _, place in regression.restart_places(n, j):
+            drifts = slice(place, place + regression.restarts.n_drifts)
+            rigid[drifts] = found[drifts]
         values, residuals = regression.values[j], fit.residuals[j]
         deflection = values - matrix @ rigid
         noise_sd = float(fit.sigmas[j]) * levels / math.sqrt(float(np.mean(np.square(levels))))
@@ -388,6 +432,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
     ) -> list[str]:
         warnings = mode_warnings(fit, regression, self.band)
+        warnings += gap_sentences(regression)
         if regression.structure.kind == "force" and self.band.is_excited:
             friction = FrictionEstimate.of(fit, regression)
             if friction.is_visible:

@@ -85,6 +85,8 @@ class WeightedFit:
     latency, clock_rate : Prior
     smoothing : Smoothing or None
         Given where the input's ``sigma`` matters.
+    priors : sequence of (int, float)
+        Parameters, by their place in ``ModalFit.covariance``, that are zero up to a standard deviation.
     """
 
     def __init__(
@@ -95,7 +97,9 @@ class WeightedFit:
         latency: Prior,
         clock_rate: Prior,
         smoothing: Smoothing | None = None,
+        priors: Sequence[tuple[int, float]] = (),
     ) -> None:
+        self.priors = priors
         self.records, self.regression, self.fit = list(records), regression, fit
         self.latency, self.clock_rate, self.smoothing = latency, clock_rate, smoothing
         self.n_theta = 2 * len(fit.omegas) + int(latency.is_free) + int(clock_rate.is_free)
@@ -132,7 +136,8 @@ class WeightedFit:
     @property
     def is_needed(self) -> bool:
         """Whether the noise is other than what the fit took it for."""
-        return self.smoothing is not None or any(not own.is_plain for noises in self.noises for own in noises)
+        is_coloured = any(not own.is_plain for noises in self.noises for own in noises)
+        return self.smoothing is not None or is_coloured or bool(self.priors)
 
     @property
     def _has_outliers(self) -> bool:
@@ -281,6 +286,13 @@ class WeightedFit:
                 rows.append(row)
                 values.append((prior.mean - value) / prior.sd)
             place += 1
+        if self.priors:
+            present = np.concatenate([np.zeros(self.n_theta), *point.coefficients])
+            for index, sd in self.priors:
+                row = np.zeros(linear.design.shape[1])
+                row[index] = 1.0 / sd
+                rows.append(row)
+                values.append(-present[index] / sd)
         if not rows:
             return linear.design, linear.residuals
         return np.vstack([linear.design, *rows]), np.append(linear.residuals, values)
@@ -361,10 +373,10 @@ class WeightedFit:
         """Return the regression on other samples of every input."""
         records = []
         for record, drive, own in zip(self.records, self._driven.drives, values, strict=True):
-            changed = InputSignal(drive.name, drive.unit, drive.times_s, own, drive.hold, drive.sigma)
+            changed = dataclasses.replace(drive, values=own)
             records.append(TimeRecord((changed,), record.outputs, record.start_ns, record.name))
         smoothing = None if is_smooth else self.smoothing
-        return ModalRegression(records, self._driven.structure, None, smoothing)
+        return ModalRegression(records, self._driven.structure, None, smoothing, self._driven.restarts)
 
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray

@@ -11,7 +11,7 @@ end of the excited band takes away the second evil; the first is weighed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -57,7 +57,7 @@ class Smoothing:
         before, after = float(np.mean(values[:edge])), float(np.mean(values[-edge:]))
         padded = np.concatenate([np.full(half, before), values, np.full(half, after)])
         smooth = fftconvolve(padded, taps, mode="valid")
-        return InputSignal(drive.name, drive.unit, drive.times_s, smooth, drive.hold, drive.sigma)
+        return replace(drive, values=smooth)
 
 
 def input_noise_share(

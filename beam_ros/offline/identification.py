@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from beam_ident import (
     EstimatorSettings,
+    IdentificationError,
     IdentificationResult,
     InputSignal,
     LineResult,
@@ -32,10 +33,12 @@ from beam_ident import (
     run_estimator,
     validate,
 )
+from beam_ident.data.gaps import Bridge
+from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
-from beam_ros.bags.reading import Bag, Displacements, HubSamples
+from beam_ros.bags.reading import OWN_STAMPS_GAP, Bag, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
@@ -48,6 +51,8 @@ Progress = Callable[[str, float], None]
 
 SCHEMA = 1
 _LEAD_S = 0.3
+_NAMED_GAPS = 5
+_MOST_DEVIATIONS = 999
 VIDEO_TOPIC = "tracker/video"
 """String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
 _STRUCTURE_OF_MODE = {
@@ -124,6 +129,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         topic, quantity, unit = _INPUT_OF_STRUCTURE[chosen]
         bag.require(topic)
         samples = bag.hub_samples(topic)
+        commanded = bag.hub_samples("hub/applied") if samples.gaps and bag.count("hub/applied") else None
         displacements = bag.displacements()
         syncs = bag.clock_syncs()
         videos = bag.texts(VIDEO_TOPIC)
@@ -134,7 +140,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
             f"goes with command mode {mode}"
         )
     notes: list[str] = []
-    part = _longest_stretch(samples, notes)
+    part = _longest_epoch(samples, notes)
     rate, clock_rate = _device_clock(samples, syncs, part)
     if videos:
         # The frames run on the camera's own clock, which is known as well as the low marker tells.
@@ -143,10 +149,19 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     else:
         clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, rig.camera.clock_tolerance))
     origin_ns = int(samples.stamps_ns[part.start])
-    times = _device_times(samples, part, rate, origin_ns)
+    times, filled = _on_every_tick(_device_times(samples, part, rate, origin_ns), values[part], samples, rate)
+    _note_gaps(samples, part, origin_ns, notes)
     hold = rig.hub.measured_hold if topic == "hub/measured" else rig.hub.applied_hold
     sigma = rig.hub.encoder_resolution / math.sqrt(12.0) if topic == "hub/measured" else 0.0
-    drive = InputSignal("hub", unit, times, np.ascontiguousarray(values[part]), hold, sigma)
+    if commanded is not None and topic == "hub/measured" and np.any(np.isnan(filled)):
+        drive = _filled_by_command(
+            InputSignal("hub", unit, times, filled, hold, sigma),
+            times,
+            filled,
+            _commanded_position(commanded, rig.hub.applied_hold, times, origin_ns, rate),
+        )
+    else:
+        drive = InputSignal("hub", unit, times, filled, hold, sigma)
     outputs = _outputs(displacements, origin_ns, rig, notes)
     record = TimeRecord((drive,), outputs, origin_ns, path.name)
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
@@ -189,19 +204,102 @@ def _refuse_unrun_sequence(path: Path, info: Mapping[str, Any], states: Sequence
             )
 
 
-def _longest_stretch(samples: HubSamples, notes: list[str]) -> slice:
-    """Choose the longest piece of the hub's samples without a gap."""
-    ends_ns = [gap.start_ns for gap in samples.gaps]
-    borders = [0, *(int(np.searchsorted(samples.stamps_ns, end, side="right")) for end in ends_ns)]
-    borders.append(len(samples.stamps_ns))
-    lengths = np.diff(borders)
-    longest = int(np.argmax(lengths))
-    if samples.gaps:
+def _longest_epoch(samples: HubSamples, notes: list[str]) -> slice:
+    """Choose the samples between two restarts of the device that are most: each restart begins another clock."""
+    borders = [0, *(np.flatnonzero(np.diff(samples.epochs)) + 1).tolist(), len(samples.epochs)]
+    longest = int(np.argmax(np.diff(borders)))
+    first, last = borders[longest], borders[longest + 1]
+    if len(borders) > 2:
         notes.append(
-            f"{samples.topic} has {len(samples.gaps)} gaps ({samples.lost} samples lost); the longest stretch "
-            f"without one was used, {int(lengths[longest])} of {len(samples.stamps_ns)} samples"
+            f"{samples.topic}: the device restarted {len(borders) - 2} times; the longest time without a restart was "
+            f"used, {last - first} of {len(samples.epochs)} samples"
         )
-    return slice(borders[longest], borders[longest + 1])
+    return slice(first, last)
+
+
+def _note_gaps(samples: HubSamples, part: slice, origin_ns: int, notes: list[str]) -> None:
+    """Name the gaps in the samples that are used."""
+    first, last = int(samples.stamps_ns[part.start]), int(samples.stamps_ns[part.stop - 1])
+    gaps = [gap for gap in samples.gaps if first <= gap.start_ns and gap.end_ns <= last]
+    if not gaps:
+        return
+    named = [
+        f"{(gap.start_ns - origin_ns) * 1e-9:.3f} s ({(gap.end_ns - gap.start_ns) * 1e-6:.3g} ms)"
+        for gap in gaps[:_NAMED_GAPS]
+    ]
+    more = f" and {len(gaps) - _NAMED_GAPS} more" if len(gaps) > _NAMED_GAPS else ""
+    notes.append(
+        f"{samples.topic} has {_counted(len(gaps), 'gap')}, {sum(gap.missing for gap in gaps)} samples lost: at "
+        f"{', '.join(named)}{more}; what is on both sides was used"
+    )
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _on_every_tick(
+    times: FloatArray, values: FloatArray, samples: HubSamples, rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the samples with a stamp for every tick between the first and the last, NaN where one was lost."""
+    seen = np.flatnonzero(np.isfinite(values))
+    if len(seen) < 2:
+        return times, values
+    times, values = times[seen[0] : seen[-1] + 1], values[seen[0] : seen[-1] + 1]
+    steps = np.diff(times)
+    period_s = samples.period_ns * rate * 1e-9 or float(np.median(steps))
+    widest = 1.5 if samples.period_ns else OWN_STAMPS_GAP
+    # How many are missing before every sample but the first.
+    missing = np.where(steps > widest * period_s, np.maximum(np.rint(steps / period_s), 2.0) - 1.0, 0.0)
+    places = np.arange(len(times)) + np.concatenate([[0], np.cumsum(missing.astype(np.intp))])
+    every = np.arange(places[-1] + 1)
+    filled = np.full(len(every), np.nan)
+    filled[places] = values
+    return np.interp(every, places, times), filled
+
+
+def _commanded_position(
+    commanded: HubSamples, hold: Hold, times: FloatArray, origin_ns: int, rate: float
+) -> FloatArray | None:
+    """Return the position that the commands make, up to a constant and a drift; NaN where they were lost.
+
+    The device integrates what it is given itself, so that commands say what the hub did while nobody heard of it,
+    but for the error of its servo.
+    """
+    quantities = ((commanded.positions, 0), (commanded.velocities, 1), (commanded.accelerations, 2))
+    for values, n_integrals in quantities:
+        if values is None or np.count_nonzero(np.isfinite(values)) < 2:
+            continue
+        part = slice(0, len(values))
+        at, every = _on_every_tick(_device_times(commanded, part, rate, origin_ns), values, commanded, rate)
+        lost = np.isnan(every)
+        signal = PiecewisePolynomial.from_samples(at, np.where(lost, 0.0, every), hold)
+        for _ in range(n_integrals):
+            signal = signal.antiderivative()
+        known = (times >= at[0]) & (times <= at[-1]) & (np.interp(times, at, lost.astype(np.float64)) == 0.0)
+        return np.where(known, signal(np.clip(times, at[0], at[-1])), np.nan)
+    return None
+
+
+def _filled_by_command(
+    alone: InputSignal, times: FloatArray, values: FloatArray, reference: FloatArray | None
+) -> InputSignal:
+    """Return the input with every gap filled from its own samples or from the commands, whichever is surer."""
+    if reference is None:
+        return alone
+    left = values - reference
+    filled, gaps = np.array(alone.values), []
+    for gap in alone.gaps:
+        first = int(np.searchsorted(times, gap.start_s, side="right"))
+        hole = slice(first, first + gap.missing)
+        if np.all(np.isfinite(left[[first - 1, first + gap.missing]])) and not np.any(
+            np.isnan(reference[hole])
+        ):
+            led = Bridge(times, left, first, gap.missing)
+            if led.gap.sigma < gap.sigma:
+                filled[hole], gap = led.values + reference[hole], led.gap
+        gaps.append(gap)
+    return replace(alone, values=filled, gaps=tuple(gaps))
 
 
 def _device_clock(samples: HubSamples, syncs: Sequence[Any], part: slice) -> tuple[float, Prior]:
@@ -224,7 +322,7 @@ def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int)
     stamps_ns = samples.stamps_ns[part]
     if samples.period_ns == 0:
         return np.asarray((stamps_ns - origin_ns) * 1e-9)
-    ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / samples.period_ns))])
+    ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / (samples.period_ns * rate)))])
     line = ticks * (samples.period_ns * rate)
     offset = float(np.mean((stamps_ns - origin_ns) - line))
     return np.asarray((line + offset) * 1e-9)
@@ -234,6 +332,16 @@ def _outputs(
     displacements: Displacements, origin_ns: int, rig: Rig, notes: list[str]
 ) -> tuple[OutputSignal, ...]:
     times: FloatArray = np.asarray((displacements.stamps_ns - origin_ns) * 1e-9, dtype=np.float64)
+    # With a rolling shutter every marker has stamps of its own: those of the first one count the frames.
+    is_frame = (
+        np.isfinite(displacements.positions[:, 0]) if rig.camera.readout else np.ones(len(times), dtype=bool)
+    )
+    lost, longest_s = _lost_frames(times[is_frame])
+    if lost:
+        notes.append(
+            f"beam/displacement lacks {lost} of {lost + np.count_nonzero(is_frame)} frames, at the longest "
+            f"{longest_s * 1e3:.3g} ms; all others were used at their own stamps"
+        )
     outputs = []
     for k, name in enumerate(displacements.names):
         values = displacements.positions[:, k]
@@ -247,6 +355,15 @@ def _outputs(
             notes.append(f"{name} was not seen in {missing} of {len(values)} frames")
         outputs.append(OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.camera.exposure))
     return tuple(outputs)
+
+
+def _lost_frames(times: FloatArray) -> tuple[int, float]:
+    """Return how many frames are missing between the first and the last, and the longest time without one [s]."""
+    steps = np.diff(times)
+    if len(steps) < 2:
+        return 0, 0.0
+    counts = np.rint(steps / np.median(steps))
+    return int(np.sum(np.maximum(counts - 1.0, 0.0))), float(np.max(steps))
 
 
 def _trimmed(record: TimeRecord, info: Mapping[str, Any]) -> TimeRecord:
@@ -311,7 +428,12 @@ def identify_bag(
         experiment.clock_rate,
         progress,
     )
-    result = run_estimator(estimator, experiment.record, settings)
+    try:
+        result = run_estimator(estimator, experiment.record, settings)
+    except IdentificationError as err:
+        if not experiment.notes:
+            raise
+        raise type(err)(f"{err}. Of the bag: {'; '.join(experiment.notes)}") from err
     content = describe(experiment, estimator, result)
     if unseen is not None:
         content["validation"] = _validate(unseen, result)
@@ -357,6 +479,7 @@ def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
         modes = model.modes() if hasattr(model, "modes") else ((), (), (), ())
         found.setdefault(tuple(modes[0]), (model, modes))
     rows = []
+    doubts = iter(result.doubts if isinstance(result, IdentificationResult) else ())
     hertz = 2.0 * math.pi
     for model, modes in found.values():
         for omega, zeta, omega_sd, zeta_sd in zip(*modes, strict=True):
@@ -371,6 +494,7 @@ def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
                 "theory_damping_ratio": float(zetas[nearest]),
                 "frequency_z": float((omega - omegas[nearest]) / omega_sd),
                 "damping_ratio_z": float((zeta - zetas[nearest]) / zeta_sd),
+                "doubt": next(doubts, ""),
             }
             rows.append(row if len(found) == 1 else {"output": model.output_name, **row})
     return rows
@@ -480,13 +604,19 @@ def format_table(content: Mapping[str, Any]) -> str:
         "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
     ]
     for k, mode in enumerate(content["modes"], start=1):
+        if mode.get("doubt"):
+            # Deviations of a mode that is not there mean nothing, however small they come out.
+            lines.append(
+                f"{mode.get('output', k):>4} {mode['frequency_hz']:>13.1f} not a mode: {mode['doubt']}"
+            )
+            continue
         f_sd, zeta_sd = mode["frequency_sd_hz"], 100 * mode["damping_ratio_sd"]
         decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if 0.0 < f_sd < math.inf else 6
         lines.append(
             f"{mode.get('output', k):>4} {mode['frequency_hz']:>13.{decimals}f} +- {_or_dash(f_sd, '<8.2g')} "
-            f"{mode['theory_frequency_hz']:>13.{decimals}f} {_or_dash(mode['frequency_z'], '>+6.1f')}      "
+            f"{mode['theory_frequency_hz']:>13.{decimals}f} {_deviations(mode['frequency_z'])}      "
             f"{100 * mode['damping_ratio']:>8.5f} +- {_or_dash(zeta_sd, '<8.2g')} "
-            f"{100 * mode['theory_damping_ratio']:>7.4f} {_or_dash(mode['damping_ratio_z'], '>+6.1f')}"
+            f"{100 * mode['theory_damping_ratio']:>7.4f} {_deviations(mode['damping_ratio_z'])}"
         )
     return "\n".join(lines)
 
@@ -495,6 +625,13 @@ def format_files(content: Mapping[str, Any]) -> str:
     """Say where report and model were written."""
     report = content.get("report", "none: it shows what the estimator modal finds")
     return f"report   {report}\nmodel    {content['model']}"
+
+
+def _deviations(z: float) -> str:
+    """Return a difference from theory in standard deviations; so many that only "other" is true are not counted."""
+    if abs(z) > _MOST_DEVIATIONS:
+        return f"{'>' if z > 0.0 else '<-'}{_MOST_DEVIATIONS}".rjust(6)
+    return _or_dash(z, ">+6.1f")
 
 
 def _or_dash(value: float, form: str) -> str:

@@ -34,7 +34,7 @@ def test_irregular_stamps_are_kept_as_they_are():
         (np.array([0.0, np.nan, 1.0]), np.zeros(3), "stamp 1"),
         (np.array([0.0, 1.0]), np.zeros(3), "one stamp for each value"),
         ((0.0, 0.0), np.zeros(3), "period > 0"),
-        ((0.0, 1.0), np.array([0.0, np.nan, 1.0]), "value 1 is nan"),
+        ((0.0, 1.0), np.array([0.0, 1.0, np.nan]), "known at both ends"),
         ((0.0, 1.0), np.array([0.0, np.inf, 1.0]), "value 1 is inf"),
         ((0.0, 1.0), np.zeros(1), "at least two"),
     ],

@@ -111,6 +111,54 @@ def test_the_hubs_device_clock_is_put_on_the_hosts_by_one_line(bag: Path) -> Non
     assert experiment.notes == ()
 
 
+def without(bag: Path, path: Path, lost: dict[str, set[int]]) -> Path:
+    """Copy a bag, but for some messages of some topics, by their numbers."""
+    seen: dict[str, int] = {}
+    with Bag(bag) as old, BagWriter(path) as new:
+        for message in old.raw_messages():
+            topic = message.topic.lstrip("/")
+            number = seen[topic] = seen.get(topic, -1) + 1
+            if number not in lost.get(topic, ()):
+                new.write(topic, message.receive_ns, message.data)
+    return path
+
+
+LOST_AT_RANDOM = {topic: set(range(7 + k, 390, 9)) for k, topic in enumerate(("hub/measured", "hub/applied"))}
+LOST_FRAMES = {"beam/displacement": set(range(5, 790, 7)) | set(range(400, 420))}
+
+
+@pytest.mark.parametrize(
+    ("lost", "told"),
+    [
+        ({"hub/measured": {200}, "hub/applied": {200}}, "1 gap, 20 samples lost: at 3."),
+        ({"hub/measured": set(range(150, 200))}, "1 gap, 1000 samples lost"),
+        (LOST_AT_RANDOM, "43 gaps"),
+        (LOST_FRAMES, "frames, at the longest"),
+    ],
+    ids=["one message of both kinds", "a second of telemetry", "every ninth message", "frames"],
+)
+def test_what_a_bag_lost_is_named_and_leaves_the_poles_where_they_are(
+    bag: Path, tmp_path: Path, lost: dict[str, set[int]], told: str
+) -> None:
+    whole = identify_bag(bag)
+    result = identify_bag(without(bag, tmp_path / "damaged", lost))
+    assert any(told in note for note in result["notes"])
+    assert len(result["modes"]) == len(whole["modes"])
+    for found, mode in zip(result["modes"], whole["modes"], strict=True):
+        for name in ("frequency", "damping_ratio"):
+            key, sd = (f"{name}_hz", f"{name}_sd_hz") if name == "frequency" else (name, f"{name}_sd")
+            assert abs(found[key] - mode[key]) < mode[sd]
+
+
+def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:
+    result = identify_bag(bag, n_modes=3)
+    (line,) = [line for line in format_table(result).splitlines() if "not a mode" in line]
+    assert "does not stand out" in line
+    assert "+-" not in line
+    ours = dict(result["modes"][0], frequency_z=3.1e6, doubt="")
+    assert ">999" in format_table({"modes": [ours]})
+
+
 def test_a_force_driven_hub_shows_the_free_hubs_poles(tmp_path: Path) -> None:
     rig = Rig.from_file().with_values({**SHORT, "hub.command_mode": "effort", "excitation.acceleration": 0.2})
     simulate(rig, tmp_path / "force")

@@ -1,0 +1,184 @@
+"""Where the modes begin anew in the middle of a record: after a gap of the input that nobody can bridge well enough.
+
+What the hub did in a gap ends as a state of every mode, and as a wrong constant where the input is integrated.  The
+free motion that begins where the input is known again stands for it, whatever it was: the record stays one record,
+on one clock, with one offset and one drift.  That costs parameters, so that it is done only where the bridge
+(``data.gaps``) is not good enough; everything between the first and the last sample of such a gap is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.gaps import InputGap
+from beam_ident.data.records import InputSignal
+from beam_ident.modal.structure import ModalStructure
+from beam_ident.numerics.free_motion import free_motions
+
+_POOR = 0.01  # of the input's size: a bridge so uncertain is looked at only when there is a model
+_SAME_LATENCY_S = 1e-4
+
+
+@dataclass(frozen=True)
+class Restarts:
+    """The gaps after which the modes of a fit begin anew.
+
+    Attributes
+    ----------
+    gaps : tuple of tuple of InputGap -- of every record
+    n_drifts : int -- constants of integration that a gap leaves unknown: position, and speed
+    latency : float -- of the outputs' stamps, by which samples inside a gap are found [s]
+    """
+
+    gaps: tuple[tuple[InputGap, ...], ...]
+    n_drifts: int
+    latency: float = 0.0
+
+    @staticmethod
+    def at_poor_bridges(drives: Sequence[InputSignal], structure: ModalStructure) -> Restarts:
+        """Return the gaps whose bridge is poor by the input alone: one that is integrated forgets nothing."""
+        n_drifts = _n_drifts(structure)
+        return Restarts(
+            tuple(
+                tuple(
+                    gap
+                    for gap in drive.gaps
+                    if n_drifts or not gap.sigma < _POOR * float(np.std(drive.values))
+                )
+                for drive in drives
+            ),
+            n_drifts,
+        )
+
+    def is_near(self, other: Restarts) -> bool:
+        """Whether another one has the same gaps, and a latency that finds the same samples inside them."""
+        return self.gaps == other.gaps and (
+            self.count == 0 or abs(self.latency - other.latency) < _SAME_LATENCY_S
+        )
+
+    @property
+    def count(self) -> int:
+        """How many there are, in all records."""
+        return sum(len(own) for own in self.gaps)
+
+
+@dataclass(frozen=True, eq=False)
+class RestartColumns:
+    """Columns of one restart at one grid of stamps.
+
+    Attributes
+    ----------
+    drifts : sequence of (value, by time) -- of the integrated input, each (n,)
+    free : tuple of ndarray -- free motions and their derivatives, each (n_modes, n)
+    """
+
+    drifts: Sequence[tuple[FloatArray, FloatArray]]
+    free: tuple[ComplexArray, ...]
+
+
+def _n_drifts(structure: ModalStructure) -> int:
+    return 2 - structure.differentiations if structure.has_direct else 0
+
+
+def restart_columns(
+    n_drifts: int,
+    poles: ComplexArray,
+    instants: FloatArray,
+    exposure_s: float,
+    gap: InputGap,
+    pole_slopes: tuple[ComplexArray, ...],
+) -> RestartColumns:
+    """Return what begins after a gap, zero before.
+
+    Parameters
+    ----------
+    n_drifts : int -- 0, 1 or 2: none, a constant, a constant and a ramp
+    poles : ndarray, shape (n_modes, 1) -- [rad/s]
+    instants : ndarray, shape (n,) -- when the samples were taken, on the input's clock [s]
+    exposure_s : float
+    gap : InputGap
+    pole_slopes : tuple of ndarray -- as of ``free_motions``
+    """
+    after = instants > gap.end_s
+    elapsed = np.where(after, instants - gap.end_s, 0.0)
+    one = after.astype(np.float64)
+    drifts = [(one, np.zeros_like(one)), (elapsed, one)][:n_drifts]
+    found = free_motions(poles, elapsed, exposure_s, pole_slopes)
+    return RestartColumns(drifts, tuple(np.where(after, column, 0.0) for column in found))
+
+
+def bridge_amplitudes(
+    gap: InputGap, structure: ModalStructure, omegas: FloatArray, zetas: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Return what errors of a bridge leave behind it.
+
+    Parameters
+    ----------
+    gap : InputGap -- with errors of its size
+    structure : ModalStructure
+    omegas, zetas : ndarray, shape (n_modes,) -- [rad/s], [-]
+
+    Returns
+    -------
+    modal : ndarray, shape (n_trials, n_modes)
+        The free motion of every mode is ``Im(modal exp(p (t - end)))`` for a residue of one.
+    drifts : ndarray, shape (n_trials, n_drifts) -- position, and speed, for a direct gain of one
+
+    Notes
+    -----
+    An error e(s) over the gap, which ends at b, leaves of (I.5)
+
+        Im( p^k / Im p  int e(s) exp(p (b - s)) ds  exp(p (t - b)) )
+    """
+    step = (gap.end_s - gap.start_s) / (gap.missing + 1)
+    left = gap.end_s - _places(gap)
+    poles = omegas * (-zetas + 1j * np.sqrt(1.0 - zetas**2))
+    motions = gap.errors @ np.exp(left[:, None] * poles) * step
+    modal = structure.sign * motions * poles**structure.differentiations / poles.imag
+    speed, slip = gap.errors.sum(axis=1) * step, gap.errors @ left * step
+    drifts = [np.empty((len(speed), 0)), speed[:, None], np.stack([slip, speed], axis=1)]
+    return modal, drifts[_n_drifts(structure)]
+
+
+def _places(gap: InputGap) -> FloatArray:
+    """Return the stamps of the missing samples [s]."""
+    return np.asarray(np.linspace(gap.start_s, gap.end_s, gap.missing + 2)[1:-1])
+
+
+def bridge_effects(
+    gap: InputGap,
+    structure: ModalStructure,
+    omegas: FloatArray,
+    zetas: FloatArray,
+    shared: FloatArray,
+    instants: FloatArray,
+) -> FloatArray:
+    """Return what errors of a bridge do to one output, shape (n_trials, n).
+
+    Parameters
+    ----------
+    gap, structure, omegas, zetas -- as of ``bridge_amplitudes``
+    shared : ndarray, shape (n_shared,) -- direct gain, residual term and residues of the output
+    instants : ndarray, shape (n,) -- when its samples were taken, on the input's clock [s]
+    """
+    modal, drifts = bridge_amplitudes(gap, structure, omegas, zetas)
+    after, inside = instants >= gap.end_s, (instants > gap.start_s) & (instants < gap.end_s)
+    elapsed = instants[after] - gap.end_s
+    effects = np.zeros((len(modal), len(instants)))
+    residues = shared[len(shared) - len(omegas) :]
+    for omega, zeta, amplitudes in zip(omegas, zetas, (modal * residues).T, strict=True):
+        pole = omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+        effects[:, after] += np.imag(amplitudes[:, None] * np.exp(pole * elapsed))
+    if structure.has_direct:
+        gain = float(shared[0])
+        direct = gap.errors if not drifts.shape[1] else np.repeat(drifts[:, :1], gap.missing, axis=1)
+        effects[:, inside] += gain * np.stack(
+            [np.interp(instants[inside], _places(gap), own) for own in direct]
+        )
+        for order, own in enumerate(drifts.T):
+            effects[:, after] += gain * own[:, None] * elapsed**order
+    return effects

@@ -1,0 +1,88 @@
+"""What is not known of an input in its gaps, and fits that begin anew after them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from beam_ident import EstimationError, InputSignal, ModalStructure, TimeRecord, identify
+from beam_ident.data.gaps import InputGap
+from beam_ident.modal.restarts import bridge_effects
+from tests.beam_ident.truth import OMEGAS, RESIDUES, ZETAS, beam_record
+
+
+@pytest.mark.parametrize(("kind", "differentiations"), [("velocity", 1), ("acceleration", 0), ("force", 0)])
+def test_errors_of_a_bridge_do_to_an_output_what_a_simulation_says(kind: str, differentiations: int) -> None:
+    start, end, missing = 1.0, 1.021, 20
+    step = (end - start) / (missing + 1)
+    errors = np.random.default_rng(0).standard_normal((3, missing))
+    gap = InputGap(start, end, missing, 1.0, errors)
+    instants = np.linspace(1.5, 3.0, 40)
+    shared = np.array([1.3, 0.0, 0.4])  # gain, residual term, residue
+    omega, zeta = 20.0, 0.05
+    found = bridge_effects(
+        gap,
+        ModalStructure(kind),
+        np.array([omega]),
+        np.array([zeta]),
+        shared,
+        instants,  # type: ignore[arg-type]
+    )
+    fine = np.arange(0.9, 3.0, 2e-4)
+    sign = 1.0 if kind == "force" else -1.0
+    for own, effect in zip(errors, found, strict=True):
+        # Held for a step around the place of every missing sample.
+        places = start + step * np.arange(1, missing + 1)
+        index = np.rint((fine - places[0]) / step).astype(int)
+        held = np.where((index >= 0) & (index < missing), own[np.clip(index, 0, missing - 1)], 0.0)
+        numerator = [0.4 * sign] + [0.0] * differentiations
+        _, modal, _ = lsim((numerator, [1.0, 2.0 * zeta * omega, omega**2]), held, fine)
+        _, rigid, _ = lsim(([1.3], [1.0] + [0.0] * (2 - differentiations)), held, fine)
+        expected = np.interp(instants, fine, modal + rigid)
+        # The sum over samples stands for the integral: exact to the square of omega times the step, 4e-4.
+        np.testing.assert_allclose(effect, expected, atol=0.02 * np.max(np.abs(expected)))
+
+
+def damaged(record: TimeRecord, holes: tuple[tuple[float, float], ...]) -> TimeRecord:
+    """Return a record whose input was not heard of for a while."""
+    drive = record.inputs[0]
+    values = np.array(drive.values)
+    for first, last in holes:
+        values[(drive.times_s > first) & (drive.times_s < last)] = np.nan
+    return dataclasses.replace(record, inputs=(dataclasses.replace(drive, values=values),))
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
+def test_gaps_of_any_length_leave_the_poles_where_they_are(quantity: str) -> None:
+    structure = "base_motion" if quantity == "position" else quantity
+    record = beam_record(3, quantity=quantity)
+    whole = identify(record, structure, n_modes=3)  # type: ignore[arg-type]
+    holes = ((2.0, 2.022), (4.0, 4.5), (6.1, 6.13))
+    found = identify(damaged(record, holes), structure, n_modes=3)  # type: ignore[arg-type]
+    assert found.converged
+    (said,) = [warning for warning in found.warnings if "gaps" in warning]
+    assert "3 gaps (2.000-2.022 s" in said
+    assert "begins anew" in said
+    for name, truth in (("natural_frequencies", OMEGAS), ("damping_ratios", ZETAS)):
+        sd = {"natural_frequencies": "natural_frequency_sd", "damping_ratios": "damping_ratio_sd"}[name]
+        z = (getattr(found.model, name) - truth) / getattr(found.model, sd)
+        assert np.max(np.abs(z)) < 4.0
+        # What is lost is what the second half tells of the phase since the first: no factor of more than a few.
+        assert np.max(getattr(found.model, sd) / getattr(whole.model, sd)) < 4.0
+    assert np.max(np.abs(found.model.residues - RESIDUES) / found.model.residue_sd) < 4.5
+
+
+def test_a_fit_that_fails_names_the_gaps() -> None:
+    times = 1e-3 * np.arange(4000)
+    rng = np.random.default_rng(0)
+    values = 1e-3 * np.sin(30.0 * times)
+    values[1000:1020] = np.nan
+    record = beam_record(1)
+    stamps = 0.01 * np.arange(1, 390)
+    output = dataclasses.replace(record.outputs[0], times_s=stamps, values=rng.standard_normal(389))
+    drive = InputSignal("hub", "m", times, values, "cubic")
+    with pytest.raises(EstimationError, match=r"Input hub has 1 gap \(0\.999-1\.020 s\)"):
+        identify(TimeRecord((drive,), (output,)))
