@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.gaps import POOR_BRIDGE, InputGap, describe_gaps
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 
@@ -73,6 +75,66 @@ def _require_like(
                     f"{kind} {name!r} is in {known!r} in record {where!r} and in {unit!r} in record {number} "
                     f"({record!r}); expected one unit in all records of one fit. Convert one of them"
                 )
+
+
+def split_at_gaps(records: Sequence[TimeRecord], least: int) -> tuple[list[TimeRecord], tuple[str, ...]]:
+    """Return the pieces of records between gaps of their inputs that are not bridged well, and what is to be said.
+
+    For estimators that take several records, each with a beginning of its own.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+    least : int -- samples that every output of a piece must have; pieces with fewer are left out
+
+    Raises
+    ------
+    EstimationError
+        No piece has so many.
+    """
+    pieces: list[TimeRecord] = []
+    said: list[str] = []
+    for record in records:
+        poor = [gap for drive in record.inputs for gap in _poor_gaps(drive)]
+        for drive in record.inputs:
+            anew = [gap for gap in drive.gaps if gap in poor]
+            said += [describe_gaps(drive.name, drive.gaps, drive.unit, anew)] if drive.gaps else []
+        if not poor:
+            pieces.append(record)
+            continue
+        starts = [-math.inf, *sorted(gap.end_s for gap in poor)]
+        ends = [*sorted(gap.start_s for gap in poor), math.inf]
+        for number, (start, end) in enumerate(zip(starts, ends, strict=True), 1):
+            piece = _piece(record, start, end, least, f"{record.name}, piece {number}")
+            pieces += [] if piece is None else [piece]
+    if not pieces:
+        raise EstimationError(
+            f"no piece between two gaps has {least} samples of every output; expected longer pieces. {' '.join(said)}"
+        )
+    return pieces, tuple(said)
+
+
+def _poor_gaps(drive: InputSignal) -> list[InputGap]:
+    """Return the gaps of an input that are not bridged well."""
+    return [gap for gap in drive.gaps if not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))]
+
+
+def _piece(record: TimeRecord, start_s: float, end_s: float, least: int, name: str) -> TimeRecord | None:
+    """Return a record between two instants where its inputs are known, None where too little is left."""
+    drives, outputs = [], []
+    for drive in record.inputs:
+        keep = (drive.times_s >= start_s) & (drive.times_s <= end_s)
+        if np.count_nonzero(keep) < 2:
+            return None
+        gaps = tuple(gap for gap in drive.gaps if gap.start_s >= start_s and gap.end_s <= end_s)
+        drives.append(replace(drive, times_s=drive.times_s[keep], values=drive.values[keep], gaps=gaps))
+    first, last = max(d.span_s[0] for d in drives), min(d.span_s[1] for d in drives)
+    for output in record.outputs:
+        keep = output.is_within(first, last)
+        if np.count_nonzero(keep & output.is_valid) < least:
+            return None
+        outputs.append(replace(output, times_s=output.times_s[keep], values=output.values[keep]))
+    return TimeRecord(tuple(drives), tuple(outputs), record.start_ns, name)
 
 
 def require_frequency_record(record: object) -> None:
@@ -200,8 +262,13 @@ def require_excitation(records: Sequence[TimeRecord], name: str) -> None:
 
 
 def require_moving_input(drive: InputSignal) -> None:
-    """Raise EstimationError for an input whose constant value holds no frequency, or of an absurd size."""
+    """Raise EstimationError for an input that is constant, of an absurd size, or not known for a while."""
     require_size(f"input {drive.name!r}", drive.values)
+    if poor := _poor_gaps(drive):
+        raise EstimationError(
+            f"a frequency response needs an input without gaps. {describe_gaps(drive.name, poor, drive.unit)} That is "
+            "not sure enough: take a stretch between them (record.between), or identify(), which takes all of them"
+        )
     if np.ptp(drive.values) == 0.0:
         raise EstimationError(
             f"input {drive.name!r} is constant ({drive.values[0] + 0.0:g}); it excites no frequency"

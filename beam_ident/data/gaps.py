@@ -20,6 +20,9 @@ from scipy.linalg import lstsq, pinvh
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.errors import RecordError
 
+POOR_BRIDGE = 0.01
+"""Of an input's size: a bridge so uncertain is believed by nobody but a model that says what it does."""
+
 _ORDERS = (12, 48)  # of the autoregression
 _SAMPLES_PER_HOLE = 16  # at the stride of a long hole
 _NEIGHBOURHOOD = 6  # holes' lengths to either side from which the autoregression comes

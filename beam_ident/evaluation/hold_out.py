@@ -2,7 +2,8 @@
 
 Poles, residues, gains and clock stay as they are.  What belongs to the record and
 not to the model (offset, ramp, the motion that was already there at its beginning)
-is fitted to it, because it would otherwise be charged to the model.
+is fitted to it, because it would otherwise be charged to the model.  How the model
+does from rest, without a fitted motion, is said beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import require_output, require_records
+from beam_ident.data.argument_checks import require_output, require_records, split_at_gaps
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
@@ -45,6 +46,8 @@ class OutputValidation:
     deflection_scores : Scores
         On the output less its direct part, offset and ramp: the sterner test where an
         output is mostly its input.
+    simulation_scores : Scores
+        On the output, of the plain simulation: from rest, with no motion fitted to the record.
     noise_ratio : float
         Residual standard deviation over that of the estimation: near 1 for a good model; NaN where the
         model states no noise.
@@ -61,6 +64,7 @@ class OutputValidation:
     residuals: FloatArray
     scores: Scores
     deflection_scores: Scores
+    simulation_scores: Scores
     noise_ratio: float
     whiteness: Whiteness
     input_correlation: InputCorrelation
@@ -114,6 +118,8 @@ def validate(
             f"model is a {type(model).__name__}; expected a ModalModel, a TransferFunctionModel or a MultiInputModel "
             "(.model of a result)"
         )
+    if not isinstance(model, ModalModel):  # whose prediction steps over gaps by itself
+        records, _ = split_at_gaps(records, _MIN_SAMPLES)
     predicted = [_predict(model, one) for one in records]
     each = tuple(ValidationResult(tuple(_judged([part]) for part in parts)) for parts in predicted)
     if len(each) == 1:
@@ -132,6 +138,7 @@ class _Prediction:
     times_s: FloatArray
     measured: FloatArray
     residuals: FloatArray
+    plain_residuals: FloatArray
     deflection: FloatArray
     noise_sd: float
     drive: FloatArray
@@ -175,7 +182,9 @@ def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
         own = matrix[:, n_shared:]
         found = LinearSolution.of(own).coefficients(remainder)
         residuals = remainder - own @ found
-        rigid = own[:, :2] @ found[:2]
+        drifts = own[:, :2]
+        plain_residuals = remainder - drifts @ LinearSolution.of(drifts).coefficients(remainder)
+        rigid = drifts @ found[:2]
         if structure.has_direct:
             rigid = rigid + model.gains[row] * matrix[:, 0]
         output = record.output(name)
@@ -186,6 +195,7 @@ def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
                 regression.times[j],
                 values,
                 residuals,
+                plain_residuals,
                 values - rigid,
                 float(model.noise_sd[row]),
                 signal(regression.times[j]),
@@ -206,6 +216,7 @@ def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: Ti
         times,
         values,
         values - prediction.predicted[seen],
+        values - prediction.simulated[seen],
         values - prediction.offset,
         model.noise_sd,
         record.input(first).signal()(times),
@@ -224,6 +235,7 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
             )
     scores = pooled_scores([(part.measured, part.residuals) for part in parts])
     of_deflection = pooled_scores([(part.deflection, part.residuals) for part in parts])
+    simulation = pooled_scores([(part.measured, part.plain_residuals) for part in parts])
     noise = in_units_of_level([part.residuals for part in parts])
     drives = [part.drive for part in parts]
     if len(parts) > 1:
@@ -243,7 +255,8 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
     else:
         word = "fair" if fit >= _FAIR_FIT else "poor"
     verdict = (
-        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection){against}; "
+        f"{word} prediction: FIT {scores.fit_percent:.2f} % ({fit:.2f} % of the deflection; "
+        f"{simulation.fit_percent:.2f} % simulated from rest){against}; "
         f"{correlation.verdict}"
     )
     return OutputValidation(
@@ -255,6 +268,7 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
         residuals,
         scores,
         of_deflection,
+        simulation,
         ratio,
         Whiteness.of(noise),
         correlation,

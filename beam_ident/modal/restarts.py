@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.gaps import InputGap
+from beam_ident.data.gaps import POOR_BRIDGE, InputGap
 from beam_ident.data.records import InputSignal
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.numerics.free_motion import free_motions
 
-_POOR = 0.01  # of the input's size: a bridge so uncertain is looked at only when there is a model
 _SAME_LATENCY_S = 1e-4
 
 
@@ -47,7 +46,7 @@ class Restarts:
                 tuple(
                     gap
                     for gap in drive.gaps
-                    if n_drifts or not gap.sigma < _POOR * float(np.std(drive.values))
+                    if n_drifts or not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
                 )
                 for drive in drives
             ),

@@ -5,9 +5,9 @@ The search (``mode_search``) works with equal weights; the last fit weighs every
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtri as chi_squared_isf
@@ -45,12 +45,13 @@ from beam_ident.modal_estimation.record_levels import (
     unweighed,
     weigh_records,
 )
-from beam_ident.modal_estimation.variable_projection import fit_modes
+from beam_ident.modal_estimation.variable_projection import designs, fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, without_drift
+from beam_ident.noise.score_test import ScoreTest
 from beam_ident.noise.scores import Scores, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
@@ -64,6 +65,7 @@ _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is repor
 _CLOCK_STARTS = 3
 _CLOCK_ROUNDS = 3
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
+_LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 
@@ -122,7 +124,7 @@ def identify(
                 f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
             )
     if terms.is_test and any(_jumps_into(terms, own, input_name) for own in records):
-        terms = dataclasses.replace(terms, has_residual=False)
+        terms = replace(terms, has_residual=False)
     records, found = with_found_noise(records, input_name)
     shares_clock = terms.is_test
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
@@ -139,7 +141,7 @@ def identify(
         if is_left_to_us and not terms.is_motion and search.band.is_excited and search.scan.is_tangled:
             # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
             highest_hz = 0.5 * regression.rate_hz
-            still = ModalRegression(seen, dataclasses.replace(terms, has_free_response=False), input_name)
+            still = ModalRegression(seen, replace(terms, has_free_response=False), input_name)
             from_rest = _TimeSearch(seen, still, *clocks, input_name, said, highest_hz)
             from_rest.found_noise = found
             try:
@@ -161,7 +163,7 @@ def identify(
 
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
     result, said = without_clipped(records, names, fit, predict)
-    return dataclasses.replace(result, warnings=(*result.warnings, said)) if said else result
+    return replace(result, warnings=(*result.warnings, said)) if said else result
 
 
 def _prediction(model: ModalModel, record: TimeRecord, name: str) -> FloatArray:
@@ -281,7 +283,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing, priors)
         found = unweighed(by_record, weighted.result())
         if self.bridges is not None:
-            found = dataclasses.replace(found, covariance=found.covariance + self.bridges.covariance)
+            found = replace(found, covariance=found.covariance + self.bridges.covariance)
         return Weighed(found, regression, by_record)
 
     def _restarted(self, fit: ModalFit) -> ModalFit:
@@ -428,11 +430,36 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             records=records,
         )
 
+    def _left_out_motion(self, fit: ModalFit, regression: ModalRegression) -> list[str]:
+        """Return what is to be said where motion at the beginning was left out by request, and is there."""
+        moving = replace(regression.structure, has_free_response=True)
+        whole = ModalRegression(self.records, moving, self.input_name, restarts=regression.restarts)
+        blocks = whole.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+        present = designs(regression, fit, self.latency, self.clock_rate)
+        tested = []
+        for j, (design, left) in enumerate(zip(present, fit.residuals, strict=True)):
+            matrix, n_modes = blocks[whole.block_of[j]].matrix, 2 * len(fit.omegas)
+            ends = [
+                whole.n_shared_fixed + len(fit.omegas) + whole.n_nuisance(len(fit.omegas)) * (k + 1)
+                for k in range(len(whole.segments[j]))
+            ]
+            columns = np.concatenate([matrix[:, end - n_modes : end] for end in ends], axis=1)
+            tested.append((columns, design, left, regression.values[j]))
+        p_value = ScoreTest.of(tested).p_value
+        if p_value > _LEFT_OUT_LEVEL:
+            return []
+        return [
+            f"The record began in motion (p = {p_value:.1g}), and the structure leaves that out: poles and damping "
+            "ratios are biased. Leave has_free_response as it is by default."
+        ]
+
     def _warnings(
         self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
     ) -> list[str]:
         warnings = mode_warnings(fit, regression, self.band)
         warnings += gap_sentences(regression)
+        if not regression.structure.has_free_response:
+            warnings += self._left_out_motion(fit, regression)
         if regression.structure.kind == "force" and self.band.is_excited:
             friction = FrictionEstimate.of(fit, regression)
             if friction.is_visible:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc as f_sf
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import (
@@ -18,6 +20,7 @@ from beam_ident.data.argument_checks import (
     require_output,
     require_records,
     require_whole_number,
+    split_at_gaps,
 )
 from beam_ident.data.records import TimeRecord
 from beam_ident.data.stored_form import read, require_shapes, written
@@ -34,6 +37,7 @@ from beam_ident.transfer_function.structure_gates import UNRELATED
 
 SCHEMA = 1
 _MAX_ORDER = 40
+_INITIAL_MOTION_LEVEL = 0.01  # how often free motion is estimated along where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,30 +165,32 @@ def subspace_model(
     if window_s is not None and not (math.isfinite(window_s) and window_s > 0.0):
         raise EstimationError(f"window_s is {window_s}; expected a time > 0, or None for a choice")
     require_whole_number("n_block_rows", n_block_rows, 2)
+    records, gaps = split_at_gaps(records, 4 * order)
     stretches = [_stretch(one, records[0]) for one in records]
     # Poles first, one set for every window; then each set is judged by what it leaves of the outputs.
     windows = subspace_windows(stretches, order, window_s, n_block_rows)
     measured = [
         np.concatenate([own.signals[j][1] for own in stretches]) for j in range(len(records[0].outputs))
     ]
-    best: tuple[Window, FloatArray, list[FloatArray]] | None = None
+    best: tuple[Window, FloatArray, list[FloatArray], bool] | None = None
     best_misfit = math.inf
     for found in windows:
-        numerators, residuals = _numerators(records, found.poles)
+        numerators, residuals, began = _numerators(records, found.poles)
         # The likelihood with a level of its own for every output.
         misfit = sum(
             len(e) * math.log(max(float(e @ e), 1e-300) / float(np.sum((y - y.mean()) ** 2) or 1.0))
             for e, y in zip(residuals, measured, strict=True)
         )
         if best is None or misfit < best_misfit:
-            best, best_misfit = (found, numerators, residuals), misfit
+            best, best_misfit = (found, numerators, residuals, began), misfit
     if best is None:
         raise EstimationError(
             f"record {records[0].name!r} has {len(stretches[0].signals[0][0])} samples, too few for a subspace of "
             f"order {order} with {len(stretches[0].drives)} inputs and {len(measured)} outputs. Record longer, or "
             "lower the order"
         )
-    return _model(records, stretches, *best)
+    model = _model(records, stretches, *best)
+    return replace(model, warnings=(*gaps, *model.warnings))
 
 
 def _model(
@@ -193,11 +199,13 @@ def _model(
     found: Window,
     numerators: FloatArray,
     residuals: list[FloatArray],
+    began: bool,
 ) -> SubspaceModel:
     """Collect what a window says, beside what it leaves of every output."""
     first = records[0]
     n_parameters = len(found.poles) + len(first.inputs) * (len(found.poles) + 1) + 2 * len(records)
-    times, measured, scores, whiteness, warnings = [], [], [], [], []
+    times, measured, scores, whiteness = [], [], [], []
+    warnings = ["The record began in motion: its free motion was estimated along."] if began else []
     for j, output in enumerate(first.outputs):
         signals = [own.signals[j] for own in stretches]
         times.append(np.concatenate([t for t, _ in signals]))
@@ -248,8 +256,13 @@ def _stretch(record: TimeRecord, like: TimeRecord) -> Stretch:
     return Stretch([source.signal(margin_s=0.0) for source in sources], signals)
 
 
-def _numerators(records: Sequence[TimeRecord], poles: ComplexArray) -> tuple[FloatArray, list[FloatArray]]:
-    """Return the numerators that fit best under given poles, and the residuals of every output."""
+def _numerators(
+    records: Sequence[TimeRecord], poles: ComplexArray
+) -> tuple[FloatArray, list[FloatArray], bool]:
+    """Return the numerators that fit best under given poles, what every output leaves, and whether there was motion.
+
+    Motion that was there at the beginning is estimated where an F test finds some.
+    """
     order = len(poles)
     scale = float(np.exp(np.mean(np.log(np.abs(poles)))))
     upper = upper_roots(np.real(np.poly(poles / scale)))
@@ -257,8 +270,9 @@ def _numerators(records: Sequence[TimeRecord], poles: ComplexArray) -> tuple[Flo
     output_names = records[0].output_names
     numerators = np.zeros((len(output_names), len(input_names), order + 1))
     residuals = []
+    began = False
     for j, name in enumerate(output_names):
-        rows, values = [], []
+        rows, values, motions = [], [], []
         for number, record in enumerate(records):
             output, drives = record.output(name), [record.input(own) for own in input_names]
             first = max(drive.span_s[0] for drive in drives)
@@ -280,9 +294,22 @@ def _numerators(records: Sequence[TimeRecord], poles: ComplexArray) -> tuple[Flo
             drifts[2 * number], drifts[2 * number + 1] = np.ones_like(times), times - times.mean()
             rows.append(np.stack(columns + drifts, axis=1))
             values.append(output.values[keep])
+            elapsed = times - times[0] + 0.5 * output.exposure_s
+            free = RationalResponse.to_impulse(upper, scale, elapsed, output.exposure_s, False)
+            motions.append(free.combined(np.eye(order)))
         matrix, measured = np.concatenate(rows), np.concatenate(values)
         found = LinearSolution.of(matrix).coefficients(measured)
-        residuals.append(measured - matrix @ found)
+        left = measured - matrix @ found
+        whole = np.concatenate([matrix, block_diag(*motions)], axis=1)
+        moving = LinearSolution.of(whole).coefficients(measured)
+        n_free = len(measured) - whole.shape[1]
+        with_motion = measured - whole @ moving
+        rest = float(with_motion @ with_motion)
+        if n_free > 0 and rest > 0.0:
+            ratio = (float(left @ left) - rest) / (whole.shape[1] - matrix.shape[1]) / (rest / n_free)
+            if f_sf(whole.shape[1] - matrix.shape[1], n_free, max(ratio, 0.0)) < _INITIAL_MOTION_LEVEL:
+                found, left, began = moving[: matrix.shape[1]], with_motion, True
+        residuals.append(left)
         units = scale ** np.arange(order + 1)  # in units of the scale, s^p / A carries scale^(n - p)
         numerators[j] = found[: -2 * len(records)].reshape(len(input_names), order + 1) * units
-    return numerators, residuals
+    return numerators, residuals, began

@@ -28,6 +28,7 @@ class OutputPrediction:
     inside : ndarray of bool, shape (n_samples,) -- which of the output's samples these are
     times_s, measured, predicted : ndarray, shape (n_inside,) -- measured is NaN where nothing was seen
     offset : float -- the constant in the prediction
+    simulated : ndarray, shape (n_inside,) -- from rest, with no more than a constant of the record's own
     """
 
     inside: BoolArray
@@ -35,6 +36,7 @@ class OutputPrediction:
     measured: FloatArray
     predicted: FloatArray
     offset: float
+    simulated: FloatArray
 
     @staticmethod
     def of(
@@ -56,12 +58,14 @@ class OutputPrediction:
         inside = output.is_within(first, last)
         times, measured = np.asarray(output.times_s[inside]), np.asarray(output.values[inside])
         if not len(times):
-            return OutputPrediction(inside, times, measured, np.empty(0), 0.0)
+            return OutputPrediction(inside, times, measured, np.empty(0), 0.0, np.empty(0))
         simulated = simulate(times, output.exposure_s)
         own = free_motions(times - times[0] + 0.5 * output.exposure_s, output.exposure_s)
         seen = np.isfinite(measured)
-        found = LinearSolution.of(own[seen]).coefficients((measured - simulated)[seen])
-        return OutputPrediction(inside, times, measured, simulated + own @ found, float(found[0]))
+        left = (measured - simulated)[seen]
+        found = LinearSolution.of(own[seen]).coefficients(left)
+        plain = simulated + (float(np.mean(left)) if np.any(seen) else 0.0)
+        return OutputPrediction(inside, times, measured, simulated + own @ found, float(found[0]), plain)
 
     def everywhere(self) -> FloatArray:
         """Return the prediction at every sample, NaN where an input is not known."""

@@ -22,6 +22,7 @@ from beam_ident.data.argument_checks import (
     require_records,
     require_time,
     require_whole_number,
+    split_at_gaps,
 )
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
@@ -36,7 +37,13 @@ from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,
 )
-from beam_ident.transfer_function_estimation.estimation import physical_model, pooled_level, record_fits
+from beam_ident.transfer_function_estimation.estimation import (
+    Tested,
+    physical_model,
+    pooled_level,
+    record_fits,
+    with_initial_motion,
+)
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import LOOKS, MAX_TRAVEL
@@ -148,7 +155,7 @@ def estimate_common_poles(
     n_zeros: int | Sequence[int],
     has_offset: bool = False,
     has_ramp: bool = False,
-    has_free_response: bool = False,
+    has_free_response: bool | None = None,
     delay: float = 0.0,
     input_name: str | None = None,
     n_integrators: int = 0,
@@ -162,7 +169,9 @@ def estimate_common_poles(
         ramps and initial states, and every output weighs in each by its noise there.
     n_poles : int -- degree of the common denominator
     n_zeros : int or sequence of int -- degree of the numerators, or of each
-    has_offset, has_ramp, has_free_response : bool -- estimated for every output
+    has_offset, has_ramp : bool -- estimated for every output
+    has_free_response : bool or None
+        Whether records may begin in motion; None decides from the data, as ``estimate_transfer_function`` does.
     delay : float -- known pure delay of all outputs [s]
     input_name : str or None -- which input, where there are several
     n_integrators : {0, 1, 2} -- known poles at zero
@@ -206,39 +215,49 @@ def estimate_common_poles(
             require_arrival(one.input(drive.name), delay, output)
     if not has_free_response:
         require_excitation(records, drive.name)
-    nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
+    records, gaps = split_at_gaps(records, 3 * (n_poles + 2))
+
+    def fit(seen: list[TimeRecord]) -> CommonPoleResult:
+        def attempt(is_moving: bool) -> tuple[_JointProblem, Minimum[_JointState], int]:
+            nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
+            problems, starts = [], []
+            for name, m in zip(first.output_names, zeros, strict=True):
+                experiments = [
+                    RecordShare.of(
+                        one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, is_moving
+                    )
+                    for one in seen
+                ]
+                problem, optimum = estimate_denominator(
+                    OutputErrorProblem(experiments, (n_poles,), nuisances), "auto"
+                )
+                problems.append(problem)
+                starts.append(optimum.state)
+            return _joint_minimum(problems, starts)
+
+        (joint, minimum, iterations), motion = with_initial_motion(attempt, _tested, has_free_response)
+        joint, minimum, more = _under_noise_as_it_is(joint, minimum)
+        result = _result(seen, joint, minimum, n_integrators, iterations + more)
+        return replace(result, warnings=(*motion.warnings, *result.warnings))
+
     result, said = without_clipped(
-        records,
-        first.output_names,
-        lambda seen: _estimated(seen, drive.name, n_poles, zeros, nuisances, delay, n_integrators),
-        lambda found, one, name: found.model(name).predict(one),
+        records, first.output_names, fit, lambda found, one, name: found.model(name).predict(one)
     )
-    return replace(result, warnings=(*result.warnings, said)) if said else result
+    told = (*gaps, *result.warnings, *((said,) if said else ()))
+    return replace(result, warnings=told)
 
 
-def _estimated(
-    records: Sequence[TimeRecord],
-    drive_name: str,
-    n_poles: int,
-    zeros: Sequence[int],
-    nuisances: Nuisances,
-    delay: float,
-    n_integrators: int,
-) -> CommonPoleResult:
-    """Estimate from records whose arguments are checked."""
-    problems, starts = [], []
-    for name, m in zip(records[0].output_names, zeros, strict=True):
-        experiments = [
-            RecordShare.of(
-                one, name, [drive_name], [m], [0], [Prior(delay)], n_integrators, nuisances.has_free_response
-            )
-            for one in records
-        ]
-        problem, optimum = estimate_denominator(
-            OutputErrorProblem(experiments, (n_poles,), nuisances), "auto"
-        )
-        problems.append(problem)
-        starts.append(optimum.state)
+def _tested(found: tuple[_JointProblem, Minimum[_JointState], int]) -> list[Tested]:
+    """Return what every output gives to the test for initial motion."""
+    joint, minimum, _ = found
+    pairs = zip(joint.problems, minimum.state.states, strict=True)
+    return [problem.initial_motion(own) for problem, own in pairs]
+
+
+def _joint_minimum(
+    problems: list[OutputErrorProblem], starts: list[OutputErrorState]
+) -> tuple[_JointProblem, Minimum[_JointState], int]:
+    """Return problem, optimum and iterations of one denominator, from the best of what the outputs give alone."""
     joints = [_JointProblem(problems, own.scale).state(own.theta) for own in starts]
     chosen = int(np.argmin([joint.cost for joint in joints]))
     if not math.isfinite(joints[chosen].cost):
@@ -246,17 +265,25 @@ def _estimated(
     joint = _JointProblem(problems, starts[chosen].scale)
     minimum = minimise(joint, joints[chosen], _ITERATIONS)
     iterations = minimum.iterations
-    if len(records) > 1:
+    if len(problems[0].experiments) > 1:
         joint, minimum = _in_turns(joint, minimum, as_it_is=False)
-    if not joint.reweighed(minimum.state, as_it_is=True).is_plain:
-        reach, equal = joint.reach(minimum.state), minimum
-        weighed, found = _in_turns(joint, minimum, as_it_is=True)
-        moved = np.abs(found.state.theta - equal.state.theta)
-        # As for one output (``rivc``): what moves further than noise can is no noise, and the weights stay equal.
-        if found.converged and np.max(moved / reach) < MAX_TRAVEL:
-            joint, minimum = weighed, found
-    iterations += minimum.iterations
-    return _result(records, joint, minimum, n_integrators, iterations)
+        iterations += minimum.iterations
+    return joint, minimum, iterations
+
+
+def _under_noise_as_it_is(
+    joint: _JointProblem, minimum: Minimum[_JointState]
+) -> tuple[_JointProblem, Minimum[_JointState], int]:
+    """Return problem and optimum under the noise that the residuals show, and how many iterations that took."""
+    if joint.reweighed(minimum.state, as_it_is=True).is_plain:
+        return joint, minimum, 0
+    reach = joint.reach(minimum.state)
+    weighed, found = _in_turns(joint, minimum, as_it_is=True)
+    moved = np.abs(found.state.theta - minimum.state.theta)
+    # As for one output (``rivc``): what moves further than noise can is no noise, and the weights stay equal.
+    if found.converged and np.max(moved / reach) < MAX_TRAVEL:
+        return weighed, found, found.iterations
+    return joint, minimum, found.iterations
 
 
 def _in_turns(

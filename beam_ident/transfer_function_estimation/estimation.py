@@ -12,9 +12,9 @@ refined to the optimum stands in ``transfer_function_estimation.srivc``, how a d
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from beam_ident.data.argument_checks import (
     require_excitation,
     require_records,
     require_whole_number,
+    split_at_gaps,
 )
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
@@ -31,6 +32,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
+from beam_ident.noise.score_test import ScoreTest
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import without_clipped
@@ -62,6 +64,39 @@ _MAX_POLES = 20
 _MAX_INTEGRATORS = 2
 _VISIBLE_SHARE = 0.01  # of the output's noise variance: from here on noise on the input is reported
 
+_INITIAL_MOTION_LEVEL = 0.05  # false alarms: their price is low, and a motion that is missed is a bias
+_LEFT_OUT_LEVEL = 1e-3  # the same, where only a warning comes of it
+_BEGAN = "The record began in motion ({}): its initial state was estimated along."
+_LEFT_OUT = (
+    "The record began in motion (p = {:.1g}), and its initial state was not estimated: poles and damping ratios are "
+    "biased."
+)
+_REMEDY = "Leave has_free_response at None, which decides from the data, or set it to True."
+
+
+@dataclass(frozen=True)
+class InitialMotion:
+    """Whether records began in motion.
+
+    Attributes
+    ----------
+    p_value : float -- how often a record at rest looks as much like one in motion; NaN where it was not tested
+    is_estimated : bool -- whether the initial state was estimated along
+    warnings : tuple of str -- what is to be said of it
+    """
+
+    p_value: float = math.nan
+    is_estimated: bool = False
+    warnings: tuple[str, ...] = ()
+
+    @staticmethod
+    def found(p_value: float) -> InitialMotion:
+        """Return what an estimate without initial motion says, where the data decide; 0 where there is none."""
+        if p_value > _INITIAL_MOTION_LEVEL:
+            return InitialMotion(p_value)
+        how = f"p = {p_value:.1g}" if p_value else "nothing fits without"
+        return InitialMotion(p_value, True, (_BEGAN.format(how),))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RationalFit(OverOneOutput):
@@ -75,6 +110,7 @@ class RationalFit(OverOneOutput):
         ``ln(var e / var y) + ln(mean(var a_i / a_i^2))``, which the literature tabulates.
     offset, ramp : float
         Of the first record: at its middle, and over its whole length.
+    initial_motion : InitialMotion -- whether the records began in motion
         Beside these, everything that ``OverOneOutput`` lists.
     """
 
@@ -83,6 +119,7 @@ class RationalFit(OverOneOutput):
     yic: float
     offset: float
     ramp: float
+    initial_motion: InitialMotion = InitialMotion()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -161,7 +198,7 @@ def estimate_transfer_function(
     method: Method = ...,
     has_offset: bool = ...,
     has_ramp: bool = ...,
-    has_free_response: bool = ...,
+    has_free_response: bool | None = ...,
     delay: DelayLike = ...,
     input_name: str | None = ...,
     output_name: str | None = ...,
@@ -179,7 +216,7 @@ def estimate_transfer_function(
     method: Method = ...,
     has_offset: bool = ...,
     has_ramp: bool = ...,
-    has_free_response: bool = ...,
+    has_free_response: bool | None = ...,
     delay: DelayLike | Sequence[DelayLike] = ...,
     input_name: None = ...,
     output_name: str | None = ...,
@@ -197,7 +234,7 @@ def estimate_transfer_function(
     method: Method = "auto",
     has_offset: bool = False,
     has_ramp: bool = False,
-    has_free_response: bool = False,
+    has_free_response: bool | None = None,
     delay: DelayLike | Sequence[DelayLike] = 0.0,
     input_name: str | None = None,
     output_name: str | None = None,
@@ -222,8 +259,12 @@ def estimate_transfer_function(
         finds a colour or outliers in the residuals, both go on to the optimum under that noise, unless it is too far
         away to be noise.  "rivc" goes there in any case, "white" never; the others stop at the estimator they
         name (LSSVF is biased under noise, IVSVF is not efficient).
-    has_offset, has_ramp, has_free_response : bool
-        Unknown constant, drift, and initial state, estimated along with the rest.
+    has_offset, has_ramp : bool
+        Unknown constant and drift, estimated along with the rest.
+    has_free_response : bool or None
+        Whether a record may begin in motion, so that its initial state is estimated as well. None decides
+        from the data, by a score test that finds motion where there is none in one record of twenty; a warning
+        says so where there is some, and where it was left out by request.
     delay : float, Prior, "estimate" or a sequence of these, one for each input
         Pure delay [s]: known, or estimated with what is known beforehand; "estimate" is
         ``Prior(0, inf)``, searched up to a quarter of the shortest record.
@@ -307,7 +348,6 @@ def estimate_transfer_function(
             "or 'rivc'"
         )
     blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
-    nuisances = Nuisances(has_offset, has_ramp, has_free_response).with_integrators(n_integrators)
     orders = tuple(poles) if own_poles else (poles[0],)
 
     def fit(seen: list[TimeRecord]) -> TransferFunctionResult | MultiInputResult:
@@ -317,24 +357,32 @@ def estimate_transfer_function(
         if not has_free_response:
             for name in drives:
                 require_excitation(seen, name)
-        experiments = [
-            RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, has_free_response)
-            for one in seen
-        ]
-        problem = OutputErrorProblem(experiments, orders, nuisances)
-        if len(orders) == 1:
-            problem, optimum = estimate_denominator(problem, method, cutoff, n_starts - 1)
-        else:
-            problem, optimum = estimate_additive(problem, method, cutoff)
+
+        def attempt(is_moving: bool) -> tuple[OutputErrorProblem, Optimum]:
+            experiments = [
+                RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, is_moving)
+                for one in seen
+            ]
+            nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
+            problem = OutputErrorProblem(experiments, orders, nuisances)
+            if len(orders) == 1:
+                return estimate_denominator(problem, method, cutoff, n_starts - 1)
+            return estimate_additive(problem, method, cutoff)
+
+        (problem, optimum), motion = with_initial_motion(
+            attempt, lambda found: [found[0].initial_motion(found[1].state)], has_free_response
+        )
         if method in ("auto", "output_error"):
             problem, optimum = under_noise_as_it_is(problem, optimum, method)
         elif method == "rivc" or (len(seen) > 1 and method in ("white", "srivc")):
             problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
-        return _result(problem, optimum, method, n_integrators, output_name, several)
+        result = _result(problem, optimum, method, n_integrators, output_name, several)
+        return replace(result, initial_motion=motion, warnings=(*motion.warnings, *result.warnings))
 
+    records, gaps = split_at_gaps(records, 3 * (sum(poles) + 2))
     result, clipped = without_clipped(records, [output_name], fit, _prediction)
     said = ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
-    return replace(result, warnings=result.warnings + said) if said else result
+    return replace(result, warnings=gaps + result.warnings + said) if gaps or said else result
 
 
 def _prediction(
@@ -371,6 +419,44 @@ def _input_noise_warnings(
                 else:
                     yield found_noise_warning(drive, found, what)
                 break
+
+
+Fit = TypeVar("Fit")
+Tested = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # as of ``ScoreTest.of``
+
+
+def with_initial_motion(
+    attempt: Callable[[bool], Fit], tested: Callable[[Fit], list[Tested]], has_free_response: bool | None
+) -> tuple[Fit, InitialMotion]:
+    """Return an estimate with or without initial motion, as the data or a request will have it.
+
+    Parameters
+    ----------
+    attempt : callable -- estimates with initial motion, or without
+    tested : callable -- of an estimate without, what every output gives to a score test
+    has_free_response : bool or None -- a request; None lets the data decide
+    """
+    if has_free_response:
+        return attempt(True), InitialMotion(math.nan, True)
+    try:
+        still = attempt(False)
+    except EstimationError:
+        if has_free_response is not None:
+            raise
+        # Motion that is larger than what the input makes may leave nothing to begin with.
+        return attempt(True), InitialMotion.found(0.0)
+    p_value = ScoreTest.of(tested(still)).p_value
+    left_out = _LEFT_OUT.format(p_value)
+    if has_free_response is not None:
+        said = (f"{left_out} {_REMEDY}",) if p_value < _LEFT_OUT_LEVEL else ()
+        return still, InitialMotion(p_value, warnings=said)
+    motion = InitialMotion.found(max(p_value, 1e-300))
+    if not motion.is_estimated:
+        return still, motion
+    try:
+        return attempt(True), motion
+    except EstimationError as err:
+        return still, InitialMotion(p_value, warnings=(f"{left_out} With it: {err}.",))
 
 
 def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:

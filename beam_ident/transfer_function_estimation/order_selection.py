@@ -24,6 +24,7 @@ from beam_ident.noise.noise_model import RecordNoise
 from beam_ident.noise.scores import are_rounding
 from beam_ident.transfer_function.structure_gates import UNRELATED, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import (
+    InitialMotion,
     TransferFunctionResult,
     estimate_transfer_function,
 )
@@ -117,7 +118,8 @@ def select_transfer_function(
     progress : callable or None -- called with a phrase and the share done
     scheduler : str or None -- address of a Dask cluster that does the work instead; see ``map_records``
     **options
-        Handed to ``estimate_transfer_function``, such as ``has_offset``.
+        Handed to ``estimate_transfer_function``, such as ``has_offset``.  Where ``has_free_response`` is left
+        out, the best structure without initial motion tells whether all are estimated with it.
 
     Raises
     ------
@@ -141,14 +143,14 @@ def select_transfer_function(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
     is_automatic = options.get("method", "auto") == "auto"
-    results = _all(
-        records,
-        structures,
-        options | ({"method": "white"} if is_automatic else {}),
-        n_workers,
-        scheduler,
-        progress,
-    )
+    asks = options.get("has_free_response") is None
+    options |= {"has_free_response": False} if asks else {}
+    plain = {"method": "white"} if is_automatic else {}
+    results = _all(records, structures, options | plain, n_workers, scheduler, progress)
+    motion = _initial_motion(results) if asks else InitialMotion()
+    if motion.is_estimated:
+        options["has_free_response"] = True
+        results = _all(records, structures, options | plain, n_workers, scheduler, progress)
     if is_automatic:
         results = [r if isinstance(r, str) else replace(r, method="auto") for r in results]
         if _has_noise_of_its_own(results):
@@ -165,8 +167,16 @@ def select_transfer_function(
     entries[best] = replace(entries[best], is_chosen=True)
     chosen = results[best]
     assert isinstance(chosen, TransferFunctionResult)
+    if motion.is_estimated:
+        chosen = replace(chosen, initial_motion=motion, warnings=(*motion.warnings, *chosen.warnings))
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
+
+
+def _initial_motion(results: Sequence[TransferFunctionResult | str]) -> InitialMotion:
+    """Return whether the best structure without initial motion, if there is one, says that there is some."""
+    found = [r for r in results if not isinstance(r, str)]
+    return InitialMotion.found(min(found, key=lambda r: r.bic).initial_motion.p_value if found else 0.0)
 
 
 def _all(

@@ -405,6 +405,27 @@ class OutputErrorProblem:
             direction[place] += (prior.mean - state.theta[place]) / prior.sd**2
         return self._information(state, jacobian, variance), direction
 
+    def initial_motion(
+        self, state: OutputErrorState
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return what ``ScoreTest.of`` needs of a state without free motion, to find whether there is some."""
+        plain = self.under(None)
+        plain.scale = state.scale
+        if not state.responses or not state.responses[0].has_squares:
+            state = plain.state(state.theta)
+        if not state.responses:  # the point is not allowed: there is nothing to test
+            nothing = np.zeros((len(self.values), 0))
+            return nothing, nothing, self.values, self.values
+        left_out = np.zeros((len(self.values), len(self.experiments) * self.n_a))
+        place = 0
+        for own, part in zip(self.experiments, self.rows, strict=True):
+            for upper in state.uppers:
+                free = own.free(upper, state.scale, slopes=False)
+                left_out[part, place : place + free.order] = free.combined(np.eye(free.order))
+                place += free.order
+        present = np.concatenate([plain.jacobian(state), state.matrix], axis=1)
+        return left_out, present, self.unweighed_residuals(state), self.values
+
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         """Return where a step leads; a delay moves by one sampling period at most."""
         step = step.copy()

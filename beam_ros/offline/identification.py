@@ -540,6 +540,7 @@ def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
             "fit_percent": output.scores.fit_percent,
             "r_squared": output.scores.r_squared,
             "deflection_fit_percent": output.deflection_scores.fit_percent,
+            "fit_from_rest_percent": output.simulation_scores.fit_percent,
             "residual_over_noise": output.noise_ratio,
             "verdict": output.verdict,
         }
