@@ -266,8 +266,8 @@ def require_moving_input(drive: InputSignal) -> None:
     require_size(f"input {drive.name!r}", drive.values)
     if poor := _poor_gaps(drive):
         raise EstimationError(
-            f"a frequency response needs an input without gaps. {describe_gaps(drive.name, poor, drive.unit)} That is "
-            "not sure enough: take a stretch between them (record.between), or identify(), which takes all of them"
+            f"a frequency response needs an input without gaps. {describe_gaps(drive.name, poor, drive.unit)} That "
+            "is not sure enough: take a stretch between them (record.between), or identify(), which takes all of them"
         )
     if np.ptp(drive.values) == 0.0:
         raise EstimationError(

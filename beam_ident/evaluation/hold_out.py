@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -165,7 +165,10 @@ def _predict(
 
 def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
     structure = ModalStructure(model.structure)
-    regression = ModalRegression([record], structure, model.input_name)
+    delays = dict(zip(model.output_names, model.output_delays, strict=True))
+    outputs = tuple(replace(o, times_s=o.times_s - delays[o.name]) for o in record.outputs)
+    shifted = TimeRecord(record.inputs, outputs, record.start_ns, record.name)
+    regression = ModalRegression([shifted], structure, model.input_name)
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
     n_shared = regression.n_shared_fixed + model.n_modes
     drive = record.input(model.input_name)

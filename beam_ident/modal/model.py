@@ -51,6 +51,9 @@ class ModalModel:
     gains : ndarray, shape (n_outputs,) -- direct gain c_j (0 for a receptance)
     latency : float -- how late the outputs' stamps are [s]
     clock_rate : float -- how much faster the outputs' clock runs than the input's
+    output_delays, output_delay_sd : ndarray, shape (n_outputs,)
+        How much later than ``latency`` says the stamps of each output are, with its standard deviation [s]; 0 for
+        outputs that share the clock.
     covariance : ndarray, shape (n_parameters, n_parameters)
     parameter_names : tuple of str
         ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
@@ -71,9 +74,16 @@ class ModalModel:
     covariance: FloatArray
     noise_sd: FloatArray
     parameter_names: tuple[str, ...] = field(default=())
+    output_delays: FloatArray = field(default_factory=lambda: np.empty(0))
+    output_delay_sd: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
+        for name in ("output_delays", "output_delay_sd"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.output_names)))
         for name in (
+            "output_delays",
+            "output_delay_sd",
             "natural_frequencies",
             "damping_ratios",
             "residues",
@@ -93,6 +103,8 @@ class ModalModel:
             "residues": (m, n),
             "residual_terms": (m,),
             "gains": (m,),
+            "output_delays": (m,),
+            "output_delay_sd": (m,),
             "noise_sd": (m,),
             "covariance": (len(names), len(names)),
         }
@@ -390,6 +402,8 @@ class ModalModel:
             "gains": self.gains,
             "latency_s": self.latency,
             "clock_rate": self.clock_rate,
+            "output_delays_s": self.output_delays.tolist(),
+            "output_delay_sd_s": self.output_delay_sd.tolist(),
             "noise_sd": self.noise_sd,
             "parameter_names": self.parameter_names,
             "covariance": self.covariance,
@@ -419,6 +433,9 @@ class ModalModel:
                 gains=np.asarray(data["gains"], dtype=np.float64),
                 latency=float(data["latency_s"]),
                 clock_rate=float(data["clock_rate"]),
+                # Files of earlier versions know none.
+                output_delays=np.asarray(data.get("output_delays_s", []), dtype=np.float64),
+                output_delay_sd=np.asarray(data.get("output_delay_sd_s", []), dtype=np.float64),
                 covariance=np.asarray(data["covariance"], dtype=np.float64),
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
             )

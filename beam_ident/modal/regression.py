@@ -12,8 +12,8 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -403,11 +403,25 @@ class ModalRegression:
                     f"output {name!r} has {len(self.values[-1])} samples that were seen while the input was "
                     f"known; expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
+        self.own_columns: dict[int, FloatArray] = {}
         self._find_blocks()
 
     def _find_blocks(self) -> None:
-        self._block_keys = list(dict.fromkeys(self._parts))
-        self.block_of: tuple[int, ...] = tuple(self._block_keys.index(p) for p in self._parts)
+        keys = [(parts, j if j in self.own_columns else -1) for j, parts in enumerate(self._parts)]
+        self._block_keys = list(dict.fromkeys(keys))
+        self.block_of: tuple[int, ...] = tuple(self._block_keys.index(key) for key in keys)
+
+    def with_own_columns(self, columns: Mapping[int, FloatArray]) -> ModalRegression:
+        """Return the regression with one more linear parameter at some outputs.
+
+        Parameters
+        ----------
+        columns : mapping -- from the number of an output to a column of its own, shape (n_rows,), unweighed
+        """
+        result = copy.copy(self)
+        result.own_columns = dict(columns)
+        result._find_blocks()
+        return result
 
     def weighed(self, levels: Sequence[FloatArray]) -> ModalRegression:
         """Return the regression whose rows and values are divided by the level of the noise in their record.
@@ -532,7 +546,18 @@ class ModalRegression:
             for index, prepared in enumerate(self._prepared)
             for number in range(len(prepared.grids))
         }
-        return [self._assemble(parts, cache, len(omegas), gradients) for parts in self._block_keys]
+        return [
+            self._extended(self._assemble(parts, cache, len(omegas), gradients), own)
+            for parts, own in self._block_keys
+        ]
+
+    def _extended(self, block: ColumnBlock, output: int) -> ColumnBlock:
+        """Return a block with the column that its output has for itself, where there is one."""
+        if output not in self.own_columns:
+            return block
+        column = (self.own_columns[output] / self.row_levels(output))[:, None]
+        by_time = None if block.by_time is None else np.hstack([block.by_time, np.zeros_like(column)])
+        return replace(block, matrix=np.hstack([block.matrix, column]), by_time=by_time)
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
         """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""

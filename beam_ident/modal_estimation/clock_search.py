@@ -18,17 +18,27 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
+from beam_ident.modal_estimation.variable_projection import designs
+from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.scores import Whiteness
+from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_RATE = 4e-3  # NTSC's 1000/1001 is 1e-3; quartz is far below
 _SEARCHED_SD = 5.0  # standard deviations of a finite prior
 _STRETCHES = 16
 _STEPS_PER_CYCLE = 10
 _RIDGE = 1e-4  # of a whole column's power: a stretch with less says nothing
+_OWN_DELAY_LEVEL = 1e-3  # how often some output without a delay of its own is taken to have one
+_DEPENDENT = 1e-9  # of the largest information: delays that the common clock takes
+_MAX_OWN_DELAY_S = 0.05
+_MAX_STEPS = 60  # to either side
 _CROWDED = 0.15  # cycles of the fastest mode: places closer than this lead to the same crest
 
 
@@ -185,3 +195,112 @@ def _stretches(elapsed: FloatArray) -> IndexArray:
     first, last = float(np.min(elapsed)), float(np.max(elapsed))
     share = (elapsed - first) / max(last - first, 1e-300)
     return np.minimum((share * _STRETCHES).astype(np.intp), _STRETCHES - 1)
+
+
+def own_delays(
+    regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior
+) -> dict[int, float]:
+    """Return which output has a delay of its own beside the clock that all share, and about how long [s]; or none.
+
+    Parameters
+    ----------
+    regression : ModalRegression
+    fit : ModalFit -- of it, with one clock for all outputs
+    latency, clock_rate : Prior -- of that clock
+
+    Notes
+    -----
+    A likelihood-ratio test by scores: with the linear parameters and poles and clock projected out, the derivatives
+    of the outputs by their own delays meet nothing but noise where there are none. The most telling output is
+    returned, if less than one record in a thousand without delays would tell as much.
+    """
+    if regression.n_outputs < 2 or not len(fit.omegas):
+        return {}
+    n_theta, n_outputs = fit.n_theta, regression.n_outputs
+    of_theta, spread = np.zeros((n_theta, n_theta)), np.zeros(n_outputs)
+    cross, score_of_theta = np.zeros((n_theta, n_outputs)), np.zeros(n_theta)
+    scores, colour = np.zeros(n_outputs), np.ones(n_outputs)
+    columns = own_delay_columns(regression, fit)
+    for j, design in enumerate(designs(regression, fit, latency, clock_rate)):
+        basis = LinearSolution.of(design[:, n_theta:]).basis
+        both = np.column_stack([design[:, :n_theta], columns[j] / regression.row_levels(j)]) / fit.sigmas[j]
+        both -= basis @ (basis.T @ both)
+        noise = fit.residuals[j] / fit.sigmas[j]
+        shared, own = both[:, :-1], both[:, -1]
+        of_theta += shared.T @ shared
+        score_of_theta += shared.T @ noise
+        cross[:, j], spread[j], scores[j] = shared.T @ own, own @ own, own @ noise
+        own_free = noise - own * (own @ noise) / max(spread[j], 1e-300)
+        correlation = autocorrelation(autoregression(own_free), len(noise))
+        colour[j] = max(
+            float(score_covariance(own[:, None], correlation)[0, 0]) / max(spread[j], 1e-300), 1.0
+        )
+    scale = np.sqrt(np.maximum(np.diag(of_theta), 1e-300))
+    inverse = np.linalg.pinv(of_theta / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverse = inverse / np.outer(scale, scale)
+    information = np.diag(spread) - cross.T @ inverse @ cross
+    scores = scores - cross.T @ inverse @ score_of_theta
+    # A latency that is free takes the common part: one output fewer than there are can have a delay of its own.
+    rest = [j for j in range(n_outputs) if j not in regression.own_columns]
+    if len(rest) <= int(latency.is_free):
+        return {}
+    needed = float(chi_squared_isf(1, _OWN_DELAY_LEVEL / n_outputs))
+    variances = np.where(np.diag(information) > _DEPENDENT * np.max(spread), np.diag(information), np.inf)
+    gains = np.square(scores) / variances / colour
+    places, left = np.zeros(1), np.zeros((n_outputs, 1))
+    is_told = max(gains[rest]) > needed
+    if is_told or not all(Whiteness.of(noise).is_white for noise in fit.residuals):
+        # Past half a cycle of a mode the derivatives point anywhere: what is left at every delay decides.
+        places, left = _left_by_delay(regression, fit)
+        sizes = np.array([len(values) for values in regression.values])
+        gains = np.maximum(gains, sizes * np.log(left[:, len(places) // 2] / np.min(left, axis=1)) / colour)
+    best = max(rest, key=lambda j: float(gains[j]))
+    return {best: _best_delay(regression, fit, best, places, left[best])} if gains[best] > needed else {}
+
+
+def _left_by_delay(regression: ModalRegression, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+    """Return delays around none [s], and what each, poles held, leaves of every output, (n_outputs, n_delays)."""
+    step = 2.0 * np.pi / float(fit.omegas[-1]) / _STEPS_PER_CYCLE
+    n = min(math.ceil(_MAX_OWN_DELAY_S / step), _MAX_STEPS)
+    places = np.asarray(step * np.arange(-n, n + 1), dtype=np.float64)
+    left = [
+        [_left(regression, fit, float(delay), j) for delay in places] for j in range(regression.n_outputs)
+    ]
+    return places, np.array(left)
+
+
+def _left(regression: ModalRegression, fit: ModalFit, delay: float, output: int) -> float:
+    """Return the sum of squares that a delay of one output leaves of it, poles held."""
+    clock = ClockState(fit.clock.latency + delay, fit.clock.rate)
+    block = regression.blocks(fit.omegas, fit.zetas, clock, gradients=False)[regression.block_of[output]]
+    values = regression.values[output]
+    found = LinearSolution.of(block.matrix).coefficients(values)
+    return max(float(np.sum(np.square(values - block.matrix @ found))), 1e-300)
+
+
+def _best_delay(
+    regression: ModalRegression, fit: ModalFit, output: int, places: FloatArray, left: FloatArray
+) -> float:
+    """Return the delay of one output that leaves least of it, poles held, near the best of a grid [s]."""
+    best, step = float(places[int(np.argmin(left))]), float(places[1] - places[0])
+    found = minimize_scalar(
+        lambda delay: _left(regression, fit, float(delay), output),
+        bounds=(best - step, best + step),
+        method="bounded",
+        options={"xatol": 1e-7},
+    )
+    return float(found.x)
+
+
+def own_delay_columns(regression: ModalRegression, fit: ModalFit) -> list[FloatArray]:
+    """Return of every output the derivative of the model by a delay of its own, unweighed, each (n_rows,)."""
+    plain = regression.with_own_columns({})
+    columns = []
+    for block_number, found, j in zip(
+        plain.block_of, fit.coefficients, range(regression.n_outputs), strict=True
+    ):
+        block = plain.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)[block_number]
+        assert block.by_time is not None
+        speed = block.by_time @ found[: block.matrix.shape[1]]
+        columns.append(np.asarray(speed * block.latency_factor * regression.row_levels(j)))
+    return columns

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import chdtri as chi_squared_isf
@@ -24,7 +25,7 @@ from beam_ident.modal.identification_result import IdentificationResult, OutputF
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
-from beam_ident.modal_estimation.clock_search import clock_places
+from beam_ident.modal_estimation.clock_search import clock_places, own_delay_columns, own_delays
 from beam_ident.modal_estimation.hub_friction import FrictionEstimate
 from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
@@ -63,6 +64,8 @@ CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is reported
 _CLOCK_STARTS = 3
+_DELAY_SETTLED = 0.5  # standard deviations that the last turn may still move a delay
+_DELAY_TURNS = 3  # for every output: of delays that outputs have of their own, and the modes that show them
 _CLOCK_ROUNDS = 3
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
@@ -129,34 +132,46 @@ def identify(
     shares_clock = terms.is_test
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
-    latency_prior, rate_prior = latency, clock_rate
+    clocks, told = (latency, clock_rate), progress or silent
 
     def fit(seen: list[TimeRecord]) -> IdentificationResult:
-        regression = ModalRegression(seen, terms, input_name)
-        _refuse_hopeless(regression, n_modes)
-        clocks, said = (latency_prior, rate_prior), progress or silent
-        search = _TimeSearch(seen, regression, *clocks, input_name, said)
-        search.found_noise = found
-        is_left_to_us = not isinstance(structure, ModalStructure)
-        if is_left_to_us and not terms.is_motion and search.band.is_excited and search.scan.is_tangled:
-            # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
-            highest_hz = 0.5 * regression.rate_hz
-            still = ModalRegression(seen, replace(terms, has_free_response=False), input_name)
-            from_rest = _TimeSearch(seen, still, *clocks, input_name, said, highest_hz)
-            from_rest.found_noise = found
+        delays: dict[str, float] = {}
+        most = _DELAY_TURNS * len(seen[0].outputs)
+        for turn in range(most):
+            shifted = [_earlier(one, delays) for one in seen]
+            regression = ModalRegression(shifted, terms, input_name)
+            _refuse_hopeless(regression, n_modes)
+            search = _TimeSearch(shifted, regression, *clocks, input_name, told, delays=delays)
+            search.found_noise = found
+            if turn == 0 and (result := untangled(seen, search)) is not None:
+                return result
             try:
-                result = from_rest.result(n_modes, max_modes)
-                if not _begins_in_motion(regression, still, result.model, clocks):
-                    return result
-            except EstimationError:
-                pass  # a record that begins in motion may not fit at all
+                weighed = search.run(n_modes, max_modes)
+            except EstimationError as err:
+                gaps = gap_sentences(search.plain)
+                if not gaps:
+                    raise
+                raise EstimationError(f"{err}. {' '.join(gaps)}") from err
+            further = search.further_delays(weighed) if turn + 1 < most else {}
+            if not further:
+                break
+            delays = {name: delays.get(name, 0.0) + further.get(name, 0.0) for name in (*delays, *further)}
+        return search.result(weighed, n_modes)
+
+    def untangled(seen: list[TimeRecord], search: _TimeSearch) -> IdentificationResult | None:
+        is_left_to_us = not isinstance(structure, ModalStructure)
+        if not is_left_to_us or terms.is_motion or not (search.band.is_excited and search.scan.is_tangled):
+            return None
+        # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
+        regression = search.plain
+        still = ModalRegression(seen, replace(terms, has_free_response=False), input_name)
+        from_rest = _TimeSearch(seen, still, *clocks, input_name, told, 0.5 * regression.rate_hz)
+        from_rest.found_noise = found
         try:
-            return search.result(n_modes, max_modes)
-        except EstimationError as err:
-            gaps = gap_sentences(search.plain)
-            if not gaps:
-                raise
-            raise EstimationError(f"{err}. {' '.join(gaps)}") from err
+            result = from_rest.result(from_rest.run(n_modes, max_modes), n_modes)
+        except EstimationError:
+            return None  # a record that begins in motion may not fit at all
+        return None if _begins_in_motion(regression, still, result.model, clocks) else result
 
     def predict(result: IdentificationResult, one: TimeRecord, name: str) -> FloatArray:
         return _prediction(result.model, one, name)
@@ -170,13 +185,24 @@ def _prediction(model: ModalModel, record: TimeRecord, name: str) -> FloatArray:
     """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
     drive, output = record.input(model.input_name), record.output(name)
     first, last = drive.span_s
-    inside = output.is_within(first + max(model.latency, 0.0), last + min(model.latency, 0.0))
+    late = model.latency + float(model.output_delays[model.output_names.index(name)])
+    inside = output.is_within(first + max(late, 0.0), last + min(late, 0.0))
     result = np.full(len(inside), np.nan)
     if np.any(inside):
-        simulated = model.simulate(drive, output.times_s[inside] - model.latency, output.exposure_s)
+        simulated = model.simulate(drive, output.times_s[inside] - late, output.exposure_s)
         result[inside] = simulated[:, model.output_names.index(name)]
         result += float(np.nanmedian(output.values - result))
     return result
+
+
+def _earlier(record: TimeRecord, delays: Mapping[str, float]) -> TimeRecord:
+    """Return a record without the delays that some outputs have of their own."""
+    if not any(output.name in delays for output in record.outputs):
+        return record
+    outputs = [
+        replace(output, times_s=output.times_s - delays.get(output.name, 0.0)) for output in record.outputs
+    ]
+    return TimeRecord(record.inputs, tuple(outputs), record.start_ns, record.name)
 
 
 def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
@@ -207,7 +233,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         input_name: str | None,
         progress: Progress,
         highest_hz: float = math.inf,
+        delays: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
+        self.delays = delays
         self.records, self.input_name = records, input_name
         self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
@@ -266,6 +294,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return a fit with equal weights, weighed by the colour of the outputs' noise or by that of the input."""
         fit, self.problem = unweighed(self.problem, fit), self.plain
         fit = self._restarted(fit)
+        if self.delays:
+            self.problem = self.plain = self._with_own_delays(self.plain, fit)
+            fit = self.fit(fit.omegas, fit.zetas, fit.clock)
         regression = self.plain
         model = self._model(fit)
         smoothing = None
@@ -275,6 +306,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             regression = ModalRegression(
                 self.records, regression.structure, self.input_name, smoothing, regression.restarts
             )
+            if self.delays:
+                regression = self._with_own_delays(regression, fit)
             fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
         by_record = regression
         if smoothing is None:
@@ -285,6 +318,28 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if self.bridges is not None:
             found = replace(found, covariance=found.covariance + self.bridges.covariance)
         return Weighed(found, regression, by_record)
+
+    def further_delays(self, weighed: Weighed[ModalRegression]) -> dict[str, float]:
+        """Return what is to be added to the delays that outputs have of their own, by name [s]."""
+        if not self.band.is_excited:
+            return {}
+        fit, regression = weighed.fit, weighed.problem
+        found = own_delays(regression, fit, self.latency, self.clock_rate)
+        place = fit.n_theta
+        for j, coefficients in enumerate(fit.coefficients):
+            place += len(coefficients)
+            sd = math.sqrt(max(float(fit.covariance[place - 1, place - 1]), 0.0))
+            if j in regression.own_columns and abs(coefficients[-1]) > _DELAY_SETTLED * sd:
+                found[j] = float(coefficients[-1])
+        return {regression.output_names[j]: delay for j, delay in found.items()}
+
+    def _with_own_delays(self, regression: ModalRegression, fit: ModalFit) -> ModalRegression:
+        """Return a regression that knows the delays of some outputs to be estimates."""
+        columns = own_delay_columns(regression, fit)
+        names = regression.output_names
+        return regression.with_own_columns(
+            {j: columns[j] for j in range(len(names)) if names[j] in self.delays}
+        )
 
     def _restarted(self, fit: ModalFit) -> ModalFit:
         """Return the fit with the modes beginning anew at those gaps of the inputs where that is needed.
@@ -310,9 +365,18 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         name = regression.drives[0].name
         return fitted_model(fit, regression.structure, name, regression.output_names, clock_is_free)
 
-    def result(self, n_modes: int | None, max_modes: int) -> IdentificationResult:
-        """Search, and return what was found."""
-        weighed = self.run(n_modes, max_modes)
+    def _delayed(self, model: ModalModel, fit: ModalFit) -> ModalModel:
+        """Return the model with the delays that outputs have of their own."""
+        values, sds, place = np.zeros(len(fit.coefficients)), np.zeros(len(fit.coefficients)), fit.n_theta
+        for j, found in enumerate(fit.coefficients):
+            place += len(found)
+            if model.output_names[j] in self.delays:
+                values[j] = self.delays[model.output_names[j]] + found[-1]
+                sds[j] = math.sqrt(max(float(fit.covariance[place - 1, place - 1]), 0.0))
+        return replace(model, output_delays=values, output_delay_sd=sds)
+
+    def result(self, weighed: Weighed[ModalRegression], n_modes: int | None) -> IdentificationResult:
+        """Return what was found."""
         fit, regression = weighed.fit, weighed.problem
         unrelated = self._unrelated(fit)
         if unrelated and n_modes is None:
@@ -320,7 +384,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 f"{unrelated}. Check that input and outputs belong together and share a clock, excite more, or ask "
                 "for a number of modes to see the best candidates"
             )
-        model = self._model(fit)
+        model = self._delayed(self._model(fit), fit)
         self.progress("done", 1.0)
         blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         outputs = tuple(
@@ -458,6 +522,11 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     ) -> list[str]:
         warnings = mode_warnings(fit, regression, self.band)
         warnings += gap_sentences(regression)
+        warnings += [
+            f"The stamps of {name} are {1e3 * delay:.4g} ms later than those of the other outputs: its own delay was "
+            "estimated along."
+            for name, delay in self.delays.items()
+        ]
         if not regression.structure.has_free_response:
             warnings += self._left_out_motion(fit, regression)
         if regression.structure.kind == "force" and self.band.is_excited:

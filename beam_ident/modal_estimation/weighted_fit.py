@@ -376,7 +376,9 @@ class WeightedFit:
             changed = dataclasses.replace(drive, values=own)
             records.append(TimeRecord((changed,), record.outputs, record.start_ns, record.name))
         smoothing = None if is_smooth else self.smoothing
-        return ModalRegression(records, self._driven.structure, None, smoothing, self._driven.restarts)
+        driven = self._driven
+        found = ModalRegression(records, driven.structure, None, smoothing, driven.restarts)
+        return found.with_own_columns(driven.own_columns)
 
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray

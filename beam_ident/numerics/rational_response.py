@@ -252,7 +252,8 @@ class RationalResponse:
         bottom = np.polymul(self._denominator, self._denominator) if squared else self._denominator
         if numerators.shape[1] >= len(bottom):
             for row, ascending in enumerate(numerators):
-                quotient, _ = np.polydiv(np.trim_zeros(ascending[::-1], "f"), bottom)
+                top = np.trim_zeros(ascending[::-1], "f")
+                quotient, _ = np.polydiv(top if len(top) else np.zeros(1), bottom)
                 # The improper part acts on the signal and its derivatives at once.
                 for k, factor in enumerate(quotient[::-1]):
                     if factor != 0.0:
