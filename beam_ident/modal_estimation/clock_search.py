@@ -15,6 +15,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -263,19 +264,20 @@ def _left_by_delay(regression: ModalRegression, fit: ModalFit) -> tuple[FloatArr
     step = 2.0 * np.pi / float(fit.omegas[-1]) / _STEPS_PER_CYCLE
     n = min(math.ceil(_MAX_OWN_DELAY_S / step), _MAX_STEPS)
     places = np.asarray(step * np.arange(-n, n + 1), dtype=np.float64)
-    left = [
-        [_left(regression, fit, float(delay), j) for delay in places] for j in range(regression.n_outputs)
-    ]
-    return places, np.array(left)
+    outputs = range(regression.n_outputs)
+    return places, np.array([_left(regression, fit, float(delay), outputs) for delay in places]).T
 
 
-def _left(regression: ModalRegression, fit: ModalFit, delay: float, output: int) -> float:
-    """Return the sum of squares that a delay of one output leaves of it, poles held."""
+def _left(regression: ModalRegression, fit: ModalFit, delay: float, outputs: Sequence[int]) -> list[float]:
+    """Return the sums of squares that a delay leaves of some outputs, poles held."""
     clock = ClockState(fit.clock.latency + delay, fit.clock.rate)
-    block = regression.blocks(fit.omegas, fit.zetas, clock, gradients=False)[regression.block_of[output]]
-    values = regression.values[output]
-    found = LinearSolution.of(block.matrix).coefficients(values)
-    return max(float(np.sum(np.square(values - block.matrix @ found))), 1e-300)
+    blocks = regression.blocks(fit.omegas, fit.zetas, clock, gradients=False)
+    result = []
+    for j in outputs:
+        matrix, values = blocks[regression.block_of[j]].matrix, regression.values[j]
+        left = values - matrix @ LinearSolution.of(matrix).coefficients(values)
+        result.append(max(float(left @ left), 1e-300))
+    return result
 
 
 def _best_delay(
@@ -284,7 +286,7 @@ def _best_delay(
     """Return the delay of one output that leaves least of it, poles held, near the best of a grid [s]."""
     best, step = float(places[int(np.argmin(left))]), float(places[1] - places[0])
     found = minimize_scalar(
-        lambda delay: _left(regression, fit, float(delay), output),
+        lambda delay: _left(regression, fit, float(delay), [output])[0],
         bounds=(best - step, best + step),
         method="bounded",
         options={"xatol": 1e-7},

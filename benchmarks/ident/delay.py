@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -151,7 +152,35 @@ class LateBeam(AgainstBound):
         return Outcome(seconds, *self.flat(model)) if model.n_modes == 3 else Outcome(seconds)
 
 
+class LateOutput(LateBeam):
+    """One of the two points late by itself, beside a latency of both: nobody says so."""
+
+    own = 3e-3
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.truth = np.concatenate([self.beam.truth, [self.own]])
+
+    def identify(self, seed: int, quiet: float = 1.0, n_modes: int | None = None) -> ModalModel:
+        """Identify one record, the stamps of its second output late."""
+        record = self.beam.record(seed, 20.0, self.times + self.delay, self.times, quiet=quiet)
+        first, second = record.outputs
+        late = replace(second, times_s=second.times_s + self.own)
+        return identify(TimeRecord(record.inputs, (first, late)), PLAIN, n_modes, FREE, FIXED).model
+
+    @staticmethod
+    def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies, damping ratios and the second output's delay beside the first, and their deviations."""
+        values, sds = LateBeam.flat(model)
+        values[-1] = model.output_delays[1] - model.output_delays[0]
+        sds[-1] = float(np.linalg.norm(model.output_delay_sd))
+        return values, sds
+
+
 STUDIES = {
+    "output-delays": Study(
+        "beam at two points, one of them 3 ms late by itself, modal, 20 dB", 200, LateOutput
+    ),
     "delay-beam-modes": Study("beam 7.3 ms late, two points, modal, 20 dB", 400, LateBeam),
     "delay-beam": Study("beam 7.3 ms late, 20 dB", 400, DelayedBeam),
     "delay-double-pole": Study("double pole 8 s late, 15 dB", 400, DoublePole),
