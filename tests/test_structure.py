@@ -35,7 +35,6 @@ TESTED_IN = (
     ("beam_ident/noise", "input_noise", "modal_estimation/test_time_domain"),
     ("beam_ident/noise", "line_weights", "transfer_function_estimation/test_frequency_domain"),
     ("beam_ident/noise", "noise_model record_fit", "modal_estimation/test_several_records"),
-    ("beam_ident/noise", "scores", "evaluation/test_step_comparison"),
     ("beam_ident/numerics", "chain_response", "numerics/test_rational_response"),
     ("beam_ident/numerics", "linear_least_squares", "test_bad_data"),
     ("beam_ident/responses", "signal_pair", "responses/test_spectral"),

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import lstsq, pinvh
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.errors import RecordError
@@ -147,6 +146,8 @@ class Bridge:
         rows = sliding_window_view(self._values, span)[whole][:, ::stride]
         # Backwards a stationary signal has the same autoregression.
         rows = np.concatenate([rows, rows[:, ::-1]])
+        from scipy.linalg import pinvh  # here: records are made where nothing is missing
+
         gram = rows.T @ rows
         found = pinvh(gram[:-1, :-1], rtol=_RANK) @ gram[:-1, -1]
         coefficients = np.append(-found, 1.0)
@@ -172,6 +173,8 @@ class Bridge:
         for row in range(len(errors)):
             errors[row, row : row + order + 1] = coefficients
         known = np.where(unknown, 0.0, self._values[line])
+        from scipy.linalg import lstsq
+
         found = lstsq(errors[:, unknown], -errors @ known, cond=_RANK, lapack_driver="gelsy")[0]
         return np.asarray(found[np.isin(line[unknown], places)])
 

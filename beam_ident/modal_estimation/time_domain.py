@@ -52,8 +52,7 @@ from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_gri
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, without_drift
-from beam_ident.noise.score_test import ScoreTest
-from beam_ident.noise.scores import Scores, Whiteness, are_rounding, colour_warning
+from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise

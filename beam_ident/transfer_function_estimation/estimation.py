@@ -32,8 +32,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
-from beam_ident.noise.score_test import ScoreTest
-from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.noise.scores import Scores, ScoreTest, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning

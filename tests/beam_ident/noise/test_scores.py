@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import kstest
 
-from beam_ident.noise.score_test import ScoreTest
+from beam_ident.noise.scores import ScoreTest
 
 N = 400
 
