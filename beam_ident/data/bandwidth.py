@@ -7,6 +7,7 @@ it is and not at its alias.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ from scipy.special import ndtri
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
 
+_BELOW, _BEYOND = 0.5, 1.3  # of a band's ends: how far a mode may stand outside
 _MIN_CYCLES = 1.5  # in a record
 _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
@@ -29,11 +31,21 @@ _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 @dataclass(frozen=True)
 class Band:
-    """A band of frequencies [Hz]; ``is_excited`` is False for an input that stands still."""
+    """A band of frequencies [Hz]; ``is_excited`` is False for an input that stands still.
+
+    Above ``unfolded_hz``, half the rate of the outputs, a frequency looks like another one below it.
+    """
 
     low_hz: float
     high_hz: float
     is_excited: bool
+    unfolded_hz: float = math.inf
+
+    @property
+    def reach_hz(self) -> tuple[float, float]:
+        """Where a mode may stand that this band shows: somewhat beyond, but never beyond it among folded ones."""
+        high = max(self.high_hz, min(_BEYOND * self.high_hz, self.unfolded_hz))
+        return _BELOW * self.low_hz, high
 
     @staticmethod
     def without_input(length_s: float, output_rate_hz: float) -> Band:

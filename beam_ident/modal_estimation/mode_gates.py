@@ -33,7 +33,8 @@ def mode_complaint(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) 
     hertz = omega / (2.0 * np.pi)
     if zeta <= 2.0 * MIN_DAMPING:
         return f"the damping ratio at {hertz:.4g} Hz ran to zero"
-    if not 0.5 * band.low_hz < hertz < 1.3 * band.high_hz:
+    lowest, highest = band.reach_hz
+    if not lowest < hertz < highest:
         return f"the frequency ran out of the excited band, to {hertz:.4g} Hz"
     frequency_sd = math.sqrt(max(float(fit.covariance[mode, mode]), 0.0))
     damping_sd = math.sqrt(max(float(fit.covariance[n + mode, n + mode]), 0.0))

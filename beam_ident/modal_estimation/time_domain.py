@@ -244,11 +244,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             for d in regression.drives
         ]
         high = min(max(b.high_hz for b in bands), highest_hz)
-        band = Band(min(b.low_hz for b in bands), high, any(b.is_excited for b in bands))
+        is_excited = any(b.is_excited for b in bands)
+        band = Band(min(b.low_hz for b in bands), high, is_excited, 0.5 * regression.rate_hz)
         if not band.is_excited:  # without an input there are no two clocks to compare
             latency, clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
         self.scan = ModalScan(records, structure, input_name, band, regression.restarts)
-        super().__init__(regression, band, latency, clock_rate, structure.has_direct, progress)
+        super().__init__(regression, band, latency, clock_rate, structure.is_motion, progress)
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
         """Return the best place over the input's band, refined."""

@@ -15,6 +15,7 @@ from beam_ident import (
     EstimationError,
     FrequencyRecord,
     InputSignal,
+    LogChirp,
     ModalStructure,
     OutputSignal,
     Prior,
@@ -23,6 +24,7 @@ from beam_ident import (
     fit_frequency_modes,
     identify,
 )
+from beam_ident.data.bandwidth import Band
 from tests.beam_ident.truth import beam_record
 
 PLAIN = ModalStructure(
@@ -195,3 +197,22 @@ def test_a_sign_or_a_unit_that_is_mistaken_is_named(factor, words):
     said = " ".join(identify(TimeRecord(record.inputs, tuple(outputs)), n_modes=3).warnings)
     assert (f"Output {mistaken.name} follows" in said) == bool(words)
     assert all(word in said for word in words)
+
+
+@pytest.mark.parametrize(
+    ("hertz", "is_refused"), [(101.0, True), (95.0, False), (79.5, False), (0.4, True), (0.6, False)]
+)
+def test_beyond_half_the_frame_rate_a_mode_stands_where_the_input_has_power(hertz, is_refused):
+    # A slow wander of 1 Hz looks like 101 Hz at 100 frames a second; the chirp ends at 95 Hz.
+    band = Band(1.0, 95.5, True, unfolded_hz=50.0)
+    assert (not band.reach_hz[0] < hertz < band.reach_hz[1]) == is_refused
+
+
+def test_a_wander_is_no_mode_beyond_the_end_of_the_chirp():
+    record = beam_record(8, LogChirp(end_frequency=95.0))
+    wander = 40e-6 * np.cos(2.0 * np.pi * 1.02 * record.outputs[0].times_s)
+    outputs = tuple(
+        OutputSignal(o.name, o.unit, o.times_s, o.values + wander, o.exposure_s) for o in record.outputs
+    )
+    found = identify(TimeRecord(record.inputs, outputs))
+    assert np.max(found.model.frequencies_hz) < 95.0
