@@ -55,6 +55,7 @@ _TRIES_PER_ORDER = 2
 _GLANCE = 3  # iterations between two modes that are only placed
 _MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a poor one
 _PATIENCE = 6  # orders past the last that was believed
+_SHORT_PATIENCE = 2  # the same where every fit converges: a disturbance may stand before a mode
 
 ProblemT = TypeVar("ProblemT", bound=ModalProblem)
 
@@ -168,7 +169,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """
         limit = max_modes if n_modes is None else n_modes
         ended = self._extend(n_modes, limit)
-        if n_modes is None and self._is_unsettled:
+        if n_modes is None and (
+            self._is_unsettled or len(self.chosen.omegas) > len(self._believed[0].omegas)
+        ):
             self._settle(limit)
             ended = self._extend(None, limit)
             self.chosen, self.chosen_entry = self._believed
@@ -235,7 +238,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 if trial.information_condition < SINGULAR:
                     doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
-        if not (doubted and self._is_unsettled) or n + 1 > len(self._believed[0].omegas) + _PATIENCE:
+        patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
+        if not doubted or n + 1 > len(self._believed[0].omegas) + patience:
             return False
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True
@@ -243,15 +247,16 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def _settle(self, limit: int) -> None:
         """Return from orders that are not believed to one that is.
 
-        Modes that were placed with hardly any refinement between them are a second start: they cannot run into
-        each other while others are missing.
+        Where fits did not converge, modes that were placed with hardly any refinement between them are a second
+        start: they cannot run into each other while others are missing.
         """
         believed, entry = self._believed
         if self.problem is not self.plain:  # records weigh otherwise by now
             believed = self.fit(believed.omegas, believed.zetas, believed.clock)
         self.max_iterations = 2 * _ITERATIONS
         found = [(believed, entry)]
-        for start in sorted([self.chosen, self._pursued(limit)], key=self._bic):
+        starts = [self.chosen, self._pursued(limit)] if self._is_unsettled else [self.chosen]
+        for start in sorted(starts, key=self._bic):
             self._sound(start, found)
             if len(found) > 1:
                 break
