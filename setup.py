@@ -17,6 +17,9 @@ RIG = ["opencv-python-headless>=4.6", "pyserial>=3.5"]
 WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.14"'
 ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
+# Machine code for loops over long records; the results are the same without.
+COMPILED = ["numba>=0.60"]
+
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
 DASK = ["distributed>=2024.1"]
 
@@ -112,7 +115,15 @@ setup(
         "tqdm>=4.60",
         "matplotlib>=3.6",  # Ubuntu 24.04's
     ],
-    extras_require={"rig": RIG, "ros": ROS, "test": TEST, "dask": DASK, "dev": DEV, "docs": DOCS},
+    extras_require={
+        "rig": RIG,
+        "ros": ROS,
+        "test": TEST,
+        "dask": DASK,
+        "compiled": COMPILED,
+        "dev": DEV,
+        "docs": DOCS,
+    },
     entry_points={
         "console_scripts": [f"{name} = {PACKAGE}.process.executables:{name}" for name in EXECUTABLES]
     },

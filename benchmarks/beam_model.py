@@ -34,6 +34,8 @@ from beam_model import (
     HubFriction,
     NonlinearTerms,
 )
+from beam_model.galerkin import stepping
+from beam_model.galerkin.compiled import compiled_pairs
 
 PERIOD = 1e-3
 
@@ -119,6 +121,34 @@ def state_matrices(n_modes: int) -> tuple[np.ndarray, np.ndarray]:
     return A, np.concatenate([np.zeros(n), -model.participation_factors])
 
 
+def lfilter_time(n_modes: int, n_samples: int) -> tuple[float, np.ndarray]:
+    """Return the time of ten lines of `scipy.signal.lfilter` for the same record [s] and its states."""
+    transition, held = BeamModel(default_rig(), n_modes).motion_stepper(PERIOD).tick_matrices
+    values = record(n_samples)
+
+    def run() -> np.ndarray:
+        states = np.zeros((n_samples + 1, 2 * n_modes))
+        for mode in range(n_modes):
+            own = [mode, n_modes + mode]
+            F, (g, h) = transition[np.ix_(own, own)], held[own]
+            denominator = [1.0, -np.trace(F), np.linalg.det(F)]
+            states[1:, own[0]] = signal.lfilter([g, F[0, 1] * h - F[1, 1] * g], denominator, values)
+            states[1:, own[1]] = signal.lfilter([h, F[1, 0] * g - F[0, 0] * h], denominator, values)
+        return states
+
+    return best_time(run, 5)
+
+
+def compiled_time(n_modes: int, n_samples: int, is_used: bool) -> float:
+    """Return the time of a whole record [s], with compiled code where it is installed, or without."""
+    known, stepping._COMPILED_FROM = stepping._COMPILED_FROM, 0 if is_used else n_samples + 1
+    try:
+        batch_time(n_modes, 1000)  # compiles
+        return batch_time(n_modes, n_samples)[0]
+    finally:
+        stepping._COMPILED_FROM = known
+
+
 def lsim_time(n_modes: int, n_samples: int) -> tuple[float, np.ndarray]:
     """Return the time of `scipy.signal.lsim` for the same record [s] and its states."""
     A, B = state_matrices(n_modes)
@@ -186,6 +216,19 @@ def main() -> None:
         f"  solve_ivp 1e-10 {1e3 * ivp:10.1f} ms   {ivp / ours:8.1f} times ours, differs by {ivp_error:.1e}"
     )
     print(f"    (from {n_short} ticks; its cost is proportional to them)")
+
+    print("\nbeside lfilter, and a copy of the states; `compiled` needs the extra of that name")
+    for n, ticks in ((1, 1_000_000), (5, n_samples), (5, 1_000_000), (20, 1_000_000)):
+        plain = compiled_time(n, ticks, is_used=False)
+        theirs, states = lfilter_time(n, ticks)
+        copied = best_time(states.copy, 5)[0]
+        name = f"{n}_modes_{ticks}_ticks"
+        figures |= {f"lfilter_over_batch_{name}": theirs / plain, f"batch_over_copy_{name}": plain / copied}
+        line = f"lfilter {theirs / plain:5.2f} times ours; ours {plain / copied:5.1f} copies"
+        if compiled_pairs() is not None:
+            ratio = figures[f"compiled_over_copy_{name}"] = compiled_time(n, ticks, is_used=True) / copied
+            line += f", compiled {ratio:4.2f} copies"
+        print(f"  {n:3d} modes {ticks:8d} ticks  {line}")
 
     print("\nwhole records against the number of modes and length")
     for drive in ("motion", "force"):

@@ -13,15 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.sparse.csgraph import connected_components
 
-from beam_model.arrays import FloatArray
+from beam_model.arrays import FloatArray, IndexArray
 from beam_model.errors import BeamParameterError
+from beam_model.galerkin.compiled import compiled_pairs
 from beam_model.parameters import check_number
 
 # Terms of the exponential's series and the largest |A| tau for it: 3^28/28! is below rounding.
 _SERIES_TERMS = 28
 _SERIES_REACH = 3.0
-_BLOCK = 32
+_BLOCK = 16  # ticks
+_GROUP, _FEW_STATES = 64, 4  # blocks in a group, where no more states than this depend on each other
+_COMPILED_FROM = 20_000  # ticks: fewer are done before a compiled loop is loaded
 
 
 def discretise(
@@ -56,6 +60,31 @@ def discretise(
     result = expm(augmented * weight[:, None] / weight[None, :]) * weight[None, :] / weight[:, None]
     held, ramp = result[:size, size], result[:size, size + 1]
     return np.ascontiguousarray(result[:size, :size]), np.ascontiguousarray(held), np.ascontiguousarray(ramp)
+
+
+def _powers(matrix: FloatArray, highest: int) -> FloatArray:
+    """Return powers 0 to a highest one of a matrix, shape (highest + 1, n, n)."""
+    result = np.empty((highest + 1, *matrix.shape))
+    result[0] = np.eye(len(matrix))
+    for k in range(highest):
+        result[k + 1] = matrix @ result[k]
+    return result
+
+
+def _pairs(transition: FloatArray) -> FloatArray | None:
+    """Return the transition of every mode, shape (4, n_modes), or None where a mode depends on another one."""
+    n_modes = len(transition) // 2
+    blocks = [
+        np.diag(transition[i : i + n_modes, j : j + n_modes]) for i in (0, n_modes) for j in (0, n_modes)
+    ]
+    is_alone = len(transition) == 2 * n_modes and np.count_nonzero(transition) == np.count_nonzero(blocks)
+    return np.stack(blocks) if is_alone else None
+
+
+def _independent(transition: FloatArray) -> list[IndexArray]:
+    """Return the sets of states that do not depend on each other."""
+    n_sets, which = connected_components(transition != 0.0, directed=False)
+    return [np.flatnonzero(which == own) for own in range(n_sets)]
 
 
 class LinearStepper:
@@ -169,35 +198,62 @@ class LinearStepper:
         return result
 
     def _run_held(self, values: FloatArray, effect: FloatArray) -> FloatArray:
-        size, n_samples = self._full_state.size, values.size
-        n_blocks = -(-n_samples // _BLOCK)
-        inputs = np.zeros((n_blocks, _BLOCK))
-        inputs.ravel()[:n_samples] = values
-        # Within a block the states are linear in its first state and its inputs: one matrix product for all.
-        powers = np.empty((_BLOCK + 1, size, size))
-        powers[0] = np.eye(size)
-        for k in range(_BLOCK):
-            powers[k + 1] = self._transition @ powers[k]
-        # impulse[k]: what an input does to the state k + 1 ticks after it begins; forced[from, to]: the same
-        # as a table.
-        impulse = powers[:_BLOCK] @ effect
-        forced = np.zeros((_BLOCK, _BLOCK, size))
-        for k in range(_BLOCK):
-            forced[: k + 1, k] = impulse[k::-1]
-        ends = inputs @ forced[:, -1]
-        starts = np.empty((n_blocks, size))
-        state = self._full_state.copy()
-        for block in range(n_blocks):
-            starts[block] = state
-            state = powers[_BLOCK] @ state + ends[block]
-        # X_(k+1) = F^(k+1) X_0 + sum_j F^(k-j) G_0 u_j, for all k of all blocks in two products.
-        free = powers[1:].transpose(2, 0, 1).reshape(size, _BLOCK * size)
-        states = starts @ free + inputs @ forced.reshape(_BLOCK, _BLOCK * size)
-        result = np.empty((n_samples + 1, size))
+        result = np.empty((values.size + 1, self._full_state.size))
         result[0] = self._full_state
-        result[1:] = states.reshape(-1, size)[:n_samples]
+        pairs = _pairs(self._transition) if values.size >= _COMPILED_FROM else None
+        compiled = None if pairs is None else compiled_pairs()
+        if pairs is None or compiled is None:
+            self._run_in_blocks(values, effect, result)
+        else:
+            compiled(pairs, effect.reshape(2, -1).copy(), np.ascontiguousarray(values), result)
         self._full_state[:] = result[-1]
         return result
+
+    def _run_in_blocks(self, values: FloatArray, effect: FloatArray, result: FloatArray) -> None:
+        """Fill in the states after the first: of many short blocks at once, from the states at their beginnings."""
+        size, n_samples = self._full_state.size, values.size
+        sets = _independent(self._transition)
+        # Blocks come in groups: few where the states of all are turned together.
+        n_blocks = _GROUP if max(map(len, sets)) <= _FEW_STATES else _BLOCK
+        n_groups = -(-n_samples // (n_blocks * _BLOCK))
+        inputs = np.zeros((n_groups * n_blocks, _BLOCK))
+        inputs.ravel()[:n_samples] = values
+        powers = _powers(self._transition, _BLOCK)
+        # impulse[k]: what an input does to the state k + 1 ticks after it begins.
+        impulse = powers[:_BLOCK] @ effect
+        starts = np.empty((n_groups, n_blocks, size))
+        # From block to block, X_0 <- F^n X_0 + (what the block's inputs add): the same recursion with a longer step,
+        # for groups of blocks at once and for every set of states that do not know of the others.
+        ends = (inputs @ impulse[::-1]).reshape(n_groups, n_blocks, size)
+        for own in sets:
+            longer = _powers(powers[_BLOCK][np.ix_(own, own)], n_blocks)
+            width = len(own)
+            later = np.zeros((n_blocks, width, n_blocks, width))
+            for k in range(n_blocks - 1):
+                # What block k adds is there at the beginning of every following one.
+                later[k, :, k + 1 :] = longer[: n_blocks - 1 - k].transpose(2, 0, 1)
+            added = ends[:, :, own]
+            found = added.reshape(n_groups, -1) @ later.reshape(n_blocks * width, -1)
+            state = self._full_state[own]
+            firsts = np.empty((n_groups, width))
+            gained = found.reshape(n_groups, n_blocks, width)[:, -1] @ longer[1].T + added[:, -1]
+            for group in range(n_groups):
+                firsts[group] = state
+                state = longer[n_blocks] @ state + gained[group]
+            found += firsts @ longer[:n_blocks].transpose(2, 0, 1).reshape(width, -1)
+            starts[:, :, own] = found.reshape(n_groups, n_blocks, width)
+        # X_(k+1) = F^(k+1) X_0 + sum_j F^(k-j) G_0 u_j, for all k of all blocks in one product.
+        reached = np.zeros((_BLOCK + size, _BLOCK, size))
+        for k in range(_BLOCK):
+            reached[: k + 1, k] = impulse[k::-1]
+        reached[_BLOCK:] = powers[1:].transpose(2, 0, 1)
+        effects = reached.reshape(_BLOCK + size, -1)
+        given = np.concatenate([inputs, starts.reshape(-1, size)], axis=1)
+        whole = n_samples // _BLOCK
+        np.matmul(given[:whole], effects, out=result[1 : 1 + whole * _BLOCK].reshape(whole, _BLOCK * size))
+        rest = n_samples - whole * _BLOCK
+        if rest:
+            result[-rest:] = (given[whole] @ effects).reshape(_BLOCK, size)[:rest]
 
     def _run_at(self, times: FloatArray, values: FloatArray, hold: str) -> FloatArray:
         """Return the state at every one of increasing times, the stepper standing at the first of them."""

@@ -7,6 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from beam_model import BeamModel, BeamParameterError, Damping
+from beam_model.galerkin.compiled import compiled_pairs, step_pairs
+from beam_model.galerkin.stepping import _pairs
 from tests.beam_model.rigs import strip
 
 PERIOD = 1e-3
@@ -253,3 +255,52 @@ def test_bad_records_are_refused() -> None:
 def test_a_bad_period_is_refused(period: float) -> None:
     with pytest.raises(BeamParameterError, match="period"):
         BeamModel(strip(), 2).motion_stepper(period)
+
+
+@pytest.mark.parametrize("drive", ["motion", "force"])
+@pytest.mark.parametrize("n_ticks", [1, 15, 16, 257, 1024, 1500])
+def test_a_whole_record_is_what_its_ticks_make_one_by_one(drive: str, n_ticks: int) -> None:
+    model = BeamModel(strip(gravity="upright", damping=DAMPED), 3)
+    values = np.random.default_rng(n_ticks).standard_normal(n_ticks)
+    whole, single = (getattr(model, f"{drive}_stepper")(PERIOD) for _ in range(2))
+    for stepper in (whole, single):
+        stepper.step(1.0)
+    found = whole.run(values)
+    for value in values:
+        single.step(value)
+    scale = np.abs(found).max(axis=0)
+    np.testing.assert_allclose(found[-1] / scale, single.state / scale, atol=1e-11)
+    np.testing.assert_array_equal(whole.state, found[-1])
+
+
+def test_a_loop_over_pairs_gives_what_blocks_give() -> None:
+    stepper = BeamModel(strip(gravity="upright", damping=DAMPED), 4).motion_stepper(PERIOD)
+    values = np.random.default_rng(3).standard_normal(700)
+    expected = stepper.run(values)
+    transition, effect = stepper.tick_matrices
+    blocks = _pairs(transition)
+    assert blocks is not None
+    states = np.zeros_like(expected)
+    step_pairs(blocks, effect.reshape(2, -1).copy(), values, states)
+    np.testing.assert_allclose(states, expected, atol=1e-12 * np.abs(expected).max())
+    compiled = compiled_pairs()
+    if compiled is not None:
+        again = np.zeros_like(expected)
+        compiled(blocks, effect.reshape(2, -1).copy(), values, again)
+        np.testing.assert_allclose(again, states, atol=1e-14 * np.abs(expected).max())
+
+
+def test_modes_that_air_couples_are_no_pairs() -> None:
+    coupled = BeamModel(strip(damping=Damping(ratios=(0.005,), air=0.1)), 3).motion_stepper(PERIOD)
+    assert _pairs(coupled.tick_matrices[0]) is None
+    force = BeamModel(strip(damping=DAMPED), 3).force_stepper(PERIOD)
+    assert _pairs(force.tick_matrices[0]) is None
+
+
+def test_a_long_record_is_stepped_like_its_two_halves() -> None:
+    model = BeamModel(strip(gravity="upright", damping=DAMPED), 2)
+    values = np.random.default_rng(1).standard_normal(30_000)
+    whole, halves = model.motion_stepper(PERIOD), model.motion_stepper(PERIOD)
+    found = whole.run(values)  # long enough for compiled code where there is such; a half is not
+    expected = np.concatenate([halves.run(values[:15_000]), halves.run(values[15_000:])[1:]])
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
