@@ -16,20 +16,25 @@ Equation numbers are those of docs/identification.md.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.integrate import trapezoid
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, lapack
 
-from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.data.records import InputSignal
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing
+from beam_ident.numerics.state_recursion import StateRecursion
 
 _SETTLED = 1e-9  # relative change from step to step below which the filter's gains are kept
 _TIME_RESOLUTION_S = 1e-7  # steps between stamps that differ by less share a transition
+_FEW_STEPS = 100  # of one kind in a row: fewer are taken one by one
+_CHUNK = 1 << 18  # samples of an input at once
 _BOX_POINTS, _BOX_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -50,11 +55,29 @@ class Observations:
     @staticmethod
     def of(times: Sequence[FloatArray], rows: Sequence[IndexArray]) -> Observations:
         """Merge the instants of all outputs; each has its times and the rows that they stand in."""
-        distinct = np.unique(np.concatenate(times))
+        distinct = times[0]
+        if not all(np.array_equal(distinct, own) for own in times[1:]):
+            distinct = np.unique(np.concatenate(times))
         table = np.full((len(distinct), len(times)), -1, dtype=np.intp)
         for output, (instants, places) in enumerate(zip(times, rows, strict=True)):
             table[np.searchsorted(distinct, instants), output] = places
         return Observations(distinct, table)
+
+    @cached_property
+    def _instants(self) -> list[IndexArray]:
+        """The instants at which every output was seen."""
+        return [np.flatnonzero(own >= 0) for own in self.rows.T]
+
+    def span(self, places: Sequence[slice]) -> slice:
+        """Return the instants of a stretch of time, given the rows of every output that were seen in it."""
+        first, last = len(self.times), 0
+        for output, own in enumerate(places):
+            if own.stop > own.start:
+                instants = self._instants[output]
+                begin = int(self.rows[instants[0], output])
+                first = min(first, int(instants[own.start - begin]))
+                last = max(last, int(instants[own.stop - 1 - begin]) + 1)
+        return slice(first, last)
 
 
 class InputDisturbance:
@@ -121,8 +144,8 @@ class InputDisturbance:
             self._direct[0] = gains + sign * np.sum(residues, axis=1)
         self._direct[power] += sign * terms
 
-    def _transitions(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return state transition and covariance of the driven state over every step (Van Loan 1978)."""
+    def _transitions(self, steps: FloatArray) -> tuple[FloatArray, FloatArray, IndexArray]:
+        """Return transitions and covariances of the driven state (Van Loan 1978), and which goes with each step."""
         size = len(self._dynamics)
         rounded = np.round(steps / _TIME_RESOLUTION_S).astype(np.int64)
         distinct, place = np.unique(rounded, return_inverse=True)
@@ -142,7 +165,7 @@ class InputDisturbance:
             # Two halves make a whole: P_d(2h) = P_d(h) + F P_d(h) F^T, F(2h) = F(h)^2.
             covariance = covariance + transition @ covariance @ np.swapaxes(transition, 1, 2)
             transition = transition @ transition
-        return transition[place.ravel()], covariance[place.ravel()]
+        return transition, covariance, place.ravel()
 
     def direct_covariance(self) -> FloatArray:
         """Return the covariance of what passes to the outputs at once, shape (n_outputs, n_outputs)."""
@@ -166,9 +189,8 @@ class InputDisturbance:
         # Before the input's first sample there is no noise: the filter starts from P = 0.
         first = min(self.drive.times_s[0], observations.times[0] - 1e-3)
         steps = np.diff(observations.times, prepend=first)
-        transitions, driven = self._transitions(steps)
         noise = self.direct_covariance() + np.diag(variances)
-        return DisturbanceFilter(observations, transitions, driven, self._observation, noise)
+        return DisturbanceFilter(observations, *self._transitions(steps), self._observation, noise)
 
     def most_likely(self, observations: Observations, weighted: list[FloatArray]) -> FloatArray:
         """Return what is to be added to the input's samples, shape (n_samples,).
@@ -179,19 +201,40 @@ class InputDisturbance:
         weighted : list of ndarray -- ``Sigma^-1 r``, for every output all rows
         """
         times, rows = observations.times, observations.rows
-        table = np.zeros(rows.shape)
-        for output, values in enumerate(weighted):
-            seen = rows[:, output] >= 0
-            table[seen, output] = values[rows[seen, output]]
-        transitions, _ = self._transitions(np.diff(times, append=times[-1] + 1e-3))
+        table = _gathered([values[:, None] for values in weighted], rows)[:, :, 0]
+        transitions, _, kinds = self._transitions(np.diff(times, append=times[-1] + 1e-3))
         # H^T of (I.14), of the states first: the adjoint of w' = A w + b nu runs backwards, from instant to
         # instant by F^T and, inside the interval, from the next instant back to each sample of the input.
-        carried = table @ self._observation
-        adjoint = np.zeros_like(carried)
-        adjoint[-1] = carried[-1]
-        for k in range(len(times) - 2, -1, -1):
-            adjoint[k] = transitions[k].T @ adjoint[k + 1] + carried[k]
+        adjoint = table @ self._observation
+        identity = np.eye(adjoint.shape[1])
+        after = np.zeros(adjoint.shape[1])
+        for first, last in reversed(_runs(kinds)):
+            transition = transitions[kinds[first]].T
+            if last - first < _FEW_STEPS:
+                for k in range(last - 1, first - 1, -1):
+                    after = adjoint[k] = transition @ after + adjoint[k]
+                continue
+            backwards = StateRecursion(transition, identity, transition, identity)
+            found, _ = backwards.run(adjoint[first:last][::-1, :, None], after[:, None])
+            adjoint[first:last] = found[::-1, :, 0]
+            after = adjoint[first]
         instants = self.drive.times_s
+        result = np.zeros(len(instants))
+        for begin in range(0, len(instants), _CHUNK):
+            some = slice(begin, begin + _CHUNK)
+            result[some] = self._reached(instants[some], times, adjoint)
+        for order in range(3):
+            if np.any(self._direct[order]):
+                result += self._spread(times, table * self._direct[order], order)
+        # (I.14) with the low-pass in H: noise behind it is wanted, and reaches the outputs through it, so that
+        # it acts twice.
+        result *= self.drive.sigma**2 * float(np.median(np.diff(instants)))
+        drive = self.drive
+        once = InputSignal(drive.name, drive.unit, instants, result, drive.hold)
+        return self.smoothing.of(self.smoothing.of(once)).values
+
+    def _reached(self, instants: FloatArray, times: FloatArray, adjoint: FloatArray) -> FloatArray:
+        """Return the adjoint of the states at samples of the input, from that at the stamps."""
         following = np.searchsorted(times, instants, side="left")
         inside = following < len(times)
         following = np.minimum(following, len(times) - 1)
@@ -204,33 +247,41 @@ class InputDisturbance:
         # The same for the integrators, whose transitions are 1 and h.
         for k in range(self._n_integrators):
             result += ahead**k * adjoint[following, 2 * len(self._poles) + k]
-        result *= inside
-        for order in range(3):
-            if np.any(self._direct[order]):
-                result += self._spread(times, table * self._direct[order], order)
-        # (I.14) with the low-pass in H: noise behind it is wanted, and reaches the outputs through it, so that
-        # it acts twice.
-        result *= self.drive.sigma**2 * float(np.median(np.diff(instants)))
-        drive = self.drive
-        once = InputSignal(drive.name, drive.unit, instants, result, drive.hold)
-        return self.smoothing.of(self.smoothing.of(once)).values
+        return np.asarray(result * inside)
 
     def _spread(self, times: FloatArray, table: FloatArray, order: int) -> FloatArray:
         """Return the adjoint of box average and derivative, as a density on the input's samples."""
-        instants = self.drive.times_s
-        step = np.gradient(instants)
+        instants, period = self.drive.times_s, self.drive.period_s
+        step: FloatArray | float = np.gradient(instants) if period is None else period
         result = np.zeros(len(instants))
-        for point, weight in zip(_BOX_POINTS, 0.5 * _BOX_WEIGHTS, strict=True):
-            for output, exposure in enumerate(self.exposures_s):
+        for exposure in np.unique(self.exposures_s):
+            values = np.sum(table[:, self.exposures_s == exposure], axis=1)
+            for point, weight in zip(_BOX_POINTS, 0.5 * _BOX_WEIGHTS, strict=True):
                 places = times + 0.5 * exposure * point
                 left = np.clip(np.searchsorted(instants, places, side="right") - 1, 0, len(instants) - 2)
                 share = np.clip((places - instants[left]) / (instants[left + 1] - instants[left]), 0.0, 1.0)
-                np.add.at(result, left, weight * (1.0 - share) * table[:, output])
-                np.add.at(result, left + 1, weight * share * table[:, output])
+                np.add.at(result, left, weight * (1.0 - share) * values)
+                np.add.at(result, left + 1, weight * share * values)
         result /= step
         for _ in range(order):
-            result = -np.gradient(result, instants)
+            result = -np.gradient(result, instants if period is None else period)
         return result
+
+
+def _runs(kinds: IndexArray) -> list[tuple[int, int]]:
+    """Return first and end of every run of equal numbers."""
+    borders = np.flatnonzero(np.diff(kinds)) + 1
+    return list(itertools.pairwise([0, *borders.tolist(), len(kinds)]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Gains:
+    """What one step of (I.16) does with the outputs that are seen."""
+
+    selected: IndexArray
+    observed: FloatArray  # O, their rows
+    inverse: FloatArray  # G^-1
+    scaled: FloatArray  # P O^T G^-T
 
 
 class DisturbanceFilter:
@@ -241,73 +292,152 @@ class DisturbanceFilter:
         observations: Observations,
         transitions: FloatArray,
         driven: FloatArray,
+        kinds: IndexArray,
         observation: FloatArray,
         noise: FloatArray,
     ) -> None:
         self.observations = observations
-        n, size = len(transitions), transitions.shape[1]
+        self._transitions, self._kinds = transitions, kinds
+        n, size = len(kinds), transitions.shape[1]
         covariance = np.zeros((size, size))
-        self._steps = []
         seen = observations.rows >= 0
         is_same = np.zeros(n, dtype=bool)
-        is_same[1:] = np.all(seen[1:] == seen[:-1], axis=1)
-        is_same[1:] &= np.all(transitions[1:] == transitions[:-1], axis=(1, 2))
-        is_settled = False
-        for k, transition in enumerate(transitions):
-            if not (is_settled and is_same[k]):
+        is_same[1:] = np.all(seen[1:] == seen[:-1], axis=1) & (kinds[1:] == kinds[:-1])
+        changes = np.flatnonzero(~is_same)
+        patterns: dict[bytes, tuple[IndexArray, FloatArray, FloatArray]] = {}
+        # Every step has its gains; once they have settled on a regular grid they are kept.
+        self._gains: list[_Gains] = []
+        self._gain_of = np.empty(n, dtype=np.intp)
+        k = 0
+        while k < n:
+            # One step of (I.16).
+            pattern = seen[k].tobytes()
+            if pattern not in patterns:
                 selected = np.flatnonzero(seen[k])
-                # One step of (I.16); once the gains have settled on a regular grid they are kept.
-                rows, own = observation[selected], noise[np.ix_(selected, selected)]
-                before = covariance
-                covariance = transition @ covariance @ transition.T + driven[k]
-                carried = covariance @ rows.T
-                inverse = np.linalg.inv(np.linalg.cholesky(rows @ carried + own))
-                scaled = carried @ inverse.T
-                covariance = covariance - scaled @ scaled.T
-                change = float(np.max(np.abs(covariance - before)))
-                is_settled = bool(is_same[k]) and change <= _SETTLED * float(np.max(np.abs(covariance)))
-            self._steps.append((transition, rows, inverse, scaled, selected))
+                patterns[pattern] = selected, observation[selected], noise[np.ix_(selected, selected)]
+            selected, rows, own = patterns[pattern]
+            before = covariance
+            transition = transitions[kinds[k]]
+            covariance = transition @ covariance @ transition.T + driven[kinds[k]]
+            carried = covariance @ rows.T
+            lower, failed = lapack.dpotrf(rows @ carried + own, lower=1)
+            if failed:
+                raise np.linalg.LinAlgError("the covariance of the residuals is not positive definite")
+            inverse = lapack.dtrtri(lower, lower=1)[0]
+            scaled = carried @ inverse.T
+            covariance = covariance - scaled @ scaled.T
+            self._gain_of[k] = len(self._gains)
+            self._gains.append(_Gains(selected, rows, inverse, scaled))
+            if is_same[k] and abs(covariance - before).max() <= _SETTLED * abs(covariance).max():
+                following = np.searchsorted(changes, k, side="right")
+                last = int(changes[following]) if following < len(changes) else n
+                self._gain_of[k:last] = len(self._gains) - 1
+                k = last
+            else:
+                k += 1
 
-    def whiten(self, columns: list[FloatArray]) -> None:
-        """Replace this record's rows by innovations, in place.
+    def whiten(
+        self,
+        columns: Sequence[FloatArray],
+        places: Sequence[slice] | None = None,
+        state: FloatArray | None = None,
+    ) -> FloatArray:
+        """Replace this record's rows by innovations, in place, and return the state after the last of them.
 
         Parameters
         ----------
-        columns : list of ndarray, shape (n_rows of the output, n_columns)
+        columns : sequence of ndarray, shape (n_rows of the output, n_columns)
             The same quantities for every output.
+        places : sequence of slice or None
+            Which rows of every output the columns hold, those of a stretch of time; None for all there are.
+        state : ndarray or None, shape (n_states, n_columns) -- after the rows before these
         """
-        table = self._gathered(columns)
-        state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
-        for k, (transition, rows, inverse, scaled, selected) in enumerate(self._steps):
-            state = transition @ state
-            # (I.16): v = G^-1 (r - O w).
-            white = inverse @ (table[k, selected] - rows @ state)
-            state = state + scaled @ white
-            table[k, selected] = white
-        self._scatter(table, columns)
+        span, rows = self._stretch(places)
+        table = _gathered(columns, rows)
+        if state is None:
+            state = np.zeros((self._transitions.shape[1], table.shape[2]))
+        for first, last in self._runs_within(span):
+            gains, transition = self._step(first)
+            here = slice(first - span.start, last - span.start)
+            if last - first < _FEW_STEPS:
+                for k in range(here.start, here.stop):
+                    state = transition @ state
+                    # (I.16): v = G^-1 (r - O w).
+                    white = gains.inverse @ (table[k, gains.selected] - gains.observed @ state)
+                    state = state + gains.scaled @ white
+                    table[k, gains.selected] = white
+                continue
+            # The same with w at the end of a step as its state: O F w is what the next residuals lack.
+            seen = gains.inverse @ gains.observed @ transition
+            forwards = StateRecursion(
+                transition - gains.scaled @ seen, gains.scaled @ gains.inverse, -seen, gains.inverse
+            )
+            table[here, gains.selected], state = forwards.run(table[here, gains.selected], state)
+        _scatter(table, rows, columns)
+        return state
 
-    def weigh(self, white: list[FloatArray]) -> None:
+    def weigh(self, white: Sequence[FloatArray]) -> None:
         """Replace innovations by ``Sigma^-1 r`` in place: the adjoint of ``whiten``."""
-        table = self._gathered(white)
-        state = np.zeros((self._steps[0][0].shape[0], table.shape[2]))
-        for k in range(len(self._steps) - 1, -1, -1):
-            transition, rows, inverse, scaled, selected = self._steps[k]
-            # (I.17), lambda in ``state``.
-            weighed = inverse.T @ (table[k, selected] + scaled.T @ state)
-            state = transition.T @ (state - rows.T @ weighed)
-            table[k, selected] = weighed
-        self._scatter(table, white)
+        span, rows = self._stretch(None)
+        table = _gathered(white, rows)
+        state = np.zeros((self._transitions.shape[1], table.shape[2]))
+        for first, last in reversed(self._runs_within(span)):
+            gains, transition = self._step(first)
+            if last - first < _FEW_STEPS:
+                for k in range(last - 1, first - 1, -1):
+                    # (I.17), lambda in ``state``.
+                    weighed = gains.inverse.T @ (table[k, gains.selected] + gains.scaled.T @ state)
+                    state = transition.T @ (state - gains.observed.T @ weighed)
+                    table[k, gains.selected] = weighed
+                continue
+            seen = gains.inverse @ gains.observed @ transition
+            backwards = StateRecursion(
+                (transition - gains.scaled @ seen).T,
+                -seen.T,
+                (gains.scaled @ gains.inverse).T,
+                gains.inverse.T,
+            )
+            found, state = backwards.run(table[first:last, gains.selected][::-1], state)
+            table[first:last, gains.selected] = found[::-1]
+        _scatter(table, rows, white)
 
-    def _gathered(self, columns: list[FloatArray]) -> FloatArray:
-        rows = self.observations.rows
-        table = np.zeros((*rows.shape, columns[0].shape[1]))
-        for output, values in enumerate(columns):
-            seen = rows[:, output] >= 0
-            table[seen, output] = values[rows[seen, output]]
-        return table
+    def _step(self, instant: int) -> tuple[_Gains, FloatArray]:
+        return self._gains[self._gain_of[instant]], self._transitions[self._kinds[instant]]
 
-    def _scatter(self, table: FloatArray, columns: list[FloatArray]) -> None:
+    def _runs_within(self, span: slice) -> list[tuple[int, int]]:
+        """Return first and end of the runs of equal steps among some instants."""
+        runs = _runs(self._gain_of[span])
+        return [(first + span.start, last + span.start) for first, last in runs]
+
+    def _stretch(self, places: Sequence[slice] | None) -> tuple[slice, IndexArray]:
+        """Return instants, and which of the given rows were seen at them."""
         rows = self.observations.rows
-        for output, values in enumerate(columns):
-            seen = rows[:, output] >= 0
-            values[rows[seen, output]] = table[seen, output]
+        if places is None:
+            return slice(0, len(rows)), rows
+        span = self.observations.span(places)
+        return span, np.where(rows[span] >= 0, rows[span] - np.array([own.start for own in places]), -1)
+
+
+def _gathered(columns: Sequence[FloatArray], rows: IndexArray) -> FloatArray:
+    """Return the rows of all outputs at every instant, zero where none was seen."""
+    table = np.zeros((*rows.shape, columns[0].shape[1]))
+    for output, values in enumerate(columns):
+        seen, taken = _taken(rows[:, output])
+        table[seen, output] = values[taken]
+    return table
+
+
+def _scatter(table: FloatArray, rows: IndexArray, columns: Sequence[FloatArray]) -> None:
+    """Put rows back where ``_gathered`` took them from."""
+    for output, values in enumerate(columns):
+        seen, taken = _taken(rows[:, output])
+        values[taken] = table[seen, output]
+
+
+def _taken(rows: IndexArray) -> tuple[BoolArray | slice, IndexArray | slice]:
+    """Return at which instants an output was seen, and which rows of it; slices where none is missing."""
+    n = len(rows)
+    if n and rows[0] >= 0 and rows[-1] - rows[0] == n - 1 and np.min(rows) >= 0:
+        return slice(0, n), slice(int(rows[0]), int(rows[0]) + n)
+    seen = rows >= 0
+    return seen, rows[seen]

@@ -21,6 +21,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,7 +48,9 @@ _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
 _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
 _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
-_DRAWS = 8  # each has thousands of independent samples
+_DRAWS = 8  # of records with thousands of samples
+_DRAWN = 100_000  # samples of an output over all draws: those of a long record need less repetition
+_AT_ONCE = 50_000  # samples of an output that draws may hold together
 _MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
 _MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
@@ -399,22 +402,19 @@ class WeightedFit:
             without_nuisance = found.copy()
             without_nuisance[self.n_shared :] = 0.0
             shared.append(without_nuisance)
-        draws: list[list[FloatArray]] = []
-        for left in self._left_noise(point, linear, shared):
-            regression = self._on_inputs(left, is_smooth=True)
-            blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-            columns = self._columns(blocks, shared)
-            first = self.n_theta
-            for own, found in zip(columns, shared, strict=True):
-                own[:, first + self.n_shared : first + len(found)] = 0.0
-                first += len(found)
-            draws.append(columns)
-        # All draws in one pass of the filter; N is the mean of D_left^T D_left over them.
-        together = [np.concatenate(columns, axis=1) for columns in zip(*draws, strict=True)]
-        for own_filter in linear.filters:
-            own_filter.whiten(together)
-        stacked = np.concatenate(together).reshape(-1, _DRAWS, len(covariance) + 1)[:, :, :-1]
-        noise = np.einsum("rdi,rdj->ij", stacked, stacked, optimize=True) / _DRAWS
+        longest = max(len(values) for values in self.regression.values)
+        n_draws, at_once = min(_DRAWS, math.ceil(_DRAWN / longest)), max(_AT_ONCE // longest, 1)
+        rng, total = np.random.default_rng(0), len(covariance)
+        noise = np.zeros((total, total))
+        for first in range(0, n_draws, at_once):
+            left = self._left_noise(point, linear, shared, rng, min(at_once, n_draws - first))
+            # Several draws in one pass of the filter; N is the mean of D_left^T D_left over all.
+            together = self._noise_columns(point, left, shared)
+            for own_filter in linear.filters:
+                own_filter.whiten(together)
+            for columns in together:
+                rows = columns.reshape(-1, total)
+                noise += rows.T @ rows / n_draws
         # With H^-1 = root root^T and root^T N root = U s U^T, (I.18) is (root U) (1 - s)^-2 (root U)^T. Beyond
         # the limit on s, H - N is a difference of two numbers that the draws do not tell apart.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -424,16 +424,36 @@ class WeightedFit:
         spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MAX_FEIGNED))
         return np.asarray((spread @ spread.T) * np.outer(scale, scale))
 
+    def _noise_columns(
+        self, point: _Point, left: Sequence[Sequence[FloatArray]], shared: Sequence[FloatArray]
+    ) -> list[FloatArray]:
+        """Return the derivatives by all parameters at noise on the inputs, draw beside draw, of every output."""
+        draws = []
+        for noise in left:
+            regression = self._on_inputs(noise, is_smooth=True)
+            blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+            columns = [own[:, :-1] for own in self._columns(blocks, shared)]
+            first = self.n_theta
+            for own, found in zip(columns, shared, strict=True):
+                own[:, first + self.n_shared : first + len(found)] = 0.0
+                first += len(found)
+            draws.append(columns)
+        return [np.concatenate(own, axis=1).copy(order="C") for own in zip(*draws, strict=True)]
+
     def _left_noise(
-        self, point: _Point, linear: _Linearisation, shared: list[FloatArray]
+        self,
+        point: _Point,
+        linear: _Linearisation,
+        shared: list[FloatArray],
+        rng: np.random.Generator,
+        n_draws: int,
     ) -> list[list[FloatArray]]:
         """Return draws of what noise is left on every record's most likely input."""
         assert self.smoothing is not None
-        rng = np.random.default_rng(0)
         regression = self._driven
         inputs: list[list[FloatArray]] = []
-        residuals = [np.empty((len(values), _DRAWS)) for values in regression.values]
-        for draw in range(_DRAWS):
+        residuals = [np.empty((len(values), n_draws)) for values in regression.values]
+        for draw in range(n_draws):
             noise = []
             for drive in regression.drives:
                 # A draw of r = e - H nu as in (I.12), at the estimate and with its variances.
