@@ -14,6 +14,7 @@ TESTED_IN = (
     ("beam_model", "errors", "test_parameters"),
     ("beam_model", "frequency_response", "galerkin/test_model"),
     ("beam_model/galerkin", "matrices", "galerkin/test_model"),
+    ("beam_model/galerkin", "compiled", "galerkin/test_stepping"),
     ("beam_ident", "record_estimators", "test_estimators"),
     ("beam_ident", "results", "test_result_members"),
     ("beam_ident/data", "prior", "modal_estimation/test_time_domain"),
