@@ -152,7 +152,9 @@ def test_offline_extras_are_for_every_platform(bootstrap: ModuleType, changes: d
 def test_an_unknown_interpreter_extra_or_constraint_is_refused(clone: Path) -> None:
     assert_refused(call(clone, "--python", "python9.9"), "python9.9")
     assert_refused(
-        call(clone, "--extras", "ros,everything"), "'everything'", "rig,ros,dask,compiled,test,dev,docs, or none"
+        call(clone, "--extras", "ros,everything"),
+        "'everything'",
+        "rig,ros,dask,compiled,test,dev,docs, or none",
     )
     assert_refused(call(clone, "--constraint", "none.txt"), "none.txt")
     assert not (clone / ".venv").exists()
