@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from beam_ident.data.argument_checks import require_records, require_whole_number
+from beam_ident.data.argument_checks import require_excitation, require_records, require_whole_number
 from beam_ident.data.batches import Progress, map_records
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
@@ -144,6 +144,10 @@ def select_transfer_function(
         )
     is_automatic = options.get("method", "auto") == "auto"
     asks = options.get("has_free_response") is None
+    if asks:
+        for drive in records[0].inputs:
+            if options.get("input_name") in (None, drive.name):
+                require_excitation(records, drive.name)
     options |= {"has_free_response": False} if asks else {}
     plain = {"method": "white"} if is_automatic else {}
     results = _all(records, structures, options | plain, n_workers, scheduler, progress)

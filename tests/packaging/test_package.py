@@ -33,6 +33,7 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "mcap": None,
     "control": None,
     "distributed": None,
+    "numba": None,  # makes stepping quicker where it is
 }
 
 
