@@ -176,6 +176,8 @@ class ClockMapping:
     def __init__(self, epoch: int) -> None:
         self.epoch = epoch
         self._exchanges: deque[ClockSync] = deque(maxlen=MAX_EXCHANGES)
+        # As they were fitted when each came: the present one may already follow what is to be judged by it.
+        self._rates: deque[float | None] = deque(maxlen=MAX_EXCHANGES)
         self._shortest_rtt_ns = 0
         self._fit: ClockFit | None = None
         self._newest_mapped_ns: int | None = None
@@ -225,19 +227,20 @@ class ClockMapping:
         """
         if not self._exchanges:
             return None
-        newest = self._exchanges[-1]
+        newest = len(self._exchanges) - 1
         before_ns = sent_ns - COMPARED_NS
-        older = next((other for other in reversed(self._exchanges) if other.host_ns <= before_ns), newest)
+        older = next((k for k in range(newest, -1, -1) if self._exchanges[k].host_ns <= before_ns), newest)
         least, greatest = zip(
-            *(self._possible_after(known, sent_ns, received_ns) for known in (newest, older)), strict=True
+            *(self._possible_after(place, sent_ns, received_ns) for place in (newest, older)), strict=True
         )
         return max(least), min(greatest)
 
-    def _possible_after(self, known: ClockSync, sent_ns: int, received_ns: int) -> tuple[int, int]:
+    def _possible_after(self, place: int, sent_ns: int, received_ns: int) -> tuple[int, int]:
         """Return what one earlier exchange leaves possible, by itself [ns of device time]."""
+        known, fitted = self._exchanges[place], self._rates[place]
         shortest_ns = sent_ns - known.host_ns - known.rtt_ns / 2
         longest_ns = received_ns - known.host_ns + known.rtt_ns / 2
-        rate, strange = (1.0, STRANGE_RATE) if self._fit is None else (1.0 / self._fit.rate, STRANGE_CHANGE)
+        rate, strange = (1.0, STRANGE_RATE) if fitted is None else (1.0 / fitted, STRANGE_CHANGE)
         slack_ns = RESOLUTION_NS + strange * max(abs(shortest_ns), abs(longest_ns))
         return (
             known.device_ns + round(shortest_ns * rate - slack_ns),
@@ -256,12 +259,15 @@ class ClockMapping:
         ):
             return sync
         self._exchanges.append(sync)
+        self._rates.append(None)
         while self._exchanges[0].device_ns < device_ns - WINDOW_NS:
             self._exchanges.popleft()
+            self._rates.popleft()
         # Asked for a hundred times as often as an exchange comes.
         self._shortest_rtt_ns = min(exchange.rtt_ns for exchange in self._exchanges)
         if len(self._exchanges) >= MIN_EXCHANGES:
             self._turn_towards(fit_affine(list(self._exchanges), rate_sd=RATE_SD))
+        self._rates[-1] = None if self._fit is None else self._fit.rate
         return sync
 
     def host_ns(self, device_ns: int) -> int:

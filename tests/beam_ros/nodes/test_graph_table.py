@@ -29,7 +29,7 @@ ONLY_OTHERWISE_READ = {
         for name in NODES["hub_driver"].parameters
         if name.startswith(("axis.", "trajectory.", "odrive.", "csv."))
     ),
-    *("emulator.controller_rate", "faults.request"),
+    *("emulator.controller_rate", "faults.request", "camera.clock_tolerance"),
 }
 """Parameters whose reading takes another camera source, excitation or axis link than those of this test."""
 PLAYED = ("bag_player", "publishes")

@@ -65,7 +65,8 @@ def test_the_clock_runs_faster_from_then_on(rig):
     assert 1.0 / fit_affine(syncs).rate == pytest.approx(1.000535, abs=2e-4)
 
 
-def test_a_clock_that_runs_too_fast_for_any_crystal_is_a_fault(rig):
+def test_a_clock_whose_rate_changes_by_a_hundredth_is_a_fault(rig):
+    rig.run(2.0)  # A clock that has always been so far off would be followed.
     bring_about(rig, "{fault: drift, ppm: 10000}")
     # Found as soon as two questions, a second apart, are answered within milliseconds.
     rig.until(lambda r: r.status.fault.name == "clock_jumped", 30.0)
@@ -98,7 +99,7 @@ def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded
         values = rest_to_rest(round(5e9 / period_ns), 0.2)
         for chunk in chunks_of(values, rig.now.unix_ns + 600_000_000, period_ns=period_ns):
             rig.hub.load(chunk, rig.now)
-        reports = rig.until(lambda r: any(s.state in ("done", "underrun") for s in r.sequences), 12.0)
+        reports = rig.until(lambda r: any(s.state in ("done", "underrun") for s in r.sequences), 30.0)
         assert [s.state for r in reports for s in r.sequences][-1] == "done"
         reports += rig.run(0.5)
         applied = np.concatenate([batch.accelerations for r in reports for batch in r.applied])
