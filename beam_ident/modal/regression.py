@@ -12,8 +12,9 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,8 @@ CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input'
 MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
 
 _MIN_SAMPLES = 20
+_PIECE_ROWS = 8192  # what one piece needs stays in the cache
+_LONG = 4 * _PIECE_ROWS  # rows of a record from which on it is taken in pieces
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class ColumnBlock:
         Derivative by the instant of measurement.
     latency_factor, rate_factor : ndarray, shape (n_rows,)
         Derivative of the instant by latency and clock rate.
+    by_rate : ndarray or None, shape (n_rows, n_columns)
+        Derivative by the clock rate, where rows are not instants.
     """
 
     matrix: FloatArray
@@ -78,6 +83,7 @@ class ColumnBlock:
     by_time: FloatArray | None
     latency_factor: FloatArray
     rate_factor: FloatArray
+    by_rate: FloatArray | None = None
 
     def slopes(self, found: FloatArray, latency_is_free: bool, rate_is_free: bool) -> FloatArray:
         """Return the derivative of one output's model by the nonlinear parameters, shape (n_rows, n_theta).
@@ -101,7 +107,7 @@ class ColumnBlock:
             if latency_is_free:
                 result[:, 2 * n] = speed * self.latency_factor
             if rate_is_free:
-                result[:, -1] = speed * self.rate_factor
+                result[:, -1] = speed * self.rate_factor if self.by_rate is None else self.by_rate @ found
         return result
 
 
@@ -137,8 +143,58 @@ class _GridColumns:
     restarts: tuple[RestartColumns, ...]
 
 
+class _Driving:
+    """What an input does, as exact signals that are made when they are asked for."""
+
+    def __init__(self, drive: InputSignal, structure: ModalStructure) -> None:
+        self._measured, self._structure = drive, structure
+        self._is_position = structure.kind == "base_motion"
+        self.rest = float(drive.values[0]) if self._is_position else 0.0
+        self._responses: PoleResponses | None = None
+
+    @cached_property
+    def drive(self) -> PiecewisePolynomial:
+        """The input, a position above where it begins."""
+        signal = self._measured.signal(margin_s=CLOCK_MARGIN_S, from_rest=not self._is_position)
+        return signal.shifted(-self.rest) if self.rest else signal
+
+    @cached_property
+    def position(self) -> PiecewisePolynomial:
+        """The position that the input stands for, above ``rest``."""
+        signal = self.drive
+        for _ in range(0 if self._is_position else 2 - self._structure.differentiations):
+            signal = signal.antiderivative()
+        return signal
+
+    @cached_property
+    def residual(self) -> tuple[PiecewisePolynomial, int]:
+        """What drives the residual term: a signal, and which of its derivatives."""
+        structure = self._structure
+        smooth = self.position
+        if self._is_position or structure.is_test:
+            smooth = self.drive
+            if self._measured.hold == "linear":
+                smooth = self._measured.signal("cubic", CLOCK_MARGIN_S)
+        if structure.is_motion or structure.kind == "accelerance":
+            return smooth, 2
+        return (smooth, 1) if structure.kind == "mobility" else (self.drive, 0)
+
+    def responses(self, poles: ComplexArray, gradients: bool) -> PoleResponses:
+        """Return the poles' responses at the knots of the input; the latest ones are kept."""
+        known = self._responses
+        if known is None or known.gradients < gradients or not np.array_equal(known.poles, poles):
+            known = self._responses = PoleResponses(poles, self.drive, gradients)
+        return known
+
+    def release(self) -> None:
+        """Let go of all signals."""
+        self._responses = None
+        for name in ("drive", "position", "residual"):
+            self.__dict__.pop(name, None)
+
+
 class _PreparedRecord:
-    """One record with its input turned into exact signals."""
+    """One record, its input turned into exact signals."""
 
     def __init__(
         self,
@@ -157,29 +213,7 @@ class _PreparedRecord:
             )
         self.structure, self.restarts, self.n_drifts = structure, restarts, n_drifts
         self.span = drive.span_s
-        signal = drive.signal(margin_s=CLOCK_MARGIN_S, from_rest=kind != "base_motion")
-        self.rest = float(drive.values[0]) if kind == "base_motion" else 0.0
-        self.drive = signal.shifted(-self.rest) if self.rest else signal
-        self.drive_integral = self.drive.antiderivative()
-        if kind == "base_motion":
-            position = signal
-            smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
-        else:
-            position = self.drive
-            for _ in range(2 - structure.differentiations):
-                position = position.antiderivative()
-            smooth = drive.signal("cubic", CLOCK_MARGIN_S) if drive.hold == "linear" else signal
-            smooth = smooth if structure.is_test else position
-        self.position = position
-        self.position_integral = position.antiderivative()
-        self.residual: tuple[PiecewisePolynomial, PiecewisePolynomial]
-        if structure.is_motion or structure.kind == "accelerance":
-            rate = smooth.derivative()
-            self.residual = (rate.derivative(), rate)
-        elif structure.kind == "mobility":
-            self.residual = (smooth.derivative(), smooth)
-        else:
-            self.residual = (self.drive, self.drive_integral)
+        self.driving = _Driving(drive, structure)  # in common with every choice of stamps
         self.grids: list[_Grid] = []
         self.grid_of: dict[str, int] = {}
         self.rows_of: dict[str, IndexArray] = {}
@@ -201,18 +235,19 @@ class _PreparedRecord:
         self.length = max(float(np.max(stamps) - np.min(stamps)), 1e-12)
         self.values = {output.name: output.values for output in record.outputs}
 
-        self._responses: PoleResponses | None = None
-        self._samplings: dict[int, _Sampling] = {}
+        self._samplings: dict[int, _Sampling] | None = {}
 
-    def responses(self, poles: ComplexArray, gradients: bool) -> PoleResponses:
-        """Return the poles' responses at the knots of the input; the latest ones are kept."""
-        known = self._responses
-        if known is None or known.gradients < gradients or not np.array_equal(known.poles, poles):
-            known = self._responses = PoleResponses(poles, self.drive, gradients)
-        return known
+    def with_stamps(self, rows: Sequence[slice | IndexArray]) -> _PreparedRecord:
+        """Return the record with some stamps of every grid only; it keeps nothing that grows with their number."""
+        result = copy.copy(self)
+        result.grids = [
+            _Grid(grid.times[own], grid.exposure_s) for grid, own in zip(self.grids, rows, strict=True)
+        ]
+        result._samplings = None
+        return result
 
     def _sampling(self, number: int, clock: ClockState) -> _Sampling:
-        known = self._samplings.get(number)
+        known = None if self._samplings is None else self._samplings.get(number)
         if known is not None and known.clock == clock:
             return known
         grid, structure = self.grids[number], self.structure
@@ -220,13 +255,15 @@ class _PreparedRecord:
         # (I.6), and its derivatives by latency and rate in the last two fields.
         late = grid.times - clock.latency - self.middle
         times = self.middle + late * stretch
-        instants = Instants.on(self.drive, times, grid.exposure_s)
+        driving = self.driving
+        instants = Instants.on(driving.drive, times, grid.exposure_s)
         fixed = []
-        direct = instants.mean(self.position, self.position_integral)
+        above, speed = instants.mean(driving.position)
+        direct = above + driving.rest, speed
         if structure.has_direct:
             fixed.append(direct)
         if structure.has_residual:
-            value, rate = instants.mean(*self.residual)
+            value, rate = instants.mean(*driving.residual)
             fixed.append((structure.sign * value, structure.sign * rate))
         known = _Sampling(
             clock,
@@ -237,7 +274,8 @@ class _PreparedRecord:
             np.full_like(times, -stretch),
             -late * stretch**2,
         )
-        self._samplings[number] = known
+        if self._samplings is not None:
+            self._samplings[number] = known
         return known
 
     def instants(self, number: int, clock: ClockState) -> FloatArray:
@@ -247,7 +285,8 @@ class _PreparedRecord:
     def position_integral_at(self, number: int, clock: ClockState) -> FloatArray:
         """Return the integral of the position that the input stands for, at one grid of stamps [m s]."""
         instants = self._sampling(number, clock).instants
-        return instants.mean(self.position_integral, self.position_integral.antiderivative())[0]
+        integral = self.driving.position.shifted(self.driving.rest).antiderivative()
+        return instants.mean(integral)[0]
 
     def columns(
         self,
@@ -262,7 +301,7 @@ class _PreparedRecord:
         structure, grid = self.structure, self.grids[number]
         poles = modal_poles(omegas, zetas)
         sampling = self._sampling(number, clock)
-        sampled = self.responses(poles, gradients).sample(sampling.instants, self.drive_integral, gradients)
+        sampled = self.driving.responses(poles, gradients).sample(sampling.instants, gradients)
         power, column = structure.differentiations, poles[:, None]
         # (I.5): one real column for every mode, Im(factor x).
         factor = column**power * structure.sign / column.imag
@@ -284,7 +323,7 @@ class _PreparedRecord:
             forced = (values, *by_pole, by_time)
         if power == 2:
             # The direct term of (I.5), k = 2.
-            values += structure.sign * (sampling.direct[0] - self.rest)
+            values += structure.sign * (sampling.direct[0] - self.driving.rest)
         free: tuple[ComplexArray, ...] = ()
         if structure.has_free_response:
             free = free_motions(
@@ -404,6 +443,9 @@ class ModalRegression:
                     f"known; expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
         self.own_columns: dict[int, FloatArray] = {}
+        # A piece of a long regression knows its record, and where the rows of every output stand in the whole.
+        self.record: int | None = None
+        self.places = [slice(0, len(values)) for values in self.values]
         self._find_blocks()
 
     def _find_blocks(self) -> None:
@@ -418,7 +460,7 @@ class ModalRegression:
         ----------
         columns : mapping -- from the number of an output to a column of its own, shape (n_rows,), unweighed
         """
-        result = copy.copy(self)
+        result = self._like()
         result.own_columns = dict(columns)
         result._find_blocks()
         return result
@@ -430,7 +472,7 @@ class ModalRegression:
         ----------
         levels : sequence of ndarray -- of every output, one number for each of its ``segments``
         """
-        result = copy.copy(self)
+        result = self._like()
         result._parts = [
             tuple((*part[:3], float(level)) for part, level in zip(parts, own, strict=True))
             for parts, own in zip(self._parts, levels, strict=True)
@@ -449,10 +491,125 @@ class ModalRegression:
         sizes = [part.stop - part.start for _, part in self.segments[output]]
         return np.repeat([part[3] for part in self._parts[output]], sizes)
 
+    @cached_property
+    def pieces(self) -> tuple[ModalRegression, ...]:
+        """The same regression cut in time, one record after the other; itself where every record is short.
+
+        A piece has rows of one stretch of one record, of all outputs, with the columns of the whole.
+        """
+        longest = max(part.stop - part.start for own in self.segments for _, part in own)
+        if longest <= _LONG:
+            return (self,)
+        return tuple(piece for index in range(len(self._prepared)) for piece in self._pieces_of_record(index))
+
+    def thinned(self, n_rows: int, seed: int = 0) -> ModalRegression:
+        """Return the regression on a random choice of each record's stamps, where it has more of them.
+
+        Parameters
+        ----------
+        n_rows : int -- stamps of a record that are kept, on each of its grids
+        seed : int -- of the choice
+        """
+        rng = np.random.default_rng(seed)
+        chosen = [
+            [
+                np.sort(rng.choice(len(g.times), n_rows, replace=False))
+                if len(g.times) > n_rows
+                else np.arange(len(g.times))
+                for g in prepared.grids
+            ]
+            for prepared in self._prepared
+        ]
+        result = self._like()
+        result.rate_hz = self.rate_hz
+        result._prepared = [p.with_stamps(own) for p, own in zip(self._prepared, chosen, strict=True)]
+        result._rows, result.own_columns, within = {}, {}, {}
+        for key, rows in self._rows.items():
+            stamps = chosen[key[0]][key[1]]
+            result._rows[key] = np.flatnonzero(np.isin(stamps, rows, assume_unique=True))
+            within[key] = np.searchsorted(rows, stamps[result._rows[key]])
+        result.values, result.times, result.segments = [], [], []
+        for parts, segments, values, times in zip(
+            self._parts, self.segments, self.values, self.times, strict=True
+        ):
+            kept = [within[part[:3]] for part in parts]
+            ends = np.cumsum([len(own) for own in kept]).tolist()
+            rows = np.concatenate([own + whole.start for own, (_, whole) in zip(kept, segments, strict=True)])
+            if (own_column := self.own_columns.get(len(result.values))) is not None:
+                result.own_columns[len(result.values)] = own_column[rows]
+            result.values.append(values[rows])
+            result.times.append(times[rows])
+            result.segments.append(
+                [
+                    (record, slice(end - len(own), end))
+                    for own, end, (record, _) in zip(kept, ends, segments, strict=True)
+                ]
+            )
+        result.places = [slice(0, len(values)) for values in result.values]
+        return result
+
+    def release(self) -> None:
+        """Let go of what the inputs do between their samples; it is made anew when it is asked for."""
+        for prepared in self._prepared:
+            prepared.driving.release()
+
+    def _like(self) -> ModalRegression:
+        """Return a copy without what belongs to its rows."""
+        result = copy.copy(self)
+        for known in ("pieces", "_seen_grids"):
+            result.__dict__.pop(known, None)
+        return result
+
+    def _pieces_of_record(self, index: int) -> Iterator[ModalRegression]:
+        prepared = self._prepared[index]
+        longest = max((grid.times for grid in prepared.grids), key=len)
+        # All grids are cut at the same instants.
+        borders = longest[_PIECE_ROWS // 2 :: _PIECE_ROWS]
+        cuts = [np.searchsorted(grid.times, borders) for grid in prepared.grids]
+        ends = [
+            np.concatenate([[0], cut, [len(g.times)]]) for cut, g in zip(cuts, prepared.grids, strict=True)
+        ]
+        for number in range(len(borders) + 1):
+            own = [slice(int(end[number]), int(end[number + 1])) for end in ends]
+            if any(rows.stop > rows.start for rows in own):
+                yield self._piece(index, prepared.with_stamps(own), own)
+
+    def _piece(self, index: int, stretch: _PreparedRecord, grid_rows: Sequence[slice]) -> ModalRegression:
+        """Return the regression on some stamps of one record, no other record having any rows."""
+        result = self._like()
+        result._prepared = [stretch if k == index else p for k, p in enumerate(self._prepared)]
+        result.record, result._rows, result.own_columns, within = index, {}, {}, {}
+        for key, rows in self._rows.items():
+            cut = grid_rows[key[1]] if key[0] == index else slice(0, 0)
+            first, last = np.searchsorted(rows, [cut.start, cut.stop])
+            within[key] = slice(int(first), int(last))
+            result._rows[key] = rows[first:last] - cut.start
+        result.values, result.times, result.segments, result.places = [], [], [], []
+        for output, parts in enumerate(self._parts):
+            segments = []
+            place = slice(0, 0)
+            for part, (record, whole) in zip(parts, self.segments[output], strict=True):
+                here = within[part[:3]] if record == index else slice(0, 0)
+                segments.append((record, slice(0, here.stop - here.start)))
+                if record == index:
+                    place = slice(whole.start + here.start, whole.start + here.stop)
+            if (own_column := self.own_columns.get(output)) is not None:
+                result.own_columns[output] = own_column[place]
+            result.segments.append(segments)
+            result.places.append(place)
+            result.values.append(self.values[output][place])
+            result.times.append(self.times[output][place])
+        return result
+
     @property
     def n_outputs(self) -> int:
         """Number of outputs."""
         return len(self.output_names)
+
+    @cached_property
+    def _seen_grids(self) -> set[tuple[int, int]]:
+        """Records and grids of stamps that have rows."""
+        return {key[:2] for key, rows in self._rows.items() if len(rows)}
 
     @property
     def n_samples(self) -> int:
@@ -469,9 +626,9 @@ class ModalRegression:
         """Length of the longest record [s]."""
         return max(p.length for p in self._prepared)
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
-        """Mean rate of the fastest output in one of its records [Hz]."""
+        """Mean rate of the fastest output in one of its records, before any choice of stamps [Hz]."""
         return max(
             float(part.stop - part.start) / max(float(np.ptp(times[part])), 1e-12)
             for times, segments in zip(self.times, self.segments, strict=True)
@@ -510,7 +667,12 @@ class ModalRegression:
         """Return when the samples of every output were taken, on the input's clock [s]."""
         return [
             np.concatenate(
-                [self._prepared[part[0]].instants(part[1], clock)[self._rows[part[:3]]] for part in parts]
+                [
+                    self._prepared[part[0]].instants(part[1], clock)[self._rows[part[:3]]]
+                    for part in parts
+                    if len(self._rows[part[:3]])
+                ]
+                or [np.empty(0)]
             )
             for parts in self._parts
         ]
@@ -545,9 +707,10 @@ class ModalRegression:
             (index, number): prepared.columns(number, omegas, zetas, clock, gradients, with_restarts)
             for index, prepared in enumerate(self._prepared)
             for number in range(len(prepared.grids))
+            if (index, number) in self._seen_grids
         }
         return [
-            self._extended(self._assemble(parts, cache, len(omegas), gradients), own)
+            self._extended(self._assemble(parts, cache, len(omegas), gradients, with_restarts), own)
             for parts, own in self._block_keys
         ]
 
@@ -570,13 +733,13 @@ class ModalRegression:
         cache: dict[tuple[int, int], _GridColumns],
         n_modes: int,
         gradients: bool,
+        with_restarts: bool,
     ) -> ColumnBlock:
         structure = self.structure
         n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
         lengths = [len(self._rows[part[:3]]) for part in parts]
-        sources = [cache[part[0], part[1]] for part in parts]
         n_anew = self.restarts.n_drifts + 2 * n_modes
-        n_restarts = sum(len(source.restarts) for source in sources)
+        n_restarts = sum(len(self.restarts.gaps[part[0]]) for part in parts) if with_restarts else 0
         n_plain = n_fixed + n_modes + n_own * len(parts)
         n_rows, n_columns = sum(lengths), n_plain + n_anew * n_restarts
         matrix = np.zeros((n_rows, n_columns), order="F")
@@ -587,19 +750,37 @@ class ModalRegression:
         # motion: the rest of the derivative is zero and is not stored.
         touched = [np.zeros((2, n_touched, n_rows)) for _ in range(n_modes)] if gradients else []
         mode_columns = np.zeros((n_modes, n_touched), dtype=np.intp)
+        mode_columns[:, 0] = n_fixed + np.arange(n_modes)
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first, restart = 0, 0
-        for number, (part, length, source) in enumerate(zip(parts, lengths, sources, strict=True)):
+        for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
             rows, level = self._rows[part[:3]], part[3]
             here = slice(first, first + length)
             first += length
+            own = n_fixed + n_modes + n_own * number
+            n_drifts = int(structure.has_offset) + int(structure.has_ramp)
+            if n_free:
+                pairs = own + n_drifts + np.arange(2 * n_modes).reshape(n_modes, 2)
+                mode_columns[:, 1 + 2 * number : 3 + 2 * number] = pairs
+            restarts = [
+                (
+                    n_plain + n_anew * k + self.restarts.n_drifts,
+                    slice(1 + n_free + 2 * k, 3 + n_free + 2 * k),
+                )
+                for k in range(restart, restart + (len(self.restarts.gaps[part[0]]) if with_restarts else 0))
+            ]
+            restart += len(restarts)
+            for begin, place in restarts:
+                mode_columns[:, place] = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
+            if not length:
+                continue
+            source = cache[part[0], part[1]]
             latency_factor[here] = source.sampling.latency_factor[rows]
             rate_factor[here] = source.sampling.rate_factor[rows]
             for column, (value, rate) in enumerate(source.sampling.fixed):
                 matrix[here, column] = value[rows]
                 if by_time is not None:
                     by_time[here, column] = rate[rows]
-            own = n_fixed + n_modes + n_own * number
             if structure.has_offset:
                 matrix[here, own] = 1.0
                 own += 1
@@ -609,7 +790,6 @@ class ModalRegression:
             for mode in range(n_modes):
                 column = n_fixed + mode
                 matrix[here, column] = source.forced[0][mode][rows]
-                mode_columns[mode, 0] = column
                 if by_time is not None:
                     touched[mode][0, 0, here] = source.forced[1][mode][rows]
                     touched[mode][1, 0, here] = source.forced[2][mode][rows]
@@ -619,28 +799,22 @@ class ModalRegression:
                 pair = slice(own + 2 * mode, own + 2 * mode + 2)
                 matrix[here, pair] = _real_pair(source.free[0][mode][rows]).T
                 place = slice(1 + 2 * number, 3 + 2 * number)
-                mode_columns[mode, place] = np.arange(pair.start, pair.stop)
                 if by_time is not None:
                     touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
                     touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
                     by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
-            for anew in source.restarts:
-                own = n_plain + n_anew * restart
-                for column, (value, rate) in enumerate(anew.drifts, own):
+            for anew, (begin, place) in zip(source.restarts, restarts, strict=True):
+                for column, (value, rate) in enumerate(anew.drifts, begin - len(anew.drifts)):
                     matrix[here, column] = value[rows]
                     if by_time is not None:
                         by_time[here, column] = rate[rows]
-                own += len(anew.drifts)
-                place = slice(1 + n_free + 2 * restart, 3 + n_free + 2 * restart)
                 for mode in range(n_modes):
-                    pair = slice(own + 2 * mode, own + 2 * mode + 2)
-                    mode_columns[mode, place] = np.arange(pair.start, pair.stop)
+                    pair = slice(begin + 2 * mode, begin + 2 * mode + 2)
                     matrix[here, pair] = _real_pair(anew.free[0][mode][rows]).T
                     if by_time is not None:
                         touched[mode][0, place, here] = _real_pair(anew.free[1][mode][rows])
                         touched[mode][1, place, here] = _real_pair(anew.free[2][mode][rows])
                         by_time[here, pair] = _real_pair(anew.free[3][mode][rows]).T
-                restart += 1
             if level != 1.0:
                 for columns in (matrix, by_time):
                     if columns is not None:

@@ -97,6 +97,7 @@ class StackedRegression:
             ends = np.cumsum([len(part.values) for part in own]).tolist()
             rows = [slice(end - len(part.values), end) for part, end in zip(own, ends, strict=True)]
             self.segments.append([(part.basis, here) for part, here in zip(own, rows, strict=True)])
+        self.places = [slice(0, len(values)) for values in self.values]
         self.n_shared_fixed: int = bases[0].fixed(0.0).value.shape[1]
         self._width: int = bases[0].modal(1.0, 0.1, 0.0).value.shape[1]
 
@@ -117,6 +118,11 @@ class StackedRegression:
         result._absent = absent
         result._find_blocks([own.tobytes() for own in absent])
         return result
+
+    @property
+    def pieces(self) -> tuple[StackedRegression, ...]:
+        """Itself: lines and decays are few."""
+        return (self,)
 
     @property
     def n_samples(self) -> int:

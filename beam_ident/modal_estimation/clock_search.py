@@ -296,13 +296,12 @@ def _best_delay(
 
 def own_delay_columns(regression: ModalRegression, fit: ModalFit) -> list[FloatArray]:
     """Return of every output the derivative of the model by a delay of its own, unweighed, each (n_rows,)."""
-    plain = regression.with_own_columns({})
-    columns = []
-    for block_number, found, j in zip(
-        plain.block_of, fit.coefficients, range(regression.n_outputs), strict=True
-    ):
-        block = plain.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)[block_number]
-        assert block.by_time is not None
-        speed = block.by_time @ found[: block.matrix.shape[1]]
-        columns.append(np.asarray(speed * block.latency_factor * regression.row_levels(j)))
-    return columns
+    columns: list[list[FloatArray]] = [[] for _ in fit.coefficients]
+    for piece in regression.with_own_columns({}).pieces:
+        blocks = piece.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
+        for j, (number, found) in enumerate(zip(piece.block_of, fit.coefficients, strict=True)):
+            block = blocks[number]
+            assert block.by_time is not None
+            speed = block.by_time @ found[: block.matrix.shape[1]]
+            columns[j].append(np.asarray(speed * block.latency_factor * piece.row_levels(j)))
+    return [np.concatenate(parts) for parts in columns]

@@ -35,6 +35,7 @@ _RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not
 _MAX_STAMPS = 1500
 _MAX_POINTS = 900
 _CHUNK = 160
+_STATES = 8_000_000  # of all candidates of a chunk, at the knots of the input
 _FEW = 32  # candidates at once: what fits into the cache is several times quicker
 _FINE_DAMPINGS = (0.003, 0.015, 0.08)
 _TANGLED = 0.1  # of a forced column: what is left beside free motion
@@ -201,7 +202,9 @@ class ModalScan:
 
     def _prepare(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[_Candidates]:
         """Return the columns of candidates for every block of outputs that share stamps."""
-        chunks = [slice(first, first + _CHUNK) for first in range(0, len(omegas), _CHUNK)]
+        knots = max(len(drive.times_s) for drive in self.regression.drives)
+        n_at_once = min(_CHUNK, max(_STATES // knots, _FEW // 4))
+        chunks = [slice(first, first + n_at_once) for first in range(0, len(omegas), n_at_once)]
         found = [self.regression.candidates(omegas[part], zetas[part], clock) for part in chunks]
         return [_Candidates.of(np.concatenate(parts)) for parts in zip(*found, strict=True)]
 

@@ -57,12 +57,23 @@ _MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a po
 _PATIENCE = 6  # orders past the last that was believed
 _SHORT_PATIENCE = 2  # the same where every fit converges: a disturbance may stand before a mode
 
+# What may end a search or a fit before its time without the loss of what it has found: a key pressed, or a signal;
+# too little memory; a progress that lets no more time.
+Stopped = (KeyboardInterrupt, MemoryError, TimeoutError)
+
 ProblemT = TypeVar("ProblemT", bound=ModalProblem)
 
 
 def silent(phrase: str, share: float) -> None:
     """Report no progress."""
     del phrase, share
+
+
+def why_stopped(stop: BaseException, missing: str) -> str:
+    """Return what ended an estimation before its time, and what is missing therefore."""
+    causes = {KeyboardInterrupt: "interrupted", MemoryError: "the memory did not suffice"}
+    cause = next((said for kind, said in causes.items() if isinstance(stop, kind)), "the time was up")
+    return f"{cause}; missing is {missing}"
 
 
 def checked_limit(n_modes: int | None, max_modes: int) -> int:
@@ -92,6 +103,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
     latency, clock_rate : Prior
     shows_clock : bool -- whether the columns that no mode touches tell anything of the clock
     progress : callable
+    start : ModalFit or None -- modes that are there already; None begins without any
     """
 
     remedy = "Excite more, record longer"  # for data that show no mode
@@ -105,13 +117,18 @@ class ModeSearch(ABC, Generic[ProblemT]):
         clock_rate: Prior,
         shows_clock: bool,
         progress: Progress = silent,
+        start: ModalFit | None = None,
     ) -> None:
         self.plain = self.problem = problem
         self.band = band
         self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
         self.progress = progress
         self.max_iterations = _ITERATIONS
-        base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
+        self.is_stopped = False  # before its time
+        if start is None:
+            base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
+        else:
+            base = self.fit(start.omegas, start.zetas, start.clock)
         self.chosen = self.without_modes = base
         self.entries: list[OrderEntry] = [self._entry(base, "")]
         self.chosen_entry = 0
@@ -139,6 +156,19 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Return a fit of the search, weighed by the noise as it is."""
         return Weighed(fit, self.plain, self.plain)
 
+    def _stopped(self, stop: BaseException, missing: str) -> Weighed[ProblemT]:
+        """Return the best fit so far, or raise what stopped the search where there is none with a mode."""
+        if len(self._believed[0].omegas):
+            self.chosen, self.chosen_entry = self._believed
+        if not len(self.chosen.omegas):
+            raise stop
+        return self.ended_early(self.chosen, why_stopped(stop, missing))
+
+    def ended_early(self, fit: ModalFit, reason: str) -> Weighed[ProblemT]:
+        """Return a fit with equal weights as the best there is."""
+        self.is_stopped = True
+        return Weighed(dataclasses.replace(fit, converged=False, reason=reason), self.plain, self.plain)
+
     def fit(
         self,
         omegas: FloatArray,
@@ -154,13 +184,14 @@ class ModeSearch(ABC, Generic[ProblemT]):
         iterations = self.max_iterations if max_iterations is None else max_iterations
         return fit_modes(self.problem, omegas, zetas, clock, latency, rate, iterations, target)
 
-    def run(self, n_modes: int | None, max_modes: int) -> Weighed[ProblemT]:
+    def run(self, n_modes: int | None, max_modes: int, is_weighed: bool = True) -> Weighed[ProblemT]:
         """Add modes until the given number is reached, or until one is not believed; weigh what was found.
 
         Parameters
         ----------
         n_modes : int or None -- how many; None lets the criterion decide
         max_modes : int -- bound on the search
+        is_weighed : bool -- False returns what was found with equal weights
 
         Raises
         ------
@@ -168,22 +199,47 @@ class ModeSearch(ABC, Generic[ProblemT]):
             No mode stands out of the noise.
         """
         limit = max_modes if n_modes is None else n_modes
-        ended = self._extend(n_modes, limit)
+        try:
+            ended = self._extend(n_modes, limit)
+        except Stopped as stop:
+            n, wanted = (
+                len(self.chosen.omegas),
+                f"up to {limit} modes" if n_modes is None else f"{limit} modes",
+            )
+            return self._stopped(
+                stop, f"the search for more than {n} of {wanted}, and the weighing by the noise"
+            )
         if n_modes is None and (
             self._is_unsettled or len(self.chosen.omegas) > len(self._believed[0].omegas)
         ):
-            self._settle(limit)
-            ended = self._extend(None, limit)
-            self.chosen, self.chosen_entry = self._believed
+            try:
+                self._settle(limit)
+                ended = self._extend(None, limit)
+                self.chosen, self.chosen_entry = self._believed
+            except Stopped as stop:
+                return self._stopped(
+                    stop, "a second look at orders that were not believed, and the weighing by the noise"
+                )
         if not len(self.chosen.omegas):
             raise EstimationError(
                 f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
                 f"noise ({self.entries[-1].refused_because or ended}). {self.remedy}, or ask for a number of "
                 "modes to see the best candidate"
             )
+        if not is_weighed:
+            return Weighed(self.chosen, self.problem, self.problem)
         self.progress("weighing by the noise as it is", 0.97)
-        weighed = self.weighed(self.chosen)
-        return weighed if n_modes is not None else self._confirmed(weighed)
+        try:
+            weighed = self.weighed(self.chosen)
+        except Stopped as stop:
+            return self.ended_early(self.chosen, why_stopped(stop, "the weighing by the noise as it is"))
+        try:
+            return weighed if n_modes is not None else self._confirmed(weighed)
+        except Stopped as stop:
+            why = why_stopped(stop, "a second look at modes that only the input's noise may have feigned")
+            return dataclasses.replace(
+                weighed, fit=dataclasses.replace(weighed.fit, converged=False, reason=why)
+            )
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""

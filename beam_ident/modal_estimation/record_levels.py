@@ -120,23 +120,22 @@ class BridgeUncertainty:
         """
         n_shared = regression.n_shared_fixed + len(fit.omegas)
         kept = regression.restarts
-        rows = [
-            design.T / sigma**2
-            for design, sigma in zip(designs(regression, fit, latency, clock_rate), fit.sigmas, strict=True)
+        asked = [
+            (index, gap)
+            for index, drive in enumerate(regression.drives)
+            for gap in drive.gaps
+            if gap not in kept.gaps[index]
         ]
-        instants = regression.instants(fit.clock)
-        scale = np.sqrt(np.maximum(np.diag(fit.covariance)[: fit.n_theta], 1e-300))
-        judged = []
-        for index, drive in enumerate(regression.drives):
-            for gap in drive.gaps:
-                if gap in kept.gaps[index]:
-                    continue
-                score = np.zeros((len(fit.covariance), len(gap.errors)))
-                place = fit.n_theta
-                for j, (weighed, found) in enumerate(zip(rows, fit.coefficients, strict=True)):
-                    own = np.concatenate([np.arange(fit.n_theta), np.arange(place, place + len(found))])
-                    place += len(found)
-                    for part in (part for record, part in regression.segments[j] if record == index):
+        scores = [np.zeros((len(fit.covariance), len(gap.errors))) for _, gap in asked]
+        for piece in regression.pieces if asked else ():
+            instants = piece.instants(fit.clock)
+            place = fit.n_theta
+            for j, design in enumerate(designs(piece, fit, latency, clock_rate)):
+                found, weighed = fit.coefficients[j], design.T / fit.sigmas[j] ** 2
+                own = np.concatenate([np.arange(fit.n_theta), np.arange(place, place + len(found))])
+                place += len(found)
+                for score, (index, gap) in zip(scores, asked, strict=True):
+                    for part in (part for record, part in piece.segments[j] if record == index):
                         effects = bridge_effects(
                             gap,
                             regression.structure,
@@ -146,9 +145,12 @@ class BridgeUncertainty:
                             instants[j][part],
                         )
                         score[own] += weighed[:, part] @ effects.T
-                moved = fit.covariance @ score / math.sqrt(len(gap.errors))
-                share = float(np.max(np.sum(np.square(moved[: fit.n_theta]), axis=1) / scale**2, initial=0.0))
-                judged.append((share, index, gap, moved))
+        scale = np.sqrt(np.maximum(np.diag(fit.covariance)[: fit.n_theta], 1e-300))
+        judged = []
+        for score, (index, gap) in zip(scores, asked, strict=True):
+            moved = fit.covariance @ score / math.sqrt(len(gap.errors))
+            share = float(np.max(np.sum(np.square(moved[: fit.n_theta]), axis=1) / scale**2, initial=0.0))
+            judged.append((share, index, gap, moved))
         judged.sort(key=lambda item: item[0])
         n_kept = int(np.searchsorted(np.cumsum([item[0] for item in judged]), _MOST_FROM_BRIDGES))
         given_up = [set(own) for own in kept.gaps]

@@ -1,10 +1,14 @@
 """Identify a modal model from records, without hints.
 
 The search (``mode_search``) works with equal weights; the last fit weighs every sample by the noise as it is.
+
+Of a long record the search begins with a random choice of stamps.  What it finds there is fitted to everything, and
+from there on a mode is tried only if everything promises, with all other poles held, that it is worth its parameters.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,6 +24,7 @@ from beam_ident.data.batches import Progress
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult, OutputFit
 from beam_ident.modal.model import ModalModel
@@ -34,9 +39,11 @@ from beam_ident.modal_estimation.mode_search import (
     MAX_MODES,
     SHORT,
     ModeSearch,
+    Stopped,
     Weighed,
     checked_limit,
     silent,
+    why_stopped,
 )
 from beam_ident.modal_estimation.record_levels import (
     BridgeUncertainty,
@@ -46,7 +53,7 @@ from beam_ident.modal_estimation.record_levels import (
     unweighed,
     weigh_records,
 )
-from beam_ident.modal_estimation.variable_projection import designs, fit_modes
+from beam_ident.modal_estimation.variable_projection import designs, fit_modes, held_cost
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.outliers import outlier_warning
@@ -70,6 +77,9 @@ _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
+_MANY_STAMPS = 100_000  # of an output: from here on the search begins with some of them
+_THINNED = 25_000  # of a record: so many
+_HOPE = 5.0  # times what a mode promises with all other poles held, it may gain at most
 
 
 @on_one_thread
@@ -105,7 +115,9 @@ def identify(
     max_modes : int
         Bound on the modes tried when ``n_modes`` is None.
     progress : callable or None
-        Called with a phrase and the share done, between 0 and 1.
+        Called with a phrase and the share done, between 0 and 1.  A TimeoutError that it raises ends the
+        estimation, as Ctrl-C does and too little memory: once there is a mode, the model so far is returned,
+        not converged, and ``reason`` says what is missing.
 
     Returns
     -------
@@ -140,12 +152,11 @@ def identify(
             shifted = [_earlier(one, delays) for one in seen]
             regression = ModalRegression(shifted, terms, input_name)
             _refuse_hopeless(regression, n_modes)
-            search = _TimeSearch(shifted, regression, *clocks, input_name, told, delays=delays)
-            search.found_noise = found
-            if turn == 0 and (result := untangled(seen, search)) is not None:
+            search = begun(shifted, regression, delays=delays)
+            if turn == 0 and (result := untangled(seen, regression, search)) is not None:
                 return result
             try:
-                weighed = search.run(n_modes, max_modes)
+                search, weighed = finished(search, regression)
             except EstimationError as err:
                 gaps = gap_sentences(search.plain)
                 if not gaps:
@@ -157,17 +168,48 @@ def identify(
             delays = {name: delays.get(name, 0.0) + further.get(name, 0.0) for name in (*delays, *further)}
         return search.result(weighed, n_modes)
 
-    def untangled(seen: list[TimeRecord], search: _TimeSearch) -> IdentificationResult | None:
+    def begun(
+        seen: list[TimeRecord],
+        regression: ModalRegression,
+        highest_hz: float = math.inf,
+        delays: Mapping[str, float] = MappingProxyType({}),
+    ) -> _TimeSearch:
+        is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
+        first = regression.thinned(_THINNED) if is_long else regression
+        search = _TimeSearch(seen, first, *clocks, input_name, told, highest_hz, delays)
+        search.found_noise = found
+        return search
+
+    def finished(
+        search: _TimeSearch, regression: ModalRegression
+    ) -> tuple[_TimeSearch, Weighed[ModalRegression]]:
+        if search.plain is regression:
+            return search, search.run(n_modes, max_modes)
+        few = search.begun(n_modes, max_modes)
+        if search.is_stopped:
+            return search, few
+        try:
+            following = _LongSearch(regression, search)
+        except Stopped as stop:
+            if not len(search.chosen.omegas):
+                raise
+            why = why_stopped(
+                stop, f"the fit to more than {_THINNED} stamps of a record, and the weighing by the noise"
+            )
+            return search, search.ended_early(search.chosen, why)
+        return following, following.run(n_modes, max_modes)
+
+    def untangled(
+        seen: list[TimeRecord], regression: ModalRegression, search: _TimeSearch
+    ) -> IdentificationResult | None:
         is_left_to_us = not isinstance(structure, ModalStructure)
         if not is_left_to_us or terms.is_motion or not (search.band.is_excited and search.scan.is_tangled):
             return None
         # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
-        regression = search.plain
         still = ModalRegression(seen, replace(terms, has_free_response=False), input_name)
-        from_rest = _TimeSearch(seen, still, *clocks, input_name, told, 0.5 * regression.rate_hz)
-        from_rest.found_noise = found
         try:
-            result = from_rest.result(from_rest.run(n_modes, max_modes), n_modes)
+            from_rest, weighed = finished(begun(seen, still, 0.5 * regression.rate_hz), still)
+            result = from_rest.result(weighed, n_modes)
         except EstimationError:
             return None  # a record that begins in motion may not fit at all
         return None if _begins_in_motion(regression, still, result.model, clocks) else result
@@ -233,23 +275,20 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         progress: Progress,
         highest_hz: float = math.inf,
         delays: Mapping[str, float] = MappingProxyType({}),
+        scan: ModalScan | None = None,
+        start: ModalFit | None = None,
     ) -> None:
         self.delays = delays
         self.records, self.input_name = records, input_name
         self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
-        differentiations = structure.differentiations if structure.is_motion else 0
-        bands = [
-            excited_band(d, differentiations, regression.duration_s, regression.rate_hz)
-            for d in regression.drives
-        ]
-        high = min(max(b.high_hz for b in bands), highest_hz)
-        is_excited = any(b.is_excited for b in bands)
-        band = Band(min(b.low_hz for b in bands), high, is_excited, 0.5 * regression.rate_hz)
+        if scan is None:
+            band = _common_band(regression, highest_hz)
+            scan = ModalScan(records, structure, input_name, band, regression.restarts)
+        self.scan, band = scan, scan.band
         if not band.is_excited:  # without an input there are no two clocks to compare
             latency, clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
-        self.scan = ModalScan(records, structure, input_name, band, regression.restarts)
-        super().__init__(regression, band, latency, clock_rate, structure.is_motion, progress)
+        super().__init__(regression, band, latency, clock_rate, structure.is_motion, progress, start)
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
         """Return the best place over the input's band, refined."""
@@ -281,6 +320,17 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             fit = again
         return fit
 
+    def begun(self, n_modes: int | None, max_modes: int) -> Weighed[ModalRegression]:
+        """Search with equal weights, and return what was found, be it nothing."""
+        with contextlib.suppress(EstimationError):
+            return self.run(n_modes, max_modes, is_weighed=False)
+        return Weighed(self.chosen, self.plain, self.problem)
+
+    def ended_early(self, fit: ModalFit, reason: str) -> Weighed[ModalRegression]:
+        """Return a fit with equal weights as the best there is."""
+        as_measured = super().ended_early(unweighed(self.problem, fit), reason).fit
+        return Weighed(as_measured, self.plain, self.problem)
+
     def reweigh(self) -> None:
         """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
         if len(self.records) == 1:
@@ -301,6 +351,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         model = self._model(fit)
         smoothing = None
         shares = [_noise_share(model, drive) for drive in regression.drives]
+        self._release()
         if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
             smoothing = Smoothing(self.band.high_hz)
             regression = ModalRegression(
@@ -324,7 +375,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if not self.band.is_excited:
             return {}
         fit, regression = weighed.fit, weighed.problem
-        found = own_delays(regression, fit, self.latency, self.clock_rate)
+        found = own_delays(*_some_samples(regression, fit), self.latency, self.clock_rate)
         place = fit.n_theta
         for j, coefficients in enumerate(fit.coefficients):
             place += len(coefficients)
@@ -359,6 +410,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             fit = self.fit(fit.omegas, fit.zetas, fit.clock)
         return fit
 
+    def _release(self) -> None:
+        """Let go of the signals of a long input that the weighing does not need."""
+        if len(self.plain.pieces) > 1:
+            for regression in (self.plain, self.scan.regression):
+                regression.release()
+
     def _model(self, fit: ModalFit) -> ModalModel:
         regression = self.plain
         clock_is_free = self.latency.is_free, self.clock_rate.is_free
@@ -386,11 +443,10 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             )
         model = self._delayed(self._model(fit), fit)
         self.progress("done", 1.0)
-        blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+        rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
+        deflections = residuals_of(regression, fit.omegas, fit.zetas, fit.clock, rigid)
         outputs = tuple(
-            self._output_fit(
-                j, fit, regression, blocks[regression.block_of[j]].matrix, weighed.by_record.row_levels(j)
-            )
+            self._output_fit(j, fit, regression, deflections[j], weighed.by_record.row_levels(j))
             for j in range(regression.n_outputs)
         )
         return IdentificationResult(
@@ -439,25 +495,32 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             "without an input"
         )
 
-    def _output_fit(
-        self, j: int, fit: ModalFit, regression: ModalRegression, matrix: FloatArray, levels: FloatArray
-    ) -> OutputFit:
-        structure = regression.structure
-        found = fit.coefficients[j]
-        n, n_fixed = len(fit.omegas), regression.n_shared_fixed
+    def _starts(self, j: int, fit: ModalFit, regression: ModalRegression) -> list[int]:
+        """Return where among an output's parameters those begin that belong to each of its records alone."""
+        n = len(fit.omegas)
+        first, n_own = regression.n_shared_fixed + n, regression.n_nuisance(n)
+        return [first + n_own * k for k in range(len(regression.segments[j]))]
+
+    def _rigid(self, j: int, fit: ModalFit, regression: ModalRegression) -> FloatArray:
+        """Return an output's parameters with all zero but direct gain, offsets and ramps."""
+        structure, found = regression.structure, fit.coefficients[j]
         rigid = np.zeros_like(found)
         if structure.has_direct:
             rigid[0] = found[0]
-        n_own = regression.n_nuisance(n)
         n_plain = int(structure.has_offset) + int(structure.has_ramp)
-        starts = [n_fixed + n + n_own * k for k in range(len(regression.segments[j]))]
-        for own in starts:
+        for own in self._starts(j, fit, regression):
             rigid[own : own + n_plain] = found[own : own + n_plain]
-        for _, place in regression.restart_places(n, j):
+        for _, place in regression.restart_places(len(fit.omegas), j):
             drifts = slice(place, place + regression.restarts.n_drifts)
             rigid[drifts] = found[drifts]
+        return rigid
+
+    def _output_fit(
+        self, j: int, fit: ModalFit, regression: ModalRegression, deflection: FloatArray, levels: FloatArray
+    ) -> OutputFit:
+        structure, found = regression.structure, fit.coefficients[j]
+        starts = self._starts(j, fit, regression)
         values, residuals = regression.values[j], fit.residuals[j]
-        deflection = values - matrix @ rigid
         noise_sd = float(fit.sigmas[j]) * levels / math.sqrt(float(np.mean(np.square(levels))))
         noises = fit.noises[j] if fit.noises else ("",) * len(starts)
         records = tuple(
@@ -498,6 +561,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return what is to be said where motion at the beginning was left out by request, and is there."""
         moving = replace(regression.structure, has_free_response=True)
         whole = ModalRegression(self.records, moving, self.input_name, restarts=regression.restarts)
+        if len(whole.pieces) > 1:
+            whole = whole.thinned(_THINNED)
+        regression, fit = _some_samples(regression, fit)
         blocks = whole.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
         present = designs(regression, fit, self.latency, self.clock_rate)
         tested = []
@@ -530,7 +596,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if not regression.structure.has_free_response:
             warnings += self._left_out_motion(fit, regression)
         if regression.structure.kind == "force" and self.band.is_excited:
-            friction = FrictionEstimate.of(fit, regression)
+            some, of_some = _some_samples(regression, fit)
+            friction = FrictionEstimate.of(of_some, some)
             if friction.is_visible:
                 warnings.append(friction.warning())
         if fit.rank_deficient and self.band.is_excited:
@@ -566,6 +633,15 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         return warnings
 
 
+def _some_samples(regression: ModalRegression, fit: ModalFit) -> tuple[ModalRegression, ModalFit]:
+    """Return both on a choice of a long record's stamps, for tests that need all columns at once."""
+    if len(regression.pieces) == 1:
+        return regression, fit
+    few = regression.thinned(_THINNED)
+    residuals = residuals_of(few, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+    return few, replace(fit, residuals=tuple(residuals))
+
+
 def _jumps_into(structure: ModalStructure, record: TimeRecord, input_name: str | None) -> bool:
     """Return whether a held input jumps where the residual term would differentiate it: to nothing at a sample."""
     drives = record.inputs if input_name is None else (record.input(input_name),)
@@ -589,6 +665,63 @@ def _begins_in_motion(
     )
     freedom = with_motion.n_parameters - without.n_parameters
     return bool(2.0 * (without.cost - with_motion.cost) > chi_squared_isf(freedom, _IN_MOTION))
+
+
+class _LongSearch(_TimeSearch):
+    """The search on all stamps of a long record, from what some of them show.
+
+    Parameters
+    ----------
+    regression : ModalRegression -- of all stamps
+    before : _TimeSearch -- of some of them, done
+    """
+
+    def __init__(self, regression: ModalRegression, before: _TimeSearch) -> None:
+        self.before, self.found_noise = before, before.found_noise
+        before.progress("fitting to all samples", 0.9)
+        super().__init__(
+            before.records,
+            regression,
+            before.latency,
+            before.clock_rate,
+            before.input_name,
+            before.progress,
+            delays=before.delays,
+            scan=before.scan,
+            start=before.chosen,
+        )
+        self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
+
+    def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
+        """Return the best place over the input's band, refined, if all stamps say that it may be worth a fit."""
+        for candidate in super().propose(fit, excluded):
+            omegas, zetas = np.append(fit.omegas, candidate.omega), np.append(fit.zetas, candidate.zeta)
+            few = fit_modes(
+                self.before.problem, omegas, zetas, fit.clock, self.latency, self.clock_rate, SHORT
+            )
+            # The new one is that which is farthest from all that were there.
+            apart = np.abs(np.log(few.omegas[:, None] / fit.omegas)) if len(fit.omegas) else np.ones((1, 1))
+            new = int(np.argmax(np.min(apart, axis=1)))
+            found = Candidate(float(few.omegas[new]), float(few.zetas[new]), candidate.gain)
+            with_it = np.append(fit.omegas, found.omega), np.append(fit.zetas, found.zeta)
+            gain = held_cost(self.problem, fit.omegas, fit.zetas, fit.clock)
+            gain -= held_cost(self.problem, *with_it, fit.clock)
+            if _HOPE * gain > fit.cost - self._target(fit, None):
+                return [found]
+        return []
+
+
+def _common_band(regression: ModalRegression, highest_hz: float) -> Band:
+    """Return the band that the inputs of all records excite between them."""
+    structure = regression.structure
+    differentiations = structure.differentiations if structure.is_motion else 0
+    bands = [
+        excited_band(d, differentiations, regression.duration_s, regression.rate_hz)
+        for d in regression.drives
+    ]
+    high = min(max(b.high_hz for b in bands), highest_hz)
+    is_excited = any(b.is_excited for b in bands)
+    return Band(min(b.low_hz for b in bands), high, is_excited, 0.5 * regression.rate_hz)
 
 
 def _noise_share(model: ModalModel, drive: InputSignal) -> float:

@@ -29,9 +29,10 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.prior import Prior
+from beam_ident.modal.condensed_columns import CondensedColumns, residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import ScoreExcess, autoregression
 from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -53,6 +54,10 @@ class ModalProblem(Protocol):
     @property
     def block_of(self) -> Sequence[int]:
         """Which block of columns goes with each output."""
+
+    @property
+    def pieces(self) -> Sequence[ModalProblem]:
+        """Itself, or the rows piece by piece where all their columns would take too much memory."""
 
     @property
     def is_noise_known(self) -> bool:
@@ -92,7 +97,7 @@ class ModalProblem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Everything known at one point of the nonlinear parameters."""
+    """Everything known at one point of the nonlinear parameters; a long problem is condensed."""
 
     theta: FloatArray
     cost: float
@@ -111,6 +116,7 @@ class _Likelihood:
         self.n_modes = n_modes
         self.latency, self.rate = latency, rate
         self.n_theta = 2 * n_modes + int(latency.is_free) + int(rate.is_free)
+        self.is_long = len(problem.pieces) > 1
         self.sizes = np.array([len(v) for v in problem.values], dtype=np.float64)
         scale = np.array([max(float(np.max(np.abs(v))), 1e-300) for v in problem.values])
         self.floor = self.sizes * (_NOISE_FLOOR * scale) ** 2
@@ -138,11 +144,17 @@ class _Likelihood:
 
     def state(self, theta: FloatArray) -> _State:
         n, problem = self.n_modes, self.problem
-        blocks = problem.blocks(np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta), gradients=True)
+        point = np.exp(theta[:n]), theta[n : 2 * n], self.clock(theta)
+        measured = problem.values
+        if self.is_long:
+            condensed = CondensedColumns.of(problem, *point)
+            measured, blocks = condensed.values, condensed.blocks
+        else:
+            blocks = problem.blocks(*point, gradients=True)
         # One decomposition serves all outputs of a block: X = Q R, b = R^-1 Q^T y, r = (1 - Q Q^T) y.
         solutions = [LinearSolution.of(block.matrix) for block in blocks]
         coefficients, residuals = [], []
-        for values, block in zip(problem.values, problem.block_of, strict=True):
+        for values, block in zip(measured, problem.block_of, strict=True):
             found = solutions[block].coefficients(values)
             coefficients.append(found)
             residuals.append(values - blocks[block].matrix @ found)
@@ -251,6 +263,25 @@ def fit_modes(
     return _finished(likelihood, minimise(likelihood, first, max_iterations, target))
 
 
+def held_cost(problem: ModalProblem, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> float:
+    """Return the cost with poles and clock held, without priors: V of (I.8).
+
+    Parameters
+    ----------
+    problem : ModalProblem
+    omegas, zetas : ndarray, shape (n_modes,) -- [rad/s], [-]
+    clock : ClockState
+    """
+    condensed = CondensedColumns.of(problem, omegas, zetas, clock, gradients=False)
+    cost = 0.0
+    for values, whole, number in zip(condensed.values, problem.values, problem.block_of, strict=True):
+        matrix = condensed.blocks[number].matrix
+        left = values - matrix @ LinearSolution.of(matrix).coefficients(values)
+        power = max(float(left @ left), 1e-300)
+        cost += 0.5 * (power if problem.is_noise_known else len(whole) * math.log(power))
+    return cost
+
+
 def designs(problem: ModalProblem, fit: ModalFit, latency: Prior, clock_rate: Prior) -> list[FloatArray]:
     """Return of every output the derivative of the model by (theta, its linear parameters), (n_rows, ..)."""
     blocks = problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
@@ -262,27 +293,45 @@ def designs(problem: ModalProblem, fit: ModalFit, latency: Prior, clock_rate: Pr
 
 
 def _under_coloured_noise(
-    likelihood: _Likelihood, state: _State, variances: FloatArray, covariance: FloatArray
+    likelihood: _Likelihood,
+    state: _State,
+    whole: Sequence[FloatArray],
+    variances: FloatArray,
+    covariance: FloatArray,
 ) -> FloatArray:
     """Return the covariance with the autocorrelation of the residuals taken into account.
 
     The sandwich (I.11), as ``H^-1 + H^-1 (S - H) H^-1``: H is the information under white noise, S the covariance
     of the score under the noise as it is.
     """
-    n_theta = likelihood.n_theta
+    problem, n, n_theta = likelihood.problem, likelihood.n_modes, likelihood.n_theta
+    colours = [autoregression(residuals) for residuals in whole]
+    sums = {
+        output: ScoreExcess(colour, len(whole[output]))
+        for output, colour in enumerate(colours)
+        if len(colour) > 1
+    }
+    if not sums:
+        return covariance
+    theta = state.theta
+    for piece in problem.pieces:
+        blocks = state.blocks
+        if likelihood.is_long:
+            point = np.exp(theta[:n]), theta[n : 2 * n], likelihood.clock(theta)
+            blocks = piece.blocks(*point, gradients=True)
+        for output, own in sums.items():
+            block = blocks[problem.block_of[output]]
+            slopes = block.slopes(
+                state.coefficients[output], likelihood.latency.is_free, likelihood.rate.is_free
+            )
+            own.add(np.concatenate([slopes, block.matrix], axis=1))
     excess = np.zeros_like(covariance)
     place = n_theta
-    for output, residuals in enumerate(state.residuals):
-        matrix = state.blocks[likelihood.problem.block_of[output]].matrix
-        here = np.concatenate([np.arange(n_theta), np.arange(place, place + matrix.shape[1])])
-        place += matrix.shape[1]
-        colour = autoregression(residuals)
-        if len(colour) == 1:
-            continue
-        design = np.concatenate([likelihood.jacobian(state, output), matrix], axis=1)
-        correlation = autocorrelation(colour, len(residuals))
-        difference = score_covariance(design, correlation) - design.T @ design
-        excess[np.ix_(here, here)] += difference / variances[output]
+    for output, found in enumerate(state.coefficients):
+        here = np.concatenate([np.arange(n_theta), np.arange(place, place + len(found))])
+        place += len(found)
+        if output in sums:
+            excess[np.ix_(here, here)] += sums[output].total / variances[output]
     result = covariance + covariance @ excess @ covariance
     return np.asarray(0.5 * (result + result.T))
 
@@ -314,8 +363,12 @@ def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
         covariance[here, here] = variances[output] * solution.inverse_gram()
         place += sizes[output]
     covariance += sensitivity @ theta_covariance @ sensitivity.T
+    omegas, zetas, clock = np.exp(state.theta[:n]), state.theta[n : 2 * n], likelihood.clock(state.theta)
+    residuals = state.residuals
+    if likelihood.is_long and reason != HOPELESS:
+        residuals = residuals_of(problem, omegas, zetas, clock, state.coefficients)
     if problem.is_sequence and reason != HOPELESS:
-        covariance = _under_coloured_noise(likelihood, state, variances, covariance)
+        covariance = _under_coloured_noise(likelihood, state, residuals, variances, covariance)
     # Put the modes in order of frequency, in the parameters and in every output's coefficients.
     order = np.argsort(state.theta[:n])
     permutation = np.arange(total)
@@ -330,12 +383,12 @@ def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
         permutation[place : place + len(found)] = place + local
         place += len(found)
     return ModalFit(
-        omegas=np.exp(state.theta[:n])[order],
-        zetas=state.theta[n : 2 * n][order],
-        clock=likelihood.clock(state.theta),
+        omegas=omegas[order],
+        zetas=zetas[order],
+        clock=clock,
         coefficients=tuple(coefficients),
         mode_columns=mode_columns,
-        residuals=tuple(state.residuals),
+        residuals=tuple(residuals),
         sigmas=np.sqrt(variances),
         cost=state.cost,
         covariance=covariance[np.ix_(permutation, permutation)],

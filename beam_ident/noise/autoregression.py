@@ -22,6 +22,7 @@ from beam_ident.arrays import ComplexArray, FloatArray
 
 _MAX_ORDER = 40
 _MAX_LINE_ORDER = 30
+_FORGOTTEN = 1e-12  # correlation below which it is none
 
 
 def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatArray:
@@ -68,6 +69,46 @@ def autocorrelation(coefficients: FloatArray, n: int) -> FloatArray:
     length = next_fast_len(2 * n - 1, real=True)
     result = irfft(np.square(np.abs(rfft(response, length))), length)[:n]
     return np.asarray(result / result[0])
+
+
+class ScoreExcess:
+    """``D^T R D - D^T D`` for the noise of an autoregression, D's rows coming piece by piece.
+
+    Parameters
+    ----------
+    coefficients : ndarray -- of the autoregression
+    n : int -- number of rows of D
+
+    Attributes
+    ----------
+    total : ndarray, shape (n_parameters, n_parameters) -- of the rows so far
+    """
+
+    def __init__(self, coefficients: FloatArray, n: int) -> None:
+        correlation = autocorrelation(coefficients, n)
+        # From some lag on rows do not know of each other.
+        reach = int(np.flatnonzero(np.abs(correlation) > _FORGOTTEN)[-1]) + 1
+        self._correlation = correlation[:reach]
+        self._before: FloatArray = np.empty((0, 0))
+        self.total: FloatArray = np.empty(0)
+
+    def add(self, design: FloatArray) -> None:
+        """Take in more rows of D, shape (n, n_parameters)."""
+        if not len(self._before):
+            self.total = np.zeros((design.shape[1], design.shape[1]))
+            self._before = np.empty((0, design.shape[1]))
+        # With the rows before in front: theirs among themselves have been counted.
+        joined = np.concatenate([self._before, design])
+        self.total += self._score(joined) - self._score(self._before) - design.T @ design
+        self._before = joined[max(len(joined) - len(self._correlation), 0) :]
+
+    def _score(self, design: FloatArray) -> FloatArray:
+        if not len(design):
+            return np.zeros_like(self.total)
+        correlation = np.zeros(len(design))
+        known = self._correlation[: len(design)]
+        correlation[: len(known)] = known
+        return score_covariance(design, correlation)
 
 
 def score_covariance(design: FloatArray, correlation: FloatArray) -> FloatArray:

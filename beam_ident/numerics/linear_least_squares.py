@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import lapack, qr, solve_triangular
 
 from beam_ident.arrays import FloatArray, IndexArray
 
@@ -88,6 +88,29 @@ def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         basis = solve_triangular(lower, basis.T, lower=True, check_finite=False).T
         triangle = lower.T @ triangle
     return basis, triangle
+
+
+class StackedTriangle:
+    """The triangle R of ``A = Q R``, for a matrix A whose rows come piece by piece.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (min(n_rows, n_columns), n_columns) -- R; ``R^T R = A^T A``
+    """
+
+    def __init__(self) -> None:
+        self.rows: FloatArray = np.empty((0, 0))
+
+    def add(self, piece: FloatArray) -> None:
+        """Take in more rows, shape (n, n_columns); always of the same columns."""
+        if self.rows.size:
+            # Q R of [R; piece]: the triangle so far stands for all rows before.
+            joined = np.empty((len(self.rows) + len(piece), piece.shape[1]), order="F")
+            joined[: len(self.rows)], joined[len(self.rows) :] = self.rows, piece
+        else:
+            joined = np.array(piece, order="F")
+        factored = lapack.dgeqrf(joined, overwrite_a=True)[0]
+        self.rows = np.triu(factored[: piece.shape[1]])
 
 
 def scaled_solve(information: FloatArray, direction: FloatArray, damping: float) -> FloatArray:

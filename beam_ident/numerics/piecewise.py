@@ -11,6 +11,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import factorial
 from typing import Literal
 
@@ -25,6 +26,9 @@ BAND_LIMITED_DEGREE = 9
 
 _REGULAR_TOLERANCE = 1e-9  # knots closer than this [s] to k * period count as a regular grid
 _SNAP = 1e-6  # of a period: closer to a knot than this counts as after it
+_WHOLE_BLOCKS = (
+    96  # knots of a regular grid come in multiples of it: no block of them has to be filled up later
+)
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # of an instant: what adding up periods may lose
 
 
@@ -105,10 +109,13 @@ class PiecewisePolynomial:
             width = coefficients.shape[1]
             before = np.zeros((n_extra, width))
             before[:, 0] = values[0] if lead == "constant" else 0.0
-            after = np.zeros((n_extra, width))
+            n_after = n_extra
+            if period is not None:
+                n_after += -(len(coefficients) + 2 * n_extra) % _WHOLE_BLOCKS
+            after = np.zeros((n_after, width))
             after[:, 0] = values[-1]
-            counts = np.arange(1, n_extra + 1) * step
-            knots = np.concatenate([knots[0] - counts[::-1], knots, knots[-1] + counts])
+            counts = np.arange(1, n_after + 1) * step
+            knots = np.concatenate([knots[0] - counts[:n_extra][::-1], knots, knots[-1] + counts])
             coefficients = np.concatenate([before, coefficients, after])
         if period is not None:
             knots = knots[0] + period * np.arange(len(knots))
@@ -143,11 +150,16 @@ class PiecewisePolynomial:
         return self.evaluate(index, offset, derivative)
 
     def evaluate(self, index: IndexArray, offset: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return the signal at places that ``locate`` has found."""
+        """Return the signal where ``locate`` has found places; derivative -1 is the integral from the first knot."""
         if derivative > self.degree:
             return np.zeros_like(offset)
         rows = self.coefficients[index]
         result = np.zeros_like(offset)
+        if derivative == -1:
+            for power in range(self.degree, -1, -1):
+                # int a_m h^m = a_m h^(m+1)/(m+1).
+                result = result * offset + rows[:, power] / (power + 1)
+            return np.asarray(result * offset + self._areas[index])
         for power in range(self.degree, derivative - 1, -1):
             factor = 1.0
             for k in range(derivative):
@@ -156,15 +168,24 @@ class PiecewisePolynomial:
             result = result * offset + factor * rows[:, power]
         return result
 
+    @cached_property
+    def _areas(self) -> FloatArray:
+        """The integral from the first knot to every segment's, shape (n_segments,)."""
+        steps = np.diff(self.knots)
+        gains = np.zeros(len(steps))
+        for power in range(self.degree, -1, -1):
+            gains = (gains + self.coefficients[:, power] / (power + 1)) * steps
+        result = np.empty(len(steps))
+        result[0] = 0.0
+        np.cumsum(gains[:-1], out=result[1:])
+        return result
+
     def antiderivative(self) -> PiecewisePolynomial:
         """Return the integral from the first knot."""
-        steps = np.diff(self.knots)
         powers = np.arange(1, self.degree + 2)
         # int a_m h^m = a_m h^(m+1)/(m+1); the constant of a segment is the area of all before it.
         raised = self.coefficients / powers
-        gains = np.sum(raised * steps[:, None] ** powers, axis=1)
-        start = np.concatenate([[0.0], np.cumsum(gains)[:-1]])
-        return PiecewisePolynomial(self.knots, np.column_stack([start, raised]), self.period)
+        return PiecewisePolynomial(self.knots, np.column_stack([self._areas, raised]), self.period)
 
     def derivative(self) -> PiecewisePolynomial:
         """Return the derivative inside the segments (jumps at the knots are left out)."""
@@ -207,19 +228,18 @@ class Instants:
             index, offset = signal.locate(times)
         return Instants(times, exposure_s, index, offset)
 
-    def mean(
-        self, signal: PiecewisePolynomial, integral: PiecewisePolynomial
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the signal averaged over the exposures, and its derivative by time.
+    def mean(self, signal: PiecewisePolynomial, derivative: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Return the signal, or one of its derivatives, averaged over the exposures, and how fast that changes.
 
-        Both signals must have the knots on which the instants were located.
+        The signal must have the knots on which the instants were located.
         """
         if self.exposure_s > 0.0:
-            return self._difference(integral), self._difference(signal)
-        return signal.evaluate(self.index, self.offset), signal.evaluate(self.index, self.offset, 1)
+            return self._difference(signal, derivative - 1), self._difference(signal, derivative)
+        index, offset = self.index, self.offset
+        return signal.evaluate(index, offset, derivative), signal.evaluate(index, offset, derivative + 1)
 
-    def _difference(self, signal: PiecewisePolynomial) -> FloatArray:
-        values = signal.evaluate(self.index, self.offset)
+    def _difference(self, signal: PiecewisePolynomial, derivative: int) -> FloatArray:
+        values = signal.evaluate(self.index, self.offset, derivative)
         n = len(self.times)
         return np.asarray((values[n:] - values[:n]) / self.exposure_s)
 

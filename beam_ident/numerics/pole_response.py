@@ -214,15 +214,12 @@ class PoleResponses:
             result += weights.gains[:, :, m] * np.ascontiguousarray(rows[:, m])
         return result
 
-    def sample(
-        self, instants: Instants, integral: PiecewisePolynomial, gradients: bool = True
-    ) -> SampledResponses:
+    def sample(self, instants: Instants, gradients: bool = True) -> SampledResponses:
         """Return the responses at output instants, averaged over their exposures.
 
         Parameters
         ----------
         instants : Instants -- located on the knots of the drive
-        integral : PiecewisePolynomial -- antiderivative of the drive
         gradients : bool -- whether derivatives are wanted, where there are any
         """
         gradients = gradients and self.gradients
@@ -235,7 +232,7 @@ class PoleResponses:
             # dx/dt from the differential equation (I.1) itself.
             rate = poles * states[:, 0] + self.drive.evaluate(index, offset)
             return SampledResponses(states[:, 0], states[:, 1], rate)
-        area = integral.evaluate(index, offset)
+        area = self.drive.evaluate(index, offset, -1)
         n = len(instants.times)
         scale = 1.0 / (poles * instants.exposure_s)
         # (I.4), its derivative by the pole, and by time: the difference of x at both ends.

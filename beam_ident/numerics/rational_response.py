@@ -159,7 +159,7 @@ class RationalResponse:
             states = chain_response(self._form.chain, scale, drive, integral, instants)
             self._rows = _Fractions.rows([states])
             return
-        sampled = PoleResponses(upper * scale, drive, gradients=squares).sample(instants, integral)
+        sampled = PoleResponses(upper * scale, drive, gradients=squares).sample(instants)
         # s is in units of the scale: 1/(s/w - p) = w/(s - w p), and its derivative by p takes w once more.
         parts = [scale * sampled.values]
         if sampled.pole_slopes is not None:

@@ -185,7 +185,7 @@ class _Input:
         span = self.per_period * self.period_s
         begin = self.start_s
         chain = [own]
-        for _ in range(3):
+        for _ in range(2):
             integral = chain[-1].antiderivative()
             # Each integral without its mean, so that the next one is periodic as well.
             twice = integral.antiderivative()
@@ -194,12 +194,11 @@ class _Input:
         instants = Instants.on(own, times, exposure_s)
         found = [np.full(len(times), np.nan)] * 2  # a held input jumps: it has no derivatives
         if hold != "zoh":
-            rate = own.derivative()
             # Where two derivatives are asked of straight lines, the spline through the ticks has them.
             source: Hold = "cubic" if hold == "linear" else hold
-            smooth = PiecewisePolynomial.from_samples(grid, samples, source).derivative()
-            found = [instants.mean(smooth.derivative(), smooth)[0], instants.mean(rate, own)[0]]
-        return found + [instants.mean(chain[k], chain[k + 1])[0] for k in range(3)]
+            smooth = PiecewisePolynomial.from_samples(grid, samples, source)
+            found = [instants.mean(smooth, 2)[0], instants.mean(own, 1)[0]]
+        return found + [instants.mean(chain[k])[0] for k in range(3)]
 
 
 def whole_number(line_period_s: float, period_s: float, what: str) -> int:

@@ -71,7 +71,7 @@ def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal
 
     def seen(source: InputSignal) -> FloatArray:
         signal = source.signal()
-        return Instants.on(signal, times, output.exposure_s).mean(signal, signal.antiderivative())[0]
+        return Instants.on(signal, times, output.exposure_s).mean(signal)[0]
 
     return SignalPair(period, seen(drive), values, None if reference is None else seen(reference))
 

@@ -284,7 +284,7 @@ def _pole_columns(drive: PiecewisePolynomial, times: FloatArray, poles: ComplexA
     instants = Instants.on(drive, times, 0.0)
     n_at_once = max(1, _MAX_STATES // len(drive.knots))
     responses = [
-        PoleResponses(poles[k : k + n_at_once], drive, gradients=False).sample(instants, drive).values
+        PoleResponses(poles[k : k + n_at_once], drive, gradients=False).sample(instants).values
         for k in range(0, len(poles), n_at_once)
     ]
     values = np.concatenate(responses)

@@ -175,7 +175,7 @@ def _shares(
         grid = np.asarray(own.times[0] + step * np.arange(int(own.length / step) + 1), dtype=np.float64)
         at_grid = Instants.on(own.measured, grid, 0.0)
         outputs = filtered_derivatives(filtered_output(own, upper, problem.scale, at_grid))
-        values = at_grid.mean(own.measured, own.measured_integral)[0]
+        values = at_grid.mean(own.measured)[0]
         moving, shared = np.empty((len(grid), 0)), [outputs]
         for k, path in enumerate(own.paths):
             delay = shift if k == varied else delays[k]

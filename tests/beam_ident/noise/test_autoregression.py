@@ -6,6 +6,8 @@ from scipy.linalg import toeplitz
 
 from beam_ident import FrequencyRecord, analyse_modes, fit_frequency_modes, stabilisation_chart
 from beam_ident.noise.autoregression import (
+    ScoreExcess,
+    autocorrelation,
     excess_over_lines,
     line_autoregression,
     line_correlation,
@@ -81,3 +83,16 @@ def test_intervals_cover_where_lines_share_their_errors(fit, decay, pad):
         scores += [(found[0] - OMEGAS) / found[2], (found[1] - ZETAS) / found[3]]
     # 96 scores scatter by 1 +- 0.07; independent lines would have been said to know 2 to 3 times as much.
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
+
+
+def test_a_score_that_comes_in_pieces_has_the_covariance_of_the_whole():
+    colour = np.array([1.0, -0.9, 0.3])
+    design = np.random.default_rng(1).standard_normal((900, 3))
+    whole = ScoreExcess(colour, len(design))
+    whole.add(design)
+    expected = design.T @ (toeplitz(autocorrelation(colour, len(design))) - np.eye(len(design))) @ design
+    np.testing.assert_allclose(whole.total, expected, rtol=1e-9, atol=1e-9)
+    pieces = ScoreExcess(colour, len(design))
+    for piece in np.split(design, [1, 5, 300, 600]):
+        pieces.add(piece)
+    np.testing.assert_allclose(pieces.total, expected, rtol=1e-9, atol=1e-9)
