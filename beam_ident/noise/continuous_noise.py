@@ -167,13 +167,39 @@ class ContinuousWhitening:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n, ...) as independent samples see them; of determinant one."""
+        return self.continued(columns, 0, ())[0]
+
+    def continued(
+        self, columns: FloatArray, begin: int, memory: tuple[FloatArray, ...]
+    ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Return the same of some rows, and what is to be known of them for the next ones.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n, ...)
+        begin : int -- number of the first of these rows
+        memory : tuple of ndarray -- of the rows before; empty for the first ones
+        """
+        n, order = len(columns), self.noise.order
+        if not n:
+            return columns, memory
+        joined, known = columns, np.empty((0, *columns.shape[1:]))
+        if memory:
+            joined, known = np.concatenate([memory[0], columns]), memory[1]
+        before = len(joined) - n
         left = np.array(columns, dtype=np.float64, order="F")
         for lag, row in enumerate(self._predictors, start=1):
-            own = row[lag:].reshape(-1, *([1] * (left.ndim - 1)))
-            left[lag:] -= own * columns[:-lag]
-        flat = left.reshape(len(left), -1)
-        white = dtbtrs(self._factor, flat, uplo="L")[0]
-        return np.asarray(white.reshape(left.shape) * self._unit)
+            none = max(lag - before, 0)  # rows that nothing is before
+            own = row[begin + none : begin + n].reshape(-1, *([1] * (left.ndim - 1)))
+            left[none:] -= own * joined[before + none - lag : before + n - lag]
+        # L white = left, (I.23): what rows before have in these is known.
+        for back in range(1, len(known) + 1):
+            for row in range(min(order - back + 1, n)):
+                left[row] -= self._factor[row + back, begin - back] * known[-back]
+        flat = left.reshape(n, -1)
+        white = dtbtrs(self._factor[:, begin : begin + n], flat, uplo="L")[0].reshape(left.shape)
+        following = joined[-order:].copy(), np.concatenate([known, white[-order:]])[-order:]
+        return np.asarray(white * self._unit), following
 
     def score_covariance(self, design: FloatArray) -> FloatArray:
         """Return ``D^T R D`` for this noise's correlation R and the derivatives D, shape (n, n_parameters)."""

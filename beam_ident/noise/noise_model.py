@@ -85,16 +85,37 @@ class Whitening:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n, ...) as the noise's innovations see them."""
+        return self.continued(columns, 0, ())[0]
+
+    def continued(
+        self, columns: FloatArray, begin: int, memory: tuple[FloatArray, ...]
+    ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Return the same of some rows, and what is to be known of them for the next ones.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n, ...)
+        begin : int -- number of the first of these rows
+        memory : tuple of ndarray -- of the rows before; empty for the first ones
+        """
         order = len(self.coefficients) - 1
         if order == 0:
-            return columns
-        result = np.empty_like(columns)
+            return columns, ()
+        joined = np.concatenate([memory[0], columns]) if memory else columns
+        known = begin - (len(joined) - len(columns))  # number of the first row in ``joined``
+        result, last = np.empty_like(columns), begin + len(columns)
         for start, end in self._runs:
-            run = columns[start:end]
-            result[start:end] = lfilter(self.coefficients, [1.0], run, axis=0)
-            for k in range(min(order, end - start)):
-                result[start + k] = self._weights[k] * (self._predictors[k] @ run[k::-1])
-        return result
+            first, stop = max(start, begin), min(end, last)
+            if first >= stop:
+                continue
+            # A prediction looks back by the order: that many rows before are in ``joined``, or the run's first.
+            from_here = max(start, known)
+            run = joined[from_here - known : stop - known]
+            found = lfilter(self.coefficients, [1.0], run, axis=0)
+            result[first - begin : stop - begin] = found[first - from_here :]
+            for k in range(first - start, min(order, stop - start)):
+                result[start + k - begin] = self._weights[k] * (self._predictors[k] @ run[k::-1])
+        return result, (joined[max(len(joined) - order, 0) :].copy(),)
 
 
 Colour = Whitening | ContinuousWhitening
@@ -217,14 +238,39 @@ class RecordNoise:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n, ...) as independent noise sees them."""
-        if self.tails is not None:
-            roots = np.sqrt(self.tails.weights)
+        return NoisePass(self).apply(columns)
+
+
+class NoisePass:
+    """The rows of a record as independent noise sees them, piece by piece.
+
+    Parameters
+    ----------
+    noise : RecordNoise -- of all rows
+    """
+
+    def __init__(self, noise: RecordNoise) -> None:
+        self.noise = noise
+        self._seen = self._kept = 0
+        self._memory: tuple[FloatArray, ...] = ()
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Return the next rows, shape (n, ...)."""
+        noise, rows = self.noise, slice(self._seen, self._seen + len(columns))
+        self._seen = rows.stop
+        if noise.tails is not None:
+            roots = np.sqrt(noise.tails.weights[rows])
             return np.asarray(columns * roots.reshape(-1, *([1] * (columns.ndim - 1))))
-        if self.kept is None:
-            return self.colour.apply(columns)
-        result = np.zeros_like(columns)
-        result[self.kept] = self.colour.apply(columns[self.kept])
+        if noise.kept is None:
+            return self._whitened(columns)
+        result, kept = np.zeros_like(columns), noise.kept[rows]
+        result[kept] = self._whitened(columns[kept])
         return result
+
+    def _whitened(self, columns: FloatArray) -> FloatArray:
+        white, self._memory = self.noise.colour.continued(columns, self._kept, self._memory)
+        self._kept += len(columns)
+        return white
 
 
 class NoiseModel:
