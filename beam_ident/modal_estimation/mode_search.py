@@ -228,8 +228,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             )
         if not is_weighed:
             return Weighed(self.chosen, self.problem, self.problem)
-        self.progress("weighing by the noise as it is", 0.97)
         try:
+            self.progress("weighing by the noise as it is", 0.97)
             weighed = self.weighed(self.chosen)
         except Stopped as stop:
             return self.ended_early(self.chosen, why_stopped(stop, "the weighing by the noise as it is"))

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import IdentificationResult, ModalModel, TimeRecord, identify
+from beam_ident.modal import regression
+from beam_ident.modal_estimation import time_domain, weighted_fit
+from tests.beam_ident.modal_estimation.test_weighted_fit import with_coloured_noise, with_encoder_noise
+from tests.beam_ident.truth import beam_record
+
+
+@pytest.fixture
+def in_pieces(monkeypatch) -> None:
+    """Take a record of a thousand samples for a long one."""
+    monkeypatch.setattr(regression, "_LONG", 500)
+    monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
+    monkeypatch.setattr(time_domain, "_THINNED", 400)
+    monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
+
+
+def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
+    values = (model.natural_frequencies, model.damping_ratios, model.residues.ravel(), model.gains)
+    sds = (model.natural_frequency_sd, model.damping_ratio_sd, model.residue_sd.ravel(), model.gain_sd)
+    return np.concatenate(values), np.concatenate(sds)
+
+
+RECORDS = {
+    "white": lambda: beam_record(3),
+    "coloured": lambda: with_coloured_noise(3),
+    "encoder": lambda: with_encoder_noise(3, 1e-6, 1e-6, missing=0.1),
+    "several": lambda: [beam_record(1), with_coloured_noise(2).select(["z285", "z010"])],
+}
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_a_record_in_pieces_is_identified_like_the_whole(kind, request):
+    record = RECORDS[kind]()
+    whole = identify(record)
+    request.getfixturevalue("in_pieces")
+    long = identify(record)
+    assert [len(long.outputs), long.model.n_modes, long.converged] == [3, 3, True]
+    (found, found_sds), (expected, sds) = flat(long.model), flat(whole.model)
+    assert np.max(np.abs(found - expected) / sds) < 0.1
+    # Noise on the input feigns information, which is drawn: on a stretch of a long record.
+    np.testing.assert_allclose(found_sds, sds, rtol=0.1 if kind == "encoder" else 1e-3)
+    assert long.outputs[1].scores.fit_percent == pytest.approx(whole.outputs[1].scores.fit_percent, abs=1e-4)
+    np.testing.assert_allclose(long.outputs[0].deflection, whole.outputs[0].deflection, atol=1e-7)
+
+
+def stopped_at(phrase: str, error: type[BaseException], record: TimeRecord) -> IdentificationResult:
+    def progress(said: str, share: float) -> None:
+        del share
+        if said == phrase:
+            raise error
+
+    return identify(record, progress=progress)
+
+
+@pytest.mark.parametrize(
+    ("phrase", "error", "said", "n_modes"),
+    [
+        ("looking for mode 2", KeyboardInterrupt, "interrupted; missing is the search for more than 1", 1),
+        ("looking for mode 3", TimeoutError, "the time was up; missing is the search for more than 2", 2),
+        ("weighing by the noise as it is", MemoryError, "memory did not suffice; missing is the weighing", 3),
+    ],
+)
+def test_what_is_found_is_not_lost_when_a_later_step_fails(phrase, error, said, n_modes):
+    found = stopped_at(phrase, error, beam_record(3))
+    assert found.model.n_modes == n_modes
+    assert not found.converged
+    assert said in found.reason
+    assert any(said in warning for warning in found.warnings)
+
+
+@pytest.mark.usefixtures("in_pieces")
+def test_what_some_samples_show_is_not_lost_when_all_are_too_many():
+    found = stopped_at("fitting to all samples", MemoryError, beam_record(3))
+    assert found.model.n_modes == 3
+    assert "missing is the fit to more than 400 stamps" in found.reason
+    assert len(found.outputs[0].residuals) == 400
+    whole = flat(identify(beam_record(3)).model)
+    few, few_sds = flat(found.model)
+    assert np.max(np.abs(few - whole[0]) / few_sds) < 4.0
+
+
+def test_an_estimation_that_has_found_nothing_yet_is_interrupted():
+    with pytest.raises(KeyboardInterrupt):
+        stopped_at("looking for mode 1", KeyboardInterrupt, beam_record(3))
