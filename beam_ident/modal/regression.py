@@ -34,7 +34,7 @@ MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
 
 _MIN_SAMPLES = 20
 _PIECE_ROWS = 8192  # what one piece needs stays in the cache
-_LONG = 4 * _PIECE_ROWS  # rows of a record from which on it is taken in pieces
+_LONG = 2 * _PIECE_ROWS  # rows of a record from which on it is taken in pieces
 
 
 @dataclass(frozen=True)
@@ -754,7 +754,8 @@ class ModalRegression:
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first, restart = 0, 0
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
-            rows, level = self._rows[part[:3]], part[3]
+            rows: IndexArray | slice = self._rows[part[:3]]
+            level = part[3]
             here = slice(first, first + length)
             first += length
             own = n_fixed + n_modes + n_own * number
@@ -763,18 +764,17 @@ class ModalRegression:
                 pairs = own + n_drifts + np.arange(2 * n_modes).reshape(n_modes, 2)
                 mode_columns[:, 1 + 2 * number : 3 + 2 * number] = pairs
             restarts = [
-                (
-                    n_plain + n_anew * k + self.restarts.n_drifts,
-                    slice(1 + n_free + 2 * k, 3 + n_free + 2 * k),
-                )
+                (n_plain + n_anew * k + self.restarts.n_drifts, 1 + n_free + 2 * k)
                 for k in range(restart, restart + (len(self.restarts.gaps[part[0]]) if with_restarts else 0))
             ]
             restart += len(restarts)
             for begin, place in restarts:
-                mode_columns[:, place] = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
+                mode_columns[:, place : place + 2] = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
             if not length:
                 continue
             source = cache[part[0], part[1]]
+            if length == len(source.ramp):
+                rows = slice(None)  # all stamps of the grid
             latency_factor[here] = source.sampling.latency_factor[rows]
             rate_factor[here] = source.sampling.rate_factor[rows]
             for column, (value, rate) in enumerate(source.sampling.fixed):
@@ -796,25 +796,24 @@ class ModalRegression:
                     by_time[here, column] = source.forced[3][mode][rows]
                 if not structure.has_free_response:
                     continue
-                pair = slice(own + 2 * mode, own + 2 * mode + 2)
-                matrix[here, pair] = _real_pair(source.free[0][mode][rows]).T
-                place = slice(1 + 2 * number, 3 + 2 * number)
+                pair, place = own + 2 * mode, 1 + 2 * number
+                targets = [matrix.T[pair:, here]]
                 if by_time is not None:
-                    touched[mode][0, place, here] = _real_pair(source.free[1][mode][rows])
-                    touched[mode][1, place, here] = _real_pair(source.free[2][mode][rows])
-                    by_time[here, pair] = _real_pair(source.free[3][mode][rows]).T
+                    slopes = touched[mode]
+                    targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
+                _fill_pairs(targets, source.free, mode, rows)
             for anew, (begin, place) in zip(source.restarts, restarts, strict=True):
                 for column, (value, rate) in enumerate(anew.drifts, begin - len(anew.drifts)):
                     matrix[here, column] = value[rows]
                     if by_time is not None:
                         by_time[here, column] = rate[rows]
                 for mode in range(n_modes):
-                    pair = slice(begin + 2 * mode, begin + 2 * mode + 2)
-                    matrix[here, pair] = _real_pair(anew.free[0][mode][rows]).T
+                    pair = begin + 2 * mode
+                    targets = [matrix.T[pair:, here]]
                     if by_time is not None:
-                        touched[mode][0, place, here] = _real_pair(anew.free[1][mode][rows])
-                        touched[mode][1, place, here] = _real_pair(anew.free[2][mode][rows])
-                        by_time[here, pair] = _real_pair(anew.free[3][mode][rows]).T
+                        slopes = touched[mode]
+                        targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
+                    _fill_pairs(targets, anew.free, mode, rows)
             if level != 1.0:
                 for columns in (matrix, by_time):
                     if columns is not None:
@@ -825,8 +824,13 @@ class ModalRegression:
         return ColumnBlock(matrix, mode_columns, modes, by_time, latency_factor, rate_factor)
 
 
-def _real_pair(values: ComplexArray) -> FloatArray:
-    return np.stack([values.real, values.imag])
+def _fill_pairs(
+    targets: Sequence[FloatArray], free: Sequence[ComplexArray], mode: int, rows: IndexArray | slice
+) -> None:
+    """Put real and imaginary parts of a mode's free motion, and of its derivatives, into two rows of each target."""
+    for target, own in zip(targets, free, strict=True):
+        values = own[mode][rows]
+        target[0], target[1] = values.real, values.imag
 
 
 def forced_columns(
