@@ -20,9 +20,10 @@ Equation numbers are those of docs/identification.md.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,16 +31,18 @@ import numpy as np
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.errors import IdentificationError
+from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import ScoreExcess, autoregression
 from beam_ident.noise.input_noise import Smoothing
-from beam_ident.noise.noise_model import RecordNoise, Whitening
+from beam_ident.noise.noise_model import NoisePass, RecordNoise, Whitening
 from beam_ident.noise.scores import are_rounding
-from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTriangle
 
 _MAX_STEPS = 15
 _MAX_STEPS_AMONG_OUTLIERS = 40  # weights by the tails settle more slowly
@@ -51,6 +54,7 @@ _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased t
 _DRAWS = 8  # of records with thousands of samples
 _DRAWN = 100_000  # samples of an output over all draws: those of a long record need less repetition
 _AT_ONCE = 50_000  # samples of an output that draws may hold together
+_STRETCH = 12_500  # samples of an output that are drawn for a long record, too few to be long themselves
 _MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
 _MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
 
@@ -67,11 +71,21 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _Linearisation:
-    """Whitened residuals and derivatives at one point."""
+    """Whitened residuals and derivatives at one point.
+
+    Attributes
+    ----------
+    design, residuals : ndarray
+        D and w of (I.10); of a long record after an orthogonal transformation of both, in few rows.
+    innovations : tuple of ndarray -- w of every output, as it is
+    whitened : callable
+        Returns D and w side by side, of every output, piece by piece, in the columns that it touches.
+    """
 
     design: FloatArray
     residuals: FloatArray
-    lengths: tuple[int, ...]
+    innovations: tuple[FloatArray, ...]
+    whitened: Callable[[], Iterable[Sequence[FloatArray]]]
     filters: tuple[DisturbanceFilter, ...] = ()
     disturbances: tuple[tuple[InputDisturbance, Observations], ...] = ()
 
@@ -200,18 +214,19 @@ class WeightedFit:
         """Return whether equal weights are an answer: not where the input's noise biases them."""
         return fit.converged and self.smoothing is None
 
+    @property
+    def _is_long(self) -> bool:
+        return len(self.regression.pieces) > 1
+
     def _linearise(self, point: _Point) -> _Linearisation:
-        regression = self.regression
-        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=self.smoothing is None)
-        residuals = [
-            values - blocks[block].matrix @ found
-            for values, block, found in zip(
-                regression.values, regression.block_of, point.coefficients, strict=True
-            )
-        ]
+        driving = self.regression
         filters: list[DisturbanceFilter] = []
         disturbances: list[tuple[InputDisturbance, Observations]] = []
+        residuals: Sequence[FloatArray] | None = None
         if self.smoothing is not None:
+            residuals = self._residuals(point)
+            if self._is_long:
+                self._driven.release()
             # The innovations L^-1 r of (I.16) have unit power where the sigma_j^2 are right.
             disturbances = self._disturbances(point)
             filters = [
@@ -223,56 +238,166 @@ class WeightedFit:
             self._adjust_variances(white, residuals)
             for own in filters:
                 own.weigh(white)
-            # Sigma^-1 r of (I.17), and from it the most likely input a_hat of (I.14).
-            weighted = [w[:, 0] for w in white]
-            cleaned = self._cleaned(disturbances, weighted)
-            # The derivatives at a_hat, (I.15); the residuals stay those against the measured input, (I.12).
-            blocks = cleaned.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-        elif self._has_outliers:
-            self._take_noise(residuals)  # the weights of tails go with the residuals
-        # D and w side by side, so that one pass of the filter whitens both: L^-1 (dM/deta a_hat) and L^-1 r.
-        columns = self._columns(blocks, point.coefficients)
-        for rows, values in zip(columns, residuals, strict=True):
-            rows[:, -1] = values
-        for own_filter in filters:
-            own_filter.whiten(columns)
-        if not filters:
-            columns = [self._filtered(j, c) for j, c in enumerate(columns)]
-        stacked = np.concatenate(columns)
-        lengths = tuple(len(c) for c in columns)
-        return _Linearisation(stacked[:, :-1], stacked[:, -1], lengths, tuple(filters), tuple(disturbances))
+            # Sigma^-1 r of (I.17), and from it the most likely input a_hat of (I.14). The derivatives are those at
+            # a_hat, (I.15); the residuals stay those against the measured input, (I.12).
+            driving = self._cleaned(disturbances, [w[:, 0] for w in white])
+        elif self._has_outliers and self._is_long:
+            self._take_noise(self._residuals(point))  # the weights of tails go with the residuals
 
-    def _residuals(self, point: _Point) -> tuple[FloatArray, ...]:
-        regression = self.regression
-        blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=False)
-        return tuple(
-            values - blocks[block].matrix @ found
-            for values, block, found in zip(
-                regression.values, regression.block_of, point.coefficients, strict=True
-            )
+        def whitened() -> Iterator[list[FloatArray]]:
+            return self._whitened(point, driving, filters, residuals)
+
+        if self._is_long:
+            return self._condensed(whitened, filters, disturbances)
+        (columns,) = whitened()
+        stacked = np.zeros((sum(map(len, columns)), len(self.fit.covariance) + 1), order="F")
+        first = 0
+        for output, own_columns in enumerate(columns):
+            rows = slice(first, first + len(own_columns))
+            first = rows.stop
+            for places in self._touched_slices(output):
+                stacked[rows, places[0]] = own_columns[:, places[1]]
+        innovations = tuple(own_columns[:, -1] for own_columns in columns)
+        return _Linearisation(
+            stacked[:, :-1],
+            stacked[:, -1],
+            innovations,
+            lambda: [columns],
+            tuple(filters),
+            tuple(disturbances),
         )
 
-    def _columns(self, blocks: Sequence[ColumnBlock], coefficients: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return the derivatives of every output by all parameters, and room for one column more."""
-        columns = []
-        first, total = self.n_theta, len(self.fit.covariance)
-        for block, found in zip(self.regression.block_of, coefficients, strict=True):
-            matrix = blocks[block].matrix
-            full = np.zeros((len(matrix), total + 1), order="F")
-            full[:, : self.n_theta] = blocks[block].slopes(
-                found, self.latency.is_free, self.clock_rate.is_free
-            )
-            full[:, first : first + len(found)] = matrix
-            first += len(found)
-            columns.append(full)
-        return columns
+    def _condensed(
+        self,
+        whitened: Callable[[], Iterable[Sequence[FloatArray]]],
+        filters: Sequence[DisturbanceFilter],
+        disturbances: Sequence[tuple[InputDisturbance, Observations]],
+    ) -> _Linearisation:
+        """Return D and w of a long record in as many rows as the outputs touch columns."""
+        n_outputs = len(self.fit.coefficients)
+        # Rows of outputs that share no parameter but poles and clock need not be turned together.
+        n_turned = n_outputs if self.smoothing is None else 1
+        triangles = [StackedTriangle() for _ in range(n_turned)]
+        innovations: list[list[FloatArray]] = [[] for _ in range(n_outputs)]
+        for columns in whitened():
+            for seen, own in zip(innovations, columns, strict=True):
+                seen.append(own[:, -1].copy())
+            together = columns if n_turned == n_outputs else [np.concatenate(columns)]
+            for triangle, rows in zip(triangles, together, strict=True):
+                if len(rows):
+                    triangle.add(rows)
+        design, right = [], []
+        for output, triangle in enumerate(triangles):
+            spread = np.zeros((len(triangle.rows), len(self.fit.covariance)))
+            spread[:, self._touched(output)] = triangle.rows[:, :-1]
+            design.append(spread)
+            right.append(triangle.rows[:, -1])
+        return _Linearisation(
+            np.concatenate(design),
+            np.concatenate(right),
+            tuple(np.concatenate(seen) for seen in innovations),
+            whitened,
+            tuple(filters),
+            tuple(disturbances),
+        )
 
-    def _filtered(self, output: int, columns: FloatArray) -> FloatArray:
+    def _whitened(
+        self,
+        point: _Point,
+        driving: ModalRegression | StackedRegression,
+        filters: Sequence[DisturbanceFilter],
+        residuals: Sequence[FloatArray] | None,
+    ) -> Iterator[list[FloatArray]]:
+        """Yield D and w of (I.10) side by side, of every output, piece by piece.
+
+        One pass of a filter whitens both: ``L^-1 (dM/deta a_hat)`` and ``L^-1 r``.
+
+        Parameters
+        ----------
+        point : _Point
+        driving : ModalRegression or StackedRegression -- on the inputs at which the derivatives are taken
+        filters : sequence of DisturbanceFilter -- of every record, where the input's noise matters
+        residuals : sequence of ndarray or None
+            Against the measured input, of every output; None where the derivatives are at that input, too.
+        """
+        passes: dict[tuple[int, int], NoisePass] = {}
+        states: dict[int, FloatArray] = {}
+        pieces: Sequence[ModalRegression | StackedRegression] = self.regression.pieces
+        drivings: Sequence[ModalRegression | StackedRegression] = driving.pieces
+        for piece, driven in zip(pieces, drivings, strict=True):
+            blocks = driven.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+            columns = []
+            for output, (block, found) in enumerate(zip(piece.block_of, point.coefficients, strict=True)):
+                rows = self._columns(output, blocks[block], found)
+                if residuals is None:
+                    rows[:, -1] = piece.values[output] - blocks[block].matrix @ found
+                else:
+                    rows[:, -1] = residuals[output][piece.places[output]]
+                columns.append(rows)
+            if not filters:
+                if self._has_outliers and not self._is_long:
+                    # The weights of tails go with the residuals.
+                    self._take_noise([rows[:, -1].copy() for rows in columns])
+                columns = [self._filtered(piece, output, rows, passes) for output, rows in enumerate(columns)]
+            elif isinstance(piece, ModalRegression) and piece.record is not None:
+                # The filter's state goes on from piece to piece.
+                own = filters[piece.record]
+                states[piece.record] = own.whiten(columns, piece.places, states.get(piece.record))
+            else:
+                for own in filters:
+                    own.whiten(columns)
+            yield columns
+
+    def _residuals(self, point: _Point) -> tuple[FloatArray, ...]:
+        """Return the residuals against the measured input, of every output."""
+        return tuple(
+            residuals_of(self.regression, point.omegas, point.zetas, point.clock, point.coefficients)
+        )
+
+    def _touched_slices(self, output: int) -> list[tuple[slice, slice]]:
+        """Return which parameters an output's whitened rows depend on, and the columns that hold them."""
+        sizes, n = [len(found) for found in self.fit.coefficients], self.n_theta
+        if self.smoothing is not None:  # the filter mixes the outputs
+            both = slice(0, n + sum(sizes) + 1)
+            return [(both, both)]
+        first, own = n + sum(sizes[:output]), sizes[output]
+        residual = slice(n + sum(sizes), n + sum(sizes) + 1), slice(n + own, n + own + 1)
+        return [
+            (slice(0, n), slice(0, n)),
+            (slice(first, first + own), slice(n, n + own)),
+            residual,
+        ]
+
+    def _touched(self, output: int) -> IndexArray:
+        """Return which parameters an output's whitened rows depend on."""
+        slices = [here for here, _ in self._touched_slices(output)]
+        return np.concatenate([np.arange(own.start, own.stop) for own in slices])[:-1]
+
+    def _columns(self, output: int, block: ColumnBlock, found: FloatArray) -> FloatArray:
+        """Return the derivatives of an output by the parameters that it touches, and room for one column more."""
+        sizes = [len(own) for own in self.fit.coefficients]
+        first, total = self.n_theta, self.n_theta + sizes[output]
+        if self.smoothing is not None:
+            first, total = first + sum(sizes[:output]), self.n_theta + sum(sizes)
+        full = np.zeros((len(block.matrix), total + 1), order="F")
+        full[:, : self.n_theta] = block.slopes(found, self.latency.is_free, self.clock_rate.is_free)
+        full[:, first : first + len(found)] = block.matrix
+        return full
+
+    def _filtered(
+        self,
+        piece: ModalRegression | StackedRegression,
+        output: int,
+        columns: FloatArray,
+        passes: dict[tuple[int, int], NoisePass],
+    ) -> FloatArray:
         """Return columns as the noise of an output sees them, each record for itself, in units of its level."""
         result = np.empty_like(columns)
-        owned = zip(self.regression.segments[output], self.noises[output], self.levels[output], strict=True)
-        for (_, part), noise, level in owned:
-            np.divide(noise.apply(columns[part]), max(float(level), 1e-300), out=result[part])
+        owned = zip(piece.segments[output], self.noises[output], self.levels[output], strict=True)
+        for number, ((_, part), noise, level) in enumerate(owned):
+            if part.stop > part.start:
+                passed = passes.setdefault((output, number), NoisePass(noise))
+                np.divide(passed.apply(columns[part]), max(float(level), 1e-300), out=result[part])
         return result
 
     def _with_priors(self, linear: _Linearisation, point: _Point) -> tuple[FloatArray, FloatArray]:
@@ -349,7 +474,7 @@ class WeightedFit:
             result.append((disturbance, Observations.of(times, rows)))
         return result
 
-    def _adjust_variances(self, white: list[FloatArray], residuals: list[FloatArray]) -> None:
+    def _adjust_variances(self, white: list[FloatArray], residuals: Sequence[FloatArray]) -> None:
         """Move the outputs' own variances to where the innovations have unit power."""
         for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
             for record, part in self.regression.segments[output]:
@@ -381,7 +506,7 @@ class WeightedFit:
         smoothing = None if is_smooth else self.smoothing
         driven = self._driven
         found = ModalRegression(records, driven.structure, None, smoothing, driven.restarts)
-        return found.with_own_columns(driven.own_columns)
+        return found.with_own_columns(driven.own_columns) if driven.own_columns else found
 
     def _without_feigned_information(
         self, point: _Point, linear: _Linearisation, covariance: FloatArray
@@ -395,26 +520,7 @@ class WeightedFit:
         answers to a change of the parameters with ``H - N``: the covariance is ``(H - N)^-1 H
         (H - N)^-1``, with N from a few seeded draws (Fuller, Measurement Error Models, 1987).
         """
-        shared = []
-        for found in point.coefficients:
-            # N of (I.18) comes through the poles, gains and residues alone: offset, ramp and free motion do
-            # not pass the input.
-            without_nuisance = found.copy()
-            without_nuisance[self.n_shared :] = 0.0
-            shared.append(without_nuisance)
-        longest = max(len(values) for values in self.regression.values)
-        n_draws, at_once = min(_DRAWS, math.ceil(_DRAWN / longest)), max(_AT_ONCE // longest, 1)
-        rng, total = np.random.default_rng(0), len(covariance)
-        noise = np.zeros((total, total))
-        for first in range(0, n_draws, at_once):
-            left = self._left_noise(point, linear, shared, rng, min(at_once, n_draws - first))
-            # Several draws in one pass of the filter; N is the mean of D_left^T D_left over all.
-            together = self._noise_columns(point, left, shared)
-            for own_filter in linear.filters:
-                own_filter.whiten(together)
-            for columns in together:
-                rows = columns.reshape(-1, total)
-                noise += rows.T @ rows / n_draws
+        noise = self._feigned(point, linear.disturbances, linear.filters)
         # With H^-1 = root root^T and root^T N root = U s U^T, (I.18) is (root U) (1 - s)^-2 (root U)^T. Beyond
         # the limit on s, H - N is a difference of two numbers that the draws do not tell apart.
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -424,27 +530,91 @@ class WeightedFit:
         spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MAX_FEIGNED))
         return np.asarray((spread @ spread.T) * np.outer(scale, scale))
 
+    def _feigned(
+        self,
+        point: _Point,
+        disturbances: Sequence[tuple[InputDisturbance, Observations]],
+        filters: Sequence[DisturbanceFilter],
+    ) -> FloatArray:
+        """Return N of (I.18), shape as the covariance.
+
+        Notes
+        -----
+        What is left of the noise does not depend on the input, so that N grows with the length of a record alone:
+        that of a long one is known from a stretch of it.
+        """
+        if self._is_long and (stretch := self._stretch()) is not None:
+            own = stretch._disturbances(point)
+            own_filters = [d.filter(o, v) for (d, o), v in zip(own, stretch.record_variances, strict=True)]
+            grown = self.regression.n_samples / stretch.regression.n_samples
+            return np.asarray(grown * stretch._feigned(point, own, own_filters))
+        # N of (I.18) comes through the poles, gains and residues alone: offset, ramp and free motion do not pass
+        # the input.
+        shared = [found[: self.n_shared] for found in point.coefficients]
+        longest = max(len(values) for values in self.regression.values)
+        n_draws, at_once = min(_DRAWS, math.ceil(_DRAWN / longest)), max(_AT_ONCE // longest, 1)
+        rng, total = np.random.default_rng(0), len(self.fit.covariance)
+        noise = np.zeros((total, total))
+        for first in range(0, n_draws, at_once):
+            some = min(at_once, n_draws - first)
+            left = self._left_noise(point, disturbances, filters, shared, rng, some)
+            # Several draws in one pass of the filter; N is the mean of D_left^T D_left over all.
+            together = self._noise_columns(point, left, shared)
+            for own_filter in filters:
+                own_filter.whiten(together)
+            for columns in together:
+                rows = columns.reshape(-1, total)
+                noise += rows.T @ rows / n_draws
+        return noise
+
+    def _stretch(self) -> WeightedFit | None:
+        """Return the same on a stretch from the middle of every record; None where not all outputs are seen there."""
+        records = []
+        for record in self.records:
+            busiest = max((output.times_s for output in record.outputs), key=len)
+            first = max((len(busiest) - _STRETCH) // 2, 0)
+            times = busiest[first : first + _STRETCH]
+            with contextlib.suppress(IdentificationError):
+                records.append(record.between(float(times[0]), float(times[-1])))
+        driven = self._driven
+        try:
+            regression = ModalRegression(records, driven.structure, driven.drives[0].name, self.smoothing)
+        except IdentificationError:
+            return None
+        if regression.output_names != driven.output_names or len(records) < len(self.records):
+            return None
+        result = WeightedFit(records, regression, self.fit, self.latency, self.clock_rate, self.smoothing)
+        result.record_variances = self.record_variances
+        return result
+
     def _noise_columns(
         self, point: _Point, left: Sequence[Sequence[FloatArray]], shared: Sequence[FloatArray]
     ) -> list[FloatArray]:
         """Return the derivatives by all parameters at noise on the inputs, draw beside draw, of every output."""
-        draws = []
+        draws: list[list[FloatArray]] = []
+        sizes = [len(found) for found in self.fit.coefficients]
         for noise in left:
             regression = self._on_inputs(noise, is_smooth=True)
             blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-            columns = [own[:, :-1] for own in self._columns(blocks, shared)]
-            first = self.n_theta
-            for own, found in zip(columns, shared, strict=True):
-                own[:, first + self.n_shared : first + len(found)] = 0.0
-                first += len(found)
+            columns, first = [], self.n_theta
+            for number, own, size in zip(regression.block_of, shared, sizes, strict=True):
+                block = blocks[number]
+                full = np.zeros((len(block.matrix), len(self.fit.covariance)), order="F")
+                full[:, : self.n_theta] = block.slopes(
+                    _padded(own, block), self.latency.is_free, self.clock_rate.is_free
+                )
+                full[:, first : first + len(own)] = block.matrix[:, : len(own)]
+                columns.append(full)
+                first += size
             draws.append(columns)
         return [np.concatenate(own, axis=1).copy(order="C") for own in zip(*draws, strict=True)]
 
     def _left_noise(
         self,
         point: _Point,
-        linear: _Linearisation,
-        shared: list[FloatArray],
+        disturbances: Sequence[tuple[InputDisturbance, Observations]],
+        filters: Sequence[DisturbanceFilter],
+        shared: Sequence[FloatArray],
         rng: np.random.Generator,
         n_draws: int,
     ) -> list[list[FloatArray]]:
@@ -466,13 +636,14 @@ class WeightedFit:
             )
             for output, block in enumerate(regression.block_of):
                 own = rng.standard_normal(len(residuals[output])) * np.sqrt(self._row_variances(output))
-                residuals[output][:, draw] = own - blocks[block].matrix @ shared[output]
-        for own_filter in linear.filters:
+                matrix = blocks[block].matrix
+                residuals[output][:, draw] = own - matrix @ _padded(shared[output], blocks[block])
+        for own_filter in filters:
             own_filter.whiten(residuals)
             own_filter.weigh(residuals)
         for draw, noise in enumerate(inputs):
             weighted = [values[:, draw] for values in residuals]
-            for index, (disturbance, observations) in enumerate(linear.disturbances):
+            for index, (disturbance, observations) in enumerate(disturbances):
                 # nu - nu_hat: what the most likely input still holds of this draw's noise.
                 noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
         return inputs
@@ -495,9 +666,17 @@ class WeightedFit:
             )
             for noises, segments in zip(self.noises, self.regression.segments, strict=False)
         ]
-        covariance = _sandwich(linear, inverse, inflations)
+        touched = [self._touched(output) for output in range(len(point.coefficients))]
+        covariance = _sandwich(inverse, linear.innovations, touched, linear.whitened, inflations)
+        reason = self.fit.reason
         if self.smoothing is not None:
-            covariance = self._without_feigned_information(point, linear, covariance)
+            try:
+                covariance = self._without_feigned_information(point, linear, covariance)
+            except (KeyboardInterrupt, MemoryError) as stop:
+                what = "the memory did not suffice" if isinstance(stop, MemoryError) else "interrupted"
+                reason = (
+                    f"{what}; standard deviations count information that noise on the input may only feign"
+                )
         residuals = self._residuals(point)
         powers = np.array([float(np.mean(np.square(r))) for r in residuals])
         for output, noises in enumerate(self.noises):
@@ -521,32 +700,55 @@ class WeightedFit:
             covariance=0.5 * (covariance + covariance.T),
             input_noise_shares=shares,
             noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises),
+            converged=self.fit.converged and reason == self.fit.reason,
+            reason=reason,
             iterations=self.fit.iterations + steps,
         )
 
 
-def _sandwich(linear: _Linearisation, inverse: FloatArray, inflations: Sequence[FloatArray]) -> FloatArray:
+def _padded(shared: FloatArray, block: ColumnBlock) -> FloatArray:
+    """Return linear parameters of a block's columns of which only the first are not zero."""
+    result = np.zeros(block.matrix.shape[1])
+    result[: len(shared)] = shared
+    return result
+
+
+def _sandwich(
+    inverse: FloatArray,
+    innovations: Sequence[FloatArray],
+    touched: Sequence[IndexArray],
+    whitened: Callable[[], Iterable[Sequence[FloatArray]]],
+    inflations: Sequence[FloatArray],
+) -> FloatArray:
     """Return the covariance (I.11) under the colour that the innovations still have, from that without colour.
 
     Parameters
     ----------
-    linear : _Linearisation
     inverse : ndarray -- of the information
+    innovations : sequence of ndarray -- of every output
+    touched : sequence of ndarray -- which parameters go with the columns of every output
+    whitened : callable -- returns D and w side by side, of every output, piece by piece
     inflations : sequence of ndarray -- of every output, by what the variance of its rows grows; none is one
     """
-    excess = np.zeros_like(inverse)
-    first = 0
-    for output, length in enumerate(linear.lengths):
-        own = slice(first, first + length)
-        first += length
-        # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations
-        # still have.
-        innovations = linear.residuals[own]
-        if inflations and np.any(inflations[output] != 1.0):
-            design = linear.design[own]
-            excess += design.T @ (design * (inflations[output] - 1.0)[:, None])
-        colour = autoregression(innovations)
-        if len(colour) > 1:
-            design = linear.design[own]
-            excess += score_covariance(design, autocorrelation(colour, length)) - design.T @ design
+    # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations still have.
+    colours = [autoregression(own) for own in innovations]
+    sums = {
+        output: ScoreExcess(colour, len(innovations[output]))
+        for output, colour in enumerate(colours)
+        if len(colour) > 1
+    }
+    grown = [output for output, own in enumerate(inflations) if np.any(own != 1.0)]
+    if not sums and not grown:
+        return inverse
+    excess, done = np.zeros_like(inverse), [0] * len(innovations)
+    for columns in whitened():
+        for output, own in sums.items():
+            own.add(columns[output][:, :-1])
+        for output in grown:
+            design, first = columns[output][:, :-1], done[output]
+            done[output] += len(design)
+            more = inflations[output][first : first + len(design)] - 1.0
+            excess[np.ix_(touched[output], touched[output])] += design.T @ (design * more[:, None])
+    for output, own in sums.items():
+        excess[np.ix_(touched[output], touched[output])] += own.total
     return np.asarray(inverse + inverse @ excess @ inverse)

@@ -5,7 +5,7 @@ import pytest
 
 from beam_ident import IdentificationResult, ModalModel, TimeRecord, identify
 from beam_ident.modal import regression
-from beam_ident.modal_estimation import time_domain
+from beam_ident.modal_estimation import time_domain, weighted_fit
 from tests.beam_ident.modal_estimation.test_weighted_fit import with_coloured_noise, with_encoder_noise
 from tests.beam_ident.truth import beam_record
 
@@ -17,6 +17,7 @@ def in_pieces(monkeypatch) -> None:
     monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
     monkeypatch.setattr(time_domain, "_MANY_STAMPS", 500)
     monkeypatch.setattr(time_domain, "_THINNED", 400)
+    monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
 
 
 def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:

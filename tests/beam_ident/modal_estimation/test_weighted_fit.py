@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from beam_ident import InputSignal, ModalModel, ModalStructure, OutputSignal, Prior, TimeRecord, identify
-from beam_ident.modal_estimation.weighted_fit import _Linearisation, _sandwich
+from beam_ident.modal_estimation.weighted_fit import _sandwich
 from benchmarks.ident.rig import Rig
 from tests.beam_ident.truth import OMEGAS, RESIDUAL_TERMS, RESIDUES, ZETAS, beam_record
 
@@ -111,8 +111,9 @@ def test_the_mean_of_noise_with_a_colour_scatters_more_than_that_of_white_noise(
     white, shocks = np.random.default_rng(8).standard_normal((2, n))
     coloured = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], shocks)
     # Two outputs of unit variance, of which a constant each is estimated.
-    linear = _Linearisation(np.kron(np.eye(2), np.ones((n, 1))), np.concatenate([coloured, white]), (n, n))
-    variances = n * np.diag(_sandwich(linear, np.eye(2) / n, ()))
+    whitened = [[np.column_stack([np.ones(n), own]) for own in (coloured, white)]]
+    touched = [np.array([0]), np.array([1])]
+    variances = n * np.diag(_sandwich(np.eye(2) / n, [coloured, white], touched, lambda: whitened, ()))
     # (1 + c) / (1 - c) for a first-order autoregression; 20000 samples know c to 0.006, the ratio to 0.025.
     assert variances == pytest.approx([(1.0 + colour) / (1.0 - colour), 1.0], abs=0.1)
 
