@@ -49,8 +49,8 @@ from beam_ident.excitation import SteppedSine as SteppedSine
 from beam_ident.excitation import crest_factor as crest_factor
 from beam_ident.excitation import describe_recipe as describe_recipe
 from beam_ident.modal.free_decay_result import FreeDecay as FreeDecay
-from beam_ident.modal.frequency_domain_result import FrequencyDomainResult as FrequencyDomainResult
 from beam_ident.modal.frequency_response import ModalFrequencyResponse as ModalFrequencyResponse
+from beam_ident.modal.identification_result import FrequencyDomainResult as FrequencyDomainResult
 from beam_ident.modal.identification_result import IdentificationResult as IdentificationResult
 from beam_ident.modal.identification_result import OrderEntry as OrderEntry
 from beam_ident.modal.identification_result import OutputFit as OutputFit

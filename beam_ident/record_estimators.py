@@ -16,7 +16,7 @@ from beam_ident.data.batches import Progress
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.modal.frequency_domain_result import FrequencyDomainResult
+from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes
 from beam_ident.modal_estimation.time_domain import identify

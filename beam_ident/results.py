@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
     from beam_ident.arrays import ComplexArray, FloatArray
     from beam_ident.modal.free_decay_result import FreeDecay
-    from beam_ident.modal.frequency_domain_result import FrequencyDomainResult
-    from beam_ident.modal.identification_result import IdentificationResult
+    from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
     from beam_ident.modal_analysis.refinement import ModalAnalysis
     from beam_ident.noise.line_misfit import LineMisfit
     from beam_ident.noise.scores import Scores, Whiteness

@@ -26,7 +26,7 @@ TESTED_IN = (
     ("beam_ident/figures", "canvas excitation poles responses validation", "figures/test_figures"),
     ("beam_ident/figures", "identification", "report/test_identification"),
     ("beam_ident/modal", "fit", "modal/test_model"),
-    ("beam_ident/modal", "frequency_domain_result line_basis", "modal_estimation/test_frequency_domain"),
+    ("beam_ident/modal", "line_basis", "modal_estimation/test_frequency_domain"),
     ("beam_ident/modal", "free_decay_result", "modal_estimation/test_free_decay"),
     ("beam_ident/modal", "stacked_regression", "modal_estimation/test_variable_projection"),
     ("beam_ident/modal", "identification_result", "test_result_members"),

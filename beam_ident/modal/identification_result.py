@@ -1,14 +1,16 @@
-"""What an identification says: the model, the fit of every output, and the table of orders."""
+"""What an identification says, in records or in lines: the model, its fit, and the table of orders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.bandwidth import Band
+from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.noise.line_misfit import LineMisfit
 from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
 
@@ -115,3 +117,36 @@ class IdentificationResult(OverOutputs):
         raise EstimationError(
             f"no output {name!r} in this result; available: {', '.join(self.model.output_names)}"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyDomainResult:
+    """A modal model from frequency data.
+
+    Attributes
+    ----------
+    model : ModalModel
+    records : tuple of FrequencyRecord
+    modelled : tuple of complex ndarray, each (n_lines, n_outputs, 1)
+        What the model says at the lines, foldings included.
+    orders : tuple of OrderEntry -- scores are those of the weighed lines
+    misfit : LineMisfit
+    converged, reason, iterations
+        How the last fit ended.
+    warnings : tuple of str
+    """
+
+    model: ModalModel
+    records: tuple[FrequencyRecord, ...]
+    modelled: tuple[ComplexArray, ...]
+    orders: tuple[OrderEntry, ...]
+    misfit: LineMisfit
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    @property
+    def residuals(self) -> tuple[ComplexArray, ...]:
+        """Responses less what the model says, each (n_lines, n_outputs, 1); NaN where none was measured."""
+        return tuple(own.response - said for own, said in zip(self.records, self.modelled, strict=True))

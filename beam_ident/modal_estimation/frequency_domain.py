@@ -27,7 +27,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.prior import Prior
 from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit, fitted_model
-from beam_ident.modal.frequency_domain_result import FrequencyDomainResult
+from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.line_basis import LineBasis
 from beam_ident.modal.stacked_regression import Part, StackedRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind

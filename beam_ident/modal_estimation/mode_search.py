@@ -124,7 +124,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
         self.progress = progress
         self.max_iterations = _ITERATIONS
-        self.is_stopped = False  # before its time
+        self.stopped_by: BaseException | None = None  # before its time
         if start is None:
             base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
         else:
@@ -162,12 +162,19 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self.chosen, self.chosen_entry = self._believed
         if not len(self.chosen.omegas):
             raise stop
-        return self.ended_early(self.chosen, why_stopped(stop, missing))
+        return self.ended_early(self.chosen, stop, missing)
 
-    def ended_early(self, fit: ModalFit, reason: str) -> Weighed[ProblemT]:
+    def ended_early(self, fit: ModalFit, stop: BaseException, missing: str) -> Weighed[ProblemT]:
         """Return a fit with equal weights as the best there is."""
-        self.is_stopped = True
-        return Weighed(dataclasses.replace(fit, converged=False, reason=reason), self.plain, self.plain)
+        return self.unfinished(Weighed(fit, self.plain, self.plain), stop, missing)
+
+    def unfinished(self, weighed: Weighed[ProblemT], stop: BaseException, missing: str) -> Weighed[ProblemT]:
+        """Return a fit that says what ended the estimation before its time, and what is missing therefore."""
+        self.stopped_by = stop
+        reason = why_stopped(stop, missing)
+        return dataclasses.replace(
+            weighed, fit=dataclasses.replace(weighed.fit, converged=False, reason=reason)
+        )
 
     def fit(
         self,
@@ -232,14 +239,12 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self.progress("weighing by the noise as it is", 0.97)
             weighed = self.weighed(self.chosen)
         except Stopped as stop:
-            return self.ended_early(self.chosen, why_stopped(stop, "the weighing by the noise as it is"))
+            return self.ended_early(self.chosen, stop, "the weighing by the noise as it is")
         try:
             return weighed if n_modes is not None else self._confirmed(weighed)
         except Stopped as stop:
-            why = why_stopped(stop, "a second look at modes that only the input's noise may have feigned")
-            return dataclasses.replace(
-                weighed, fit=dataclasses.replace(weighed.fit, converged=False, reason=why)
-            )
+            missing = "a second look at modes that only the input's noise may have feigned"
+            return self.unfinished(weighed, stop, missing)
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""

@@ -43,7 +43,6 @@ from beam_ident.modal_estimation.mode_search import (
     Weighed,
     checked_limit,
     silent,
-    why_stopped,
 )
 from beam_ident.modal_estimation.record_levels import (
     BridgeUncertainty,
@@ -147,22 +146,34 @@ def identify(
 
     def fit(seen: list[TimeRecord]) -> IdentificationResult:
         delays: dict[str, float] = {}
+        known: tuple[_TimeSearch, Weighed[ModalRegression]] | None = None
         most = _DELAY_TURNS * len(seen[0].outputs)
         for turn in range(most):
             shifted = [_earlier(one, delays) for one in seen]
-            regression = ModalRegression(shifted, terms, input_name)
-            _refuse_hopeless(regression, n_modes)
-            search = begun(shifted, regression, delays=delays)
-            if turn == 0 and (result := untangled(seen, regression, search)) is not None:
-                return result
             try:
-                search, weighed = finished(search, regression)
-            except EstimationError as err:
-                gaps = gap_sentences(search.plain)
-                if not gaps:
+                regression = ModalRegression(shifted, terms, input_name)
+                _refuse_hopeless(regression, n_modes)
+                search = begun(shifted, regression, delays=delays)
+                if turn == 0 and (result := untangled(seen, regression, search)) is not None:
+                    return result
+                try:
+                    search, weighed = finished(search, regression)
+                except EstimationError as err:
+                    gaps = gap_sentences(search.plain)
+                    if not gaps:
+                        raise
+                    raise EstimationError(f"{err}. {' '.join(gaps)}") from err
+                if search.stopped_by is not None and known is not None:
+                    raise search.stopped_by
+                known = search, weighed
+                goes_on = search.stopped_by is None and turn + 1 < most
+                further = search.further_delays(weighed) if goes_on else {}
+            except Stopped as stop:
+                if known is None:
                     raise
-                raise EstimationError(f"{err}. {' '.join(gaps)}") from err
-            further = search.further_delays(weighed) if turn + 1 < most else {}
+                search, weighed = known
+                missing = "a further look for delays that outputs have of their own"
+                weighed, further = search.unfinished(weighed, stop, missing), {}
             if not further:
                 break
             delays = {name: delays.get(name, 0.0) + further.get(name, 0.0) for name in (*delays, *further)}
@@ -186,17 +197,15 @@ def identify(
         if search.plain is regression:
             return search, search.run(n_modes, max_modes)
         few = search.begun(n_modes, max_modes)
-        if search.is_stopped:
+        if search.stopped_by is not None:
             return search, few
         try:
             following = _LongSearch(regression, search)
         except Stopped as stop:
             if not len(search.chosen.omegas):
                 raise
-            why = why_stopped(
-                stop, f"the fit to more than {_THINNED} stamps of a record, and the weighing by the noise"
-            )
-            return search, search.ended_early(search.chosen, why)
+            missing = f"the fit to more than {_THINNED} stamps of a record, and the weighing by the noise"
+            return search, search.ended_early(search.chosen, stop, missing)
         return following, following.run(n_modes, max_modes)
 
     def untangled(
@@ -326,10 +335,10 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             return self.run(n_modes, max_modes, is_weighed=False)
         return Weighed(self.chosen, self.plain, self.problem)
 
-    def ended_early(self, fit: ModalFit, reason: str) -> Weighed[ModalRegression]:
+    def ended_early(self, fit: ModalFit, stop: BaseException, missing: str) -> Weighed[ModalRegression]:
         """Return a fit with equal weights as the best there is."""
-        as_measured = super().ended_early(unweighed(self.problem, fit), reason).fit
-        return Weighed(as_measured, self.plain, self.problem)
+        as_measured = unweighed(self.problem, fit)
+        return self.unfinished(Weighed(as_measured, self.plain, self.problem), stop, missing)
 
     def reweigh(self) -> None:
         """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
