@@ -451,7 +451,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 "for a number of modes to see the best candidates"
             )
         model = self._delayed(self._model(fit), fit)
-        self.progress("done", 1.0)
+        with contextlib.suppress(TimeoutError):  # what is found is returned, however late
+            self.progress("done", 1.0)
         rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
         deflections = residuals_of(regression, fit.omegas, fit.zetas, fit.clock, rigid)
         outputs = tuple(

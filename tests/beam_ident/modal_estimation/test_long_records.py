@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from beam_ident import IdentificationResult, ModalModel, TimeRecord, identify
 from beam_ident.modal import regression
 from beam_ident.modal_estimation import time_domain, weighted_fit
+from tests.beam_ident.modal.test_restarts import damaged
+from tests.beam_ident.modal_estimation.test_output_delays import late
 from tests.beam_ident.modal_estimation.test_weighted_fit import with_coloured_noise, with_encoder_noise
 from tests.beam_ident.truth import beam_record
 
@@ -24,6 +28,17 @@ def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
     values = (model.natural_frequencies, model.damping_ratios, model.residues.ravel(), model.gains)
     sds = (model.natural_frequency_sd, model.damping_ratio_sd, model.residue_sd.ravel(), model.gain_sd)
     return np.concatenate(values), np.concatenate(sds)
+
+
+def with_outliers(record: TimeRecord) -> TimeRecord:
+    """Return a record of which one sample in fifty is far off."""
+    rng, outputs = np.random.default_rng(5), []
+    for output in record.outputs:
+        far = rng.random(len(output.values)) < 0.02
+        outputs.append(
+            dataclasses.replace(output, values=output.values + far * rng.normal(0.0, 2e-4, len(far)))
+        )
+    return dataclasses.replace(record, outputs=tuple(outputs))
 
 
 RECORDS = {
@@ -47,6 +62,29 @@ def test_a_record_in_pieces_is_identified_like_the_whole(kind, request):
     np.testing.assert_allclose(found_sds, sds, rtol=0.1 if kind == "encoder" else 1e-3)
     assert long.outputs[1].scores.fit_percent == pytest.approx(whole.outputs[1].scores.fit_percent, abs=1e-4)
     np.testing.assert_allclose(long.outputs[0].deflection, whole.outputs[0].deflection, atol=1e-7)
+
+
+DIFFICULT = {
+    "tails": lambda: with_outliers(beam_record(3)),
+    "outliers under a colour": lambda: with_outliers(with_coloured_noise(3)),
+    "gaps": lambda: damaged(beam_record(3), ((2.0, 2.022), (4.0, 4.5))),
+    "late": lambda: late(3, {"z225": -20e-3}),
+}
+
+
+@pytest.mark.parametrize("kind", DIFFICULT)
+def test_pieces_weigh_by_their_noise_like_the_whole(kind, monkeypatch):
+    record = DIFFICULT[kind]()
+    whole = identify(record, n_modes=3)
+    monkeypatch.setattr(regression, "_LONG", 500)
+    monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
+    monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
+    found, sds = flat(identify(record, n_modes=3).model)
+    expected, expected_sds = flat(whole.model)
+    # Two ways to the same sums.
+    assert np.max(np.abs(found - expected) / expected_sds) < 1e-3
+    # With noise found on the input, what it feigns is drawn on a stretch.
+    np.testing.assert_allclose(sds, expected_sds, rtol=0.1 if kind == "late" else 1e-4)
 
 
 def stopped_at(phrase: str, error: type[BaseException], record: TimeRecord) -> IdentificationResult:
@@ -88,3 +126,18 @@ def test_what_some_samples_show_is_not_lost_when_all_are_too_many():
 def test_an_estimation_that_has_found_nothing_yet_is_interrupted():
     with pytest.raises(KeyboardInterrupt):
         stopped_at("looking for mode 1", KeyboardInterrupt, beam_record(3))
+
+
+def test_a_model_is_not_lost_when_a_later_look_for_delays_is_stopped():
+    looks = []
+
+    def progress(said: str, share: float) -> None:
+        del share
+        looks.append(said)
+        if looks.count("looking for mode 1") == 2:
+            raise TimeoutError
+
+    found = identify(late(1, {"z225": -20e-3}), progress=progress)
+    assert found.model.n_modes > 0
+    assert not found.converged
+    assert "the time was up; missing is a further look for delays" in found.reason
