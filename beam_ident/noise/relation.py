@@ -5,8 +5,8 @@ tenth: its pole goes where the noise rings.  So two explanations compete.  Eithe
 autoregression of which predicts it from its own past; or it is what the model says, plus such noise.  Both orders and
 the choice between the two go by BIC.
 
-The rule accepts an input that has nothing to do with the output in less than one record in a hundred (study
-``unrelated-input``).
+How often the rule accepts an input that has nothing to do with the output is counted by the study
+``unrelated-input``: never in 60 records of four kinds of noise, by any estimator.
 """
 
 from __future__ import annotations
