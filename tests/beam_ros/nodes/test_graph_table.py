@@ -153,6 +153,8 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
     graph.call("hub/home", "/a")
     enabled = client.call_async(client.srv_type.Request(data=True))
     graph.wait(enabled.done, "an enabled hub")
+    answers: list[object] = []
+    graph.listen("identification/result", answers.append, namespace="/a")
     for service in (
         "tracker/capture_point",
         "excitation/start",
@@ -161,6 +163,7 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
         "tracker/fit_calibration",
     ):
         graph.call(service, "/a")
+    graph.wait(lambda: bool(answers), "what became of the identification", 60.0)
     undeclared, unread = set(), set()
     for name, reads in runs.reads().items():
         declared = set(NODES[name].parameters)
