@@ -248,6 +248,16 @@ def require_output(name: str, values: FloatArray) -> None:
         )
 
 
+def chosen_input(record: TimeRecord, input_name: str | None) -> InputSignal:
+    """Return the input of a name, or the only one; raise EstimationError where there are several to choose from."""
+    if input_name is None and len(record.inputs) > 1:
+        raise EstimationError(
+            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
+            "input_name"
+        )
+    return record.inputs[0] if input_name is None else record.input(input_name)
+
+
 def require_input(drive: InputSignal, is_needed: bool = True) -> None:
     """Raise EstimationError for an input of an absurd size, or one at zero throughout where it is needed."""
     require_size(f"input {drive.name!r}", drive.values)

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.data.argument_checks import chosen_input
 from beam_ident.data.gaps import InputGap
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
@@ -396,12 +397,7 @@ class ModalRegression:
         self.structure = structure
         self.drives: list[InputSignal] = []
         for record in records:
-            if input_name is None and len(record.inputs) > 1:
-                available = ", ".join(s.name for s in record.inputs)
-                raise EstimationError(
-                    f"record {record.name!r} has the inputs {available}; say which with input_name"
-                )
-            self.drives.append(record.inputs[0] if input_name is None else record.input(input_name))
+            self.drives.append(chosen_input(record, input_name))
         smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
         self.restarts = Restarts.at_poor_bridges(self.drives, structure) if restarts is None else restarts
         self._prepared = [

@@ -20,7 +20,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.argument_checks import require_moving_input, require_output, require_records
+from beam_ident.data.argument_checks import (
+    chosen_input,
+    require_moving_input,
+    require_output,
+    require_records,
+)
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
@@ -278,12 +283,7 @@ def _averaged(segments: Sequence[_Segment], share: float) -> _Averaged:
 
 
 def _drive(record: TimeRecord, input_name: str | None) -> InputSignal:
-    if input_name is None and len(record.inputs) > 1:
-        raise EstimationError(
-            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
-            "input_name"
-        )
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    drive = chosen_input(record, input_name)
     require_moving_input(drive)
     return drive
 

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident.arrays import AnyArray, BoolArray, ComplexArray, FloatArray, IndexArray
-from beam_ident.data.argument_checks import finite_row, require_output, require_record
+from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_record
 from beam_ident.data.frequency_record import TAIL_POWERS, Folding, FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
@@ -291,7 +291,8 @@ def periodic_response(
     of the accuracy of a fit; this takes the noise of input and outputs, not the
     response, to be smooth over a few lines.
     """
-    drive = _chosen_input(record, input_name)
+    require_record(record)
+    drive = chosen_input(record, input_name)
     outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
     if len({o.exposure_s for o in outputs}) > 1:
         raise EstimationError(
@@ -365,16 +366,6 @@ def _level(periods: FloatArray) -> FloatArray:
     slope = np.mean(periods, axis=2) @ turn / float(turn @ turn)
     ramp = turn[:, None] + (np.arange(n) - 0.5 * (n - 1)) / n
     return np.asarray(periods - slope[:, None, None] * ramp)
-
-
-def _chosen_input(record: TimeRecord, input_name: str | None) -> InputSignal:
-    require_record(record)
-    if input_name is None and len(record.inputs) > 1:
-        raise EstimationError(
-            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
-            "input_name"
-        )
-    return record.inputs[0] if input_name is None else record.input(input_name)
 
 
 def _excited_numbers(source: _Input, excited_hz: FloatArray | None, line_period_s: float) -> IndexArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import (
+    chosen_input,
     require_moving_input,
     require_output,
     require_record,
@@ -86,12 +87,7 @@ def for_every_output(
 ) -> FrequencyRecord:
     """Estimate the response of every output asked for, and put them into one frequency record."""
     require_record(record)
-    if input_name is None and len(record.inputs) > 1:
-        raise EstimationError(
-            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
-            "input_name"
-        )
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    drive = chosen_input(record, input_name)
     require_moving_input(drive)
     reference = None if reference_name is None else record.input(reference_name)
     outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]

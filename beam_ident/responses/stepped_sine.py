@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import finite_row, require_record, require_size
+from beam_ident.data.argument_checks import chosen_input, finite_row, require_record, require_size
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
@@ -184,12 +184,7 @@ def stepped_sine_response(
         raise EstimationError(
             f"{hertz.shape} frequencies, {starts.shape} starts and {ends.shape} ends; expected one of each per step"
         )
-    if input_name is None and len(record.inputs) > 1:
-        raise EstimationError(
-            f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
-            "input_name"
-        )
-    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    drive = chosen_input(record, input_name)
     period = drive.period_s
     if period is None:
         raise EstimationError(f"input {drive.name!r} has irregular stamps; its hold then has no single gain")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ _PERIOD, _N = 0.01, 2000
 _MOST_ENERGY = 10.0
 
 
-class MovingStart(AgainstBound):
+class MovingStart(AgainstBound, ABC):
     """Two modes at 20 dB, seen at two points, from a start of random energy and phase.
 
     The bound knows which records begin in motion, and knows the state unknown.
@@ -69,11 +70,11 @@ class MovingStart(AgainstBound):
         stated = [self.estimate(self.record(10**6 + seed, _QUIET), seed % 4 > 0)[1] for seed in range(12)]
         return np.asarray(np.sqrt(np.mean(np.square(stated), axis=0))) / _QUIET
 
+    @abstractmethod
     def estimate(
         self, record: TimeRecord, is_moving: bool | None = None
     ) -> tuple[np.ndarray, np.ndarray, bool]:
         """Return frequencies and damping ratios, their standard deviations, and whether motion was found."""
-        raise NotImplementedError
 
     def run(self, seed: int) -> Outcome:
         """Estimate one record without a word on how it begins."""

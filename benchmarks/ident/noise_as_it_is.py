@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import time
+from abc import ABC, abstractmethod
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -29,7 +30,7 @@ _N = 2000
 _STEP = 1e-5  # of a parameter, for central differences
 
 
-class _RaoGarnier(AgainstBound):
+class _RaoGarnier(AgainstBound, ABC):
     """The six coefficients from one record of 2000 samples, without a hint."""
 
     snr_db = 10.0
@@ -60,9 +61,9 @@ class _RaoGarnier(AgainstBound):
         scale = np.linalg.norm(white, axis=0)
         return np.sqrt(np.diag(np.linalg.inv((white / scale).T @ (white / scale)))) / scale
 
+    @abstractmethod
     def seen(self, seed: int) -> np.ndarray:
         """Return the noisy samples of one seed."""
-        raise NotImplementedError
 
     def record(self, seed: int) -> TimeRecord:
         """Return the record of one seed."""
