@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -45,10 +46,11 @@ def qos_profiles(qos: tuple[QualityOfService, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def parse_qos_profiles(text: str) -> tuple[QualityOfService, ...] | None:
-    """Return qualities of service from a recording's channel; None where they cannot be understood."""
+def parse_qos_profiles(profiles: Any) -> tuple[QualityOfService, ...] | None:
+    """Return qualities of service from a recording, as YAML or its text; None where they cannot be understood."""
     try:
-        profiles = YAML(typ="safe").load(text)
+        if isinstance(profiles, str):
+            profiles = YAML(typ="safe").load(profiles)
         # Names since metadata version 9, rmw's numbers before.
         qos = tuple(
             QualityOfService(
@@ -61,6 +63,24 @@ def parse_qos_profiles(text: str) -> tuple[QualityOfService, ...] | None:
     except (YAMLError, TypeError, KeyError, ValueError):
         return None
     return qos or None
+
+
+def read_topics(path: Path) -> tuple[TopicRecord, ...]:
+    """Return the topics that a bag's ``metadata.yaml`` names, in its order; none where it cannot be read."""
+    try:
+        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        return tuple(
+            TopicRecord(
+                str(row["topic_metadata"]["name"]),
+                str(row["topic_metadata"]["type"]),
+                str(row["topic_metadata"].get("type_description_hash", "")),
+                parse_qos_profiles(row["topic_metadata"].get("offered_qos_profiles")) or (),
+                int(row["message_count"]),
+            )
+            for row in content["rosbag2_bagfile_information"]["topics_with_message_count"]
+        )
+    except (OSError, UnicodeDecodeError, YAMLError, TypeError, KeyError, ValueError):
+        return ()
 
 
 def bag_information(

@@ -25,6 +25,7 @@ from beam_ros.bags.errors import (
     MissingTopicsError,
     NotABagError,
 )
+from beam_ros.bags.mcap_pieces import MAGIC, damage_of, find_pieces, open_file
 from beam_ros.bags.metadata import METADATA_NAME
 from beam_ros.bags.recording_mark import is_being_written, is_marked
 from beam_ros.hub.contract import ClockSync, SampleBatch
@@ -42,7 +43,6 @@ from beam_ros.messages import (
 _T = TypeVar("_T")
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
-_MCAP_MAGIC = b"\x89MCAP"
 
 
 class RawMessage(NamedTuple):
@@ -334,6 +334,15 @@ class Bag:
 
     # --- its end
 
+    def damage(self) -> Iterator[str]:
+        """Yield what is amiss with the bag's files, in words: checksums, torn ends, bytes that are no record."""
+        files = [self.path] if self.path.is_file() else sorted(self.path.iterdir())
+        for file in files:
+            if file.suffix == ".mcap":
+                data = open_file(file)
+                for damage in damage_of(data, find_pieces(data)):
+                    yield f"{file.name}: {damage}"
+
     def close(self) -> None:
         """Close the bag's files."""
         self._reader.close()
@@ -417,7 +426,7 @@ def _check_is_bag(path: Path) -> Path:
 
 def _begins_as_mcap(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(len(_MCAP_MAGIC)) == _MCAP_MAGIC
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def _find_namespace(bag: Bag) -> str:

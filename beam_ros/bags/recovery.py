@@ -1,34 +1,40 @@
-"""What can be read of a recording that was cut off, written anew as a whole bag.
+"""What can be read of a damaged recording, written anew as a whole bag.
 
-An MCAP file is a row of records, and everything up to the last whole one is good: closed chunks with their
-checksums, and of a chunk that was torn in the middle of writing, the messages that had been written. The
-source is left as it is.
+Damage costs what it hit: a chunk whose checksum is wrong, the record of a torn end. What the first chunk says of the
+topics is said again elsewhere, in the file's summary or in ``metadata.yaml``, and their counts tell what is
+missing. The source is left as it is.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.records import Channel, Message, Schema
 
 from beam_ros.bags.errors import BagError, BagNotFoundError, BagTruncatedError, NotABagError
-from beam_ros.bags.metadata import parse_qos_profiles
+from beam_ros.bags.mcap_pieces import (
+    ChunkDamagedError,
+    chunk_content,
+    damage_of,
+    find_pieces,
+    open_file,
+    records_of,
+)
+from beam_ros.bags.metadata import METADATA_NAME, TopicRecord, parse_qos_profiles, read_topics
 from beam_ros.bags.reading import STORAGE_SUFFIXES, Bag
 from beam_ros.bags.recording_mark import is_being_written
-from beam_ros.bags.writing import BagWriter
+from beam_ros.bags.writing import CHANNELS_NOTE, BagWriter
+from beam_ros.interfaces import graph
+from beam_ros.messages import BagTypes
 
-_MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEAD = struct.Struct("<BQ")
-_TORN_CHUNK_HEAD = 8 + 8 + 8 + 4
-"""Bytes before the name of the compression in a chunk: two times, size, checksum."""
+_SAMPLES = 5
+"""Messages of an unnamed channel that are tried as a topic's type."""
 
 
 @dataclass
@@ -40,18 +46,33 @@ class RecoveryReport:
     source, target : Path
     message_count : int -- messages in the new bag
     duration_ns : int -- of the new bag [ns]
-    lost_bytes : int -- bytes of the source that could not be read
-    was_whole : bool -- nothing was amiss
-    remarks : list of str -- what was left out, and why
+    lost : dict of str to int -- messages by topic that were recorded and not saved, as far as counts tell
+    lost_bytes : int -- bytes of messages that could not be read
+    remarks : list of str -- what was amiss, and why something was left out
     """
 
     source: Path
     target: Path
     message_count: int = 0
     duration_ns: int = 0
+    lost: dict[str, int] = field(default_factory=dict)
     lost_bytes: int = 0
-    was_whole: bool = False
     remarks: list[str] = field(default_factory=list)
+
+    @property
+    def was_whole(self) -> bool:
+        """Whether nothing was amiss."""
+        return self.is_complete and not self.remarks
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every message is saved that ever reached the file."""
+        return not self.lost and not self.lost_bytes
+
+    def remark(self, text: str) -> None:
+        """Add a remark that is not there yet."""
+        if text not in self.remarks:
+            self.remarks.append(text)
 
 
 def recover(source: Path | str, target: Path | str | None = None) -> RecoveryReport:
@@ -88,11 +109,13 @@ def recover(source: Path | str, target: Path | str | None = None) -> RecoveryRep
     target = Path(target)
     report = RecoveryReport(source, target)
     files = _storage_files(source)
+    announced = read_topics(source / METADATA_NAME) if source.is_dir() else ()
+    salvages = [_McapSalvage(file, announced, report) for file in files if file.suffix == ".mcap"]
     with BagWriter(target) as writer:
+        for salvage in salvages:
+            salvage.copy(writer)
         for file in files:
-            if file.suffix == ".mcap":
-                _McapSalvage(file, writer, report).run()
-            else:
+            if file.suffix != ".mcap":
                 _copy(file, writer)
         report.message_count = writer.message_count
         if not writer.message_count:
@@ -100,9 +123,10 @@ def recover(source: Path | str, target: Path | str | None = None) -> RecoveryRep
                 f"{source}: nothing can be read ({'; '.join(report.remarks) or 'no messages'}); expected "
                 "at least one closed chunk"
             )
+        saved = {topic.name: topic.message_count for topic in writer.topics()}
+    report.lost = _lost(salvages, {topic.name: topic.message_count for topic in announced}, saved)
     with Bag(target, namespace="") as bag:
         report.duration_ns = bag.duration_ns
-    report.was_whole = not report.lost_bytes and not report.remarks
     return report
 
 
@@ -123,127 +147,190 @@ def _copy(file: Path, writer: BagWriter) -> None:
             writer.write(message.topic, message.receive_ns, message.data)
 
 
+def _lost(
+    salvages: list[_McapSalvage], announced: Mapping[str, int], saved: Mapping[str, int]
+) -> dict[str, int]:
+    """Return by topic what was recorded and not saved, by the surest count that there is."""
+    if all(salvage.is_counted for salvage in salvages) or not announced:
+        recorded: Mapping[str, int] = sum((salvage.recorded() for salvage in salvages), Counter())
+    else:
+        recorded = announced
+    missing = {topic: count - saved.get(topic, 0) for topic, count in sorted(recorded.items())}
+    return {topic: count for topic, count in missing.items() if count > 0}
+
+
 class _McapSalvage:
-    """Reads one MCAP file from its start as far as it goes and hands its messages to a writer."""
+    """One MCAP file: what its channels are, and what of it can be handed to a writer."""
 
-    def __init__(self, file: Path, writer: BagWriter, report: RecoveryReport) -> None:
+    def __init__(self, file: Path, announced: tuple[TopicRecord, ...], report: RecoveryReport) -> None:
         self._file = file
-        self._writer = writer
         self._report = report
-        self._schemas: dict[int, Schema] = {}
-        self._topics: dict[int, str | None] = {}
+        self._topics: dict[int, TopicRecord] = {}
+        self._data = open_file(file)
+        self._pieces = find_pieces(self._data)
+        if not self._pieces.chunks and not self._pieces.messages and self._pieces.damaged[:1] == [(0, 8)]:
+            raise NotABagError(f"{file} does not begin as an MCAP file: expected a ROS 2 recording")
+        self._name_channels(announced)
 
-    def run(self) -> None:
-        size = self._file.stat().st_size
-        with self._file.open("rb") as stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
-                raise NotABagError(f"{self._file} does not begin as an MCAP file: expected a ROS 2 recording")
-            is_finished = False
-            while not is_finished and stream.tell() < size:
-                is_finished = self._take_record(stream, size)
-        if not is_finished:
-            self._report.remarks.append(f"{self._file.name} has no end: its writer was cut off")
+    @property
+    def is_counted(self) -> bool:
+        """Whether the file's own count of its messages has the right checksum."""
+        return self._pieces.summary_is_checked and self._pieces.statistics is not None
 
-    def _take_record(self, stream: BinaryIO, size: int) -> bool:
-        """Take the next record; return whether the file's content ends there."""
-        start = stream.tell()
-        head = stream.read(_RECORD_HEAD.size)
-        if len(head) < _RECORD_HEAD.size:
-            self._report.lost_bytes += len(head)
-            return False
-        opcode, length = _RECORD_HEAD.unpack(head)
-        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            return True
-        if not Opcode.HEADER <= opcode <= Opcode.DATA_END:
-            self._lose(size - start, f"no record begins at byte {start}; the rest of the file is lost")
-            stream.seek(size)
-            return False
-        payload = stream.read(min(length, size - stream.tell()))
-        if opcode == Opcode.CHUNK:
-            self._take_chunk(payload, is_torn=len(payload) < length)
-        elif len(payload) < length:
-            self._report.lost_bytes += len(head) + len(payload)
-        else:
-            self._take_plain(opcode, payload)
-        return False
+    def recorded(self) -> Counter[str]:
+        """Return how many messages the file had by topic: its own count, or else that of the chunks' indexes."""
+        statistics = self._pieces.statistics
+        counts = statistics.channel_message_counts if self.is_counted and statistics else self._pieces.indexed
+        recorded: Counter[str] = Counter()
+        for channel, count in counts.items():
+            recorded[self._label(channel)] += count
+        return recorded
 
-    def _take_chunk(self, payload: bytes, *, is_torn: bool) -> None:
-        try:
-            if is_torn:
-                records = payload[_torn_content(payload) :]
-            else:
-                chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
-                content, length = get_chunk_data_stream(chunk, validate_crc=True)
-                records = content.read(length)
-        except CRCValidationError:
-            self._lose(len(payload), "a chunk has a wrong checksum")
-            return
-        except Exception as err:  # noqa: BLE001 - damaged records lead the libraries anywhere
-            self._lose(len(payload), f"a chunk cannot be read ({type(err).__name__}: {err})")
-            return
-        used = 0
-        for opcode, record in _whole_records(records):
-            used += _RECORD_HEAD.size + len(record)
-            self._take_plain(opcode, record)
-        self._report.lost_bytes += len(records) - used
+    def copy(self, writer: BagWriter) -> None:
+        """Write all messages that can be read and named."""
+        for damage in damage_of(self._data, self._pieces):
+            self._report.remark(f"{self._file.name}: {damage}")
+        refused = set()
+        for channel, record in self._topics.items():
+            try:
+                writer.add_topic(record.name, record.type_name, record.qos)
+            except BagError as err:
+                refused.add(channel)
+                self._report.remark(str(err))
+        for message in self._messages():
+            if message.channel_id not in self._topics or message.channel_id in refused:
+                self._report.lost_bytes += len(message.data)
+                self._report.remark(f"messages of {self._label(message.channel_id)} are left out")
+                continue
+            name = self._topics[message.channel_id].name
+            writer.write(name, message.log_time, message.data, publish_ns=message.publish_time)
 
-    def _take_plain(self, opcode: int, payload: bytes) -> None:
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(ReadDataStream(BytesIO(payload)))
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                self._announce(Channel.read(ReadDataStream(BytesIO(payload))))
-            elif opcode == Opcode.MESSAGE:
-                self._take_message(Message.read(ReadDataStream(BytesIO(payload)), len(payload)))
-        except BagError:
-            raise
-        except Exception as err:  # noqa: BLE001 - damaged records lead the libraries anywhere
-            self._lose(len(payload), f"a record cannot be read ({type(err).__name__}: {err})")
+    def _label(self, channel: int) -> str:
+        return (
+            self._topics[channel].name if channel in self._topics else f"channel {channel}, which has no name"
+        )
 
-    def _announce(self, channel: Channel) -> None:
-        if channel.id in self._topics:
-            return
-        schema = self._schemas.get(channel.schema_id)
-        try:
-            self._writer.add_topic(
-                channel.topic,
-                schema.name if schema else "",
-                parse_qos_profiles(channel.metadata.get("offered_qos_profiles", "")),
+    # --- content
+
+    def _contents(self, *, counts: bool) -> Iterator[bytes]:
+        """Yield the content of every chunk that is whole."""
+        for chunk in self._pieces.chunks:
+            try:
+                content = chunk_content(self._data, chunk)
+            except ChunkDamagedError:
+                if counts:
+                    self._report.lost_bytes += chunk.end - chunk.content
+                continue
+            if counts and chunk.is_torn:
+                used = sum(9 + len(record) for _, record in records_of(content))
+                self._report.lost_bytes += len(content) - used
+            yield content
+
+    def _messages(self) -> Iterator[Message]:
+        for start, end in self._pieces.messages:
+            yield _message(bytes(self._data[start:end]))
+        for content in self._contents(counts=True):
+            for opcode, record in records_of(content):
+                if opcode == Opcode.MESSAGE:
+                    yield _message(record)
+
+    # --- names of channels
+
+    def _name_channels(self, announced: tuple[TopicRecord, ...]) -> None:
+        """Find every channel's topic: in the summary, the chunks, the writer's notes, and the rest by elimination."""
+        schemas, channels = dict(self._pieces.schemas), dict(self._pieces.channels)
+        used: Counter[int] = Counter()
+        samples: dict[int, list[bytes]] = {}
+        if not self._pieces.summary_is_checked:
+            for content in self._contents(counts=False):
+                _read_names(content, schemas, channels, used, samples)
+        for number, channel in channels.items():
+            schema = schemas.get(channel.schema_id)
+            known = next((topic for topic in announced if topic.name == channel.topic), None)
+            type_name = schema.name if schema else known.type_name if known else _type_in_graph(channel.topic)
+            qos = parse_qos_profiles(channel.metadata.get("offered_qos_profiles", "")) or ()
+            self._topics[number] = TopicRecord(channel.topic, type_name, "", qos)
+        for note in self._pieces.notes:
+            if note.name == CHANNELS_NOTE:
+                for text, said in note.metadata.items():
+                    name, _, type_name = said.partition(" ")
+                    self._topics.setdefault(int(text), TopicRecord(name, type_name, "", ()))
+        unnamed = {number: samples[number] for number in sorted(used) if number not in self._topics}
+        for number, record in _by_elimination(unnamed, self._topics, announced, self._pieces.indexed):
+            self._topics[number] = record
+            self._report.remark(
+                f"{self._file.name}: channel {number} is taken for {record.name}, by what its messages are"
             )
-        except BagError as err:
-            self._topics[channel.id] = None
-            self._report.remarks.append(str(err))
-        else:
-            self._topics[channel.id] = channel.topic
-
-    def _take_message(self, message: Message) -> None:
-        topic = self._topics.get(message.channel_id)
-        if topic is None:
-            self._report.lost_bytes += len(message.data)
-            return
-        self._writer.write(topic, message.log_time, message.data, publish_ns=message.publish_time)
-
-    def _lose(self, count: int, remark: str) -> None:
-        self._report.lost_bytes += count
-        if remark not in self._report.remarks:
-            self._report.remarks.append(remark)
 
 
-def _torn_content(payload: bytes) -> int:
-    """Return where the records begin in a chunk whose end is missing; only an uncompressed one has any."""
-    (length,) = struct.unpack_from("<I", payload, _TORN_CHUNK_HEAD)
-    if length:
-        raise ValueError("torn in the middle of compressed data")
-    return _TORN_CHUNK_HEAD + 4 + 8
+def _message(record: bytes) -> Message:
+    return Message.read(ReadDataStream(BytesIO(record)), len(record))
 
 
-def _whole_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    offset = 0
-    while offset + _RECORD_HEAD.size <= len(data):
-        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
-        end = offset + _RECORD_HEAD.size + length
-        if end > len(data):
-            return
-        yield opcode, data[offset + _RECORD_HEAD.size : end]
-        offset = end
+def _read_names(
+    content: bytes,
+    schemas: dict[int, Schema],
+    channels: dict[int, Channel],
+    used: Counter[int],
+    samples: dict[int, list[bytes]],
+) -> None:
+    """Add what a chunk says of its channels, which its checksum confirms, and the first messages of each."""
+    for opcode, record in records_of(content):
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(record)))
+            schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(record)))
+            channels[channel.id] = channel
+        elif opcode == Opcode.MESSAGE:
+            number = int.from_bytes(record[:2], "little")
+            used[number] += 1
+            if used[number] <= _SAMPLES:
+                samples.setdefault(number, []).append(_message(record).data)
+
+
+def _type_in_graph(topic: str) -> str:
+    row = next((row for name, row in graph.TOPICS.items() if topic.endswith(f"/{name.lstrip('/')}")), None)
+    return row.type_name if row else ""
+
+
+def _by_elimination(
+    unnamed: Mapping[int, list[bytes]],
+    named: Mapping[int, TopicRecord],
+    announced: tuple[TopicRecord, ...],
+    indexed: Mapping[int, int],
+) -> Iterator[tuple[int, TopicRecord]]:
+    """Yield channels whose topic can only be one of those that are left.
+
+    A topic is possible where the messages are of its type.  Of several, the one with as many messages as the channel
+    is taken; or, where all topics are known in the order in which they were announced, that of the same number.
+    """
+    taken = {record.name for record in named.values()}
+    left = [topic for topic in announced or _graph_topics() if topic.name not in taken]
+    types = BagTypes()
+    for number, samples in unnamed.items():
+        possible = [topic for topic in left if _are_of_type(types, samples, topic.type_name)]
+        equal = [topic for topic in possible if announced and topic.message_count == indexed.get(number)]
+        in_order = [topic for topic in possible if announced[number - 1 : number] == (topic,)]
+        for found in (possible, equal, in_order):
+            if len(found) == 1:
+                left.remove(found[0])
+                yield number, found[0]
+                break
+
+
+def _graph_topics() -> tuple[TopicRecord, ...]:
+    return tuple(
+        TopicRecord(name if name.startswith("/") else f"/{name}", row.type_name, "", (row.qos,))
+        for name, row in graph.TOPICS.items()
+        if not row.is_drawing
+    )
+
+
+def _are_of_type(types: BagTypes, samples: list[bytes], type_name: str) -> bool:
+    try:
+        for data in samples:
+            types.deserialize(data, type_name)
+    except Exception:  # noqa: BLE001 - bytes of another type lead the library anywhere
+        return False
+    return True

@@ -71,6 +71,7 @@ class BagInfo:
     clocks : tuple of ClockSummary -- one for each epoch
     sequences : tuple of str -- "id: state" of each sequence, as last reported
     excitation : dict or None -- the recipe
+    damage : tuple of str -- what is amiss with the file itself; ``beam recover`` says the same
     """
 
     path: Path
@@ -84,6 +85,7 @@ class BagInfo:
     clocks: tuple[ClockSummary, ...]
     sequences: tuple[str, ...]
     excitation: dict[str, Any] | None
+    damage: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types."""
@@ -127,6 +129,7 @@ def summarise(bag: Bag) -> BagInfo:
         clocks=summarise_clocks(bag.clock_syncs()),
         sequences=tuple(f"{name}: {state}" for name, state in states.items()),
         excitation=bag.excitation_info(),
+        damage=tuple(bag.damage()),
     )
 
 

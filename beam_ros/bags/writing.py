@@ -30,6 +30,9 @@ from beam_ros.messages import BagTypes
 CHUNK_NS = 500_000_000
 """Receive time after which a chunk is closed [ns]."""
 
+CHANNELS_NOTE = "beam_ros/channels"
+"""Metadata record that says again, outside of the first chunk, which topic each channel is: "name type" by number."""
+
 _EMPTY_START_NS = 2**63 - 1
 """Starting time of a bag without messages, as rosbag2 writes it."""
 
@@ -75,6 +78,7 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._counts: dict[str, int] = {}
+        self._unsaid_channels: dict[str, str] = {}
         self._first_ns = _EMPTY_START_NS
         self._last_ns = 0
         self._chunk_start_ns: int | None = None
@@ -150,6 +154,7 @@ class BagWriter:
         self._topics[name] = record
         self._channels[topic] = self._channels[name] = channel
         self._counts[name] = 0
+        self._unsaid_channels[str(channel)] = f"{name} {type_name}"
 
     def write(self, topic: str, receive_ns: int, data: bytes, *, publish_ns: int | None = None) -> None:
         """Write one message's CDR bytes.
@@ -205,8 +210,12 @@ class BagWriter:
         """Close the chunk in the making: what was written until now survives a killed process."""
         try:
             self._writer.flush()
+            if self._unsaid_channels:
+                self._writer.add_metadata(CHANNELS_NOTE, self._unsaid_channels)
+                self._writer.flush()
         except OSError as err:
             raise self._failure("write", err) from err
+        self._unsaid_channels = {}
         self._chunk_start_ns = None
 
     def topics(self) -> tuple[TopicRecord, ...]:

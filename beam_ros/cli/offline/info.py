@@ -1,4 +1,4 @@
-"""Say what a bag holds: topics, samples and gaps, clocks, sequences, excitation."""
+"""Say what a bag holds: topics, samples and gaps, clocks, sequences, excitation; status 1 if it is damaged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Bag(arguments.bag) as bag:
         info = summarise(bag)
     print(strict_json(info.to_dict(), indent=2) if arguments.json else _text(info))
-    return 0
+    return 1 if info.damage else 0
 
 
 def _text(info: BagInfo) -> str:
@@ -62,4 +62,7 @@ def _text(info: BagInfo) -> str:
     lines += [f"  sequence {sequence}" for sequence in info.sequences]
     if info.excitation:
         lines.append(f"  excitation {describe_excitation(info.excitation)}")
+    lines += [
+        f"  damaged: {damage}; `beam recover {info.path}` saves what can be read" for damage in info.damage
+    ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Write a valid bag from what can be read of a damaged one, as a killed recorder leaves it."""
+"""Write a valid bag from what can be read of a damaged one; status 0 where nothing was lost."""
 
 from __future__ import annotations
 
@@ -24,4 +24,11 @@ def run(arguments: argparse.Namespace) -> int:
         print("nothing was amiss")
     for remark in report.remarks:
         print(f"note: {remark}")
-    return 0
+    if report.lost:
+        print(f"lost: {sum(report.lost.values())} messages")
+        width = max(map(len, report.lost))
+        for topic, count in report.lost.items():
+            print(f"  {topic:<{width}}  {count:>8}")
+    elif report.lost_bytes:
+        print(f"lost: {report.lost_bytes} bytes of messages at the torn end")
+    return 0 if report.is_complete else 1
