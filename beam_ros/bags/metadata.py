@@ -32,7 +32,8 @@ def qos_profiles(qos: tuple[QualityOfService, ...]) -> list[dict[str, Any]]:
     """Return qualities of service as a bag's metadata holds them."""
     return [
         {
-            "history": "keep_last",
+            # Discovery names no depth: rosbag2 writes what that means, and warns of 0 messages kept.
+            "history": "keep_last" if item.depth else "unknown",
             "depth": item.depth,
             "reliability": "reliable" if item.is_reliable else "best_effort",
             "durability": "transient_local" if item.is_latched else "volatile",

@@ -16,6 +16,7 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from rosbags.interfaces import QosHistory
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
@@ -24,6 +25,7 @@ from beam_ros.bags.errors import BagError, BagExistsError
 from beam_ros.bags.recording_mark import MARK_NAME, is_being_written, is_marked
 from beam_ros.bags.writing import BagWriter
 from beam_ros.interfaces import graph
+from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import BagTypes
 from tests.beam_ros.bags.small_bags import START, TYPES, batch, write_experiment
 
@@ -98,6 +100,16 @@ def test_metadata_has_the_fields_of_jazzys_recorder(tmp_path):
         "reliable",
         1,
     )
+
+
+def test_an_unknown_depth_is_written_as_rosbag2_does(tmp_path):
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/text", "std_msgs/msg/String", (QualityOfService(0),))
+        writer.add_topic("hub/measured")
+    with Reader(tmp_path / "run") as reader:
+        profiles = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+    assert (profiles["/text"].history, profiles["/text"].depth) == (QosHistory.UNKNOWN, 0)
+    assert profiles["/hub/measured"].history == QosHistory.KEEP_LAST
 
 
 def test_the_file_carries_the_same_metadata_and_definitions(tmp_path):
