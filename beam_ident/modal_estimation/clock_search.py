@@ -28,7 +28,7 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
-from beam_ident.noise.scores import Whiteness
+from beam_ident.noise.scores import ScoreTest, Whiteness
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_RATE = 4e-3  # NTSC's 1000/1001 is 1e-3; quartz is far below
@@ -196,6 +196,26 @@ def _stretches(elapsed: FloatArray) -> IndexArray:
     first, last = float(np.min(elapsed)), float(np.max(elapsed))
     share = (elapsed - first) / max(last - first, 1e-300)
     return np.minimum((share * _STRETCHES).astype(np.intp), _STRETCHES - 1)
+
+
+def out_of_phase(regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior) -> ScoreTest:
+    """Return the test of whether modes answer out of phase, by a part that real residues cannot have.
+
+    Parameters
+    ----------
+    regression : ModalRegression -- thinned data will do
+    fit : ModalFit -- of it
+    latency, clock_rate : Prior
+    """
+    first = regression.n_shared_fixed
+    blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
+    tested = []
+    for j, present in enumerate(designs(regression, fit, latency, clock_rate)):
+        quadrature = blocks[regression.block_of[j]].by_time
+        assert quadrature is not None
+        left_out = quadrature[:, first : first + len(fit.omegas)]  # c' of (I.19)
+        tested.append((left_out, present, fit.residuals[j], regression.values[j]))
+    return ScoreTest.of(tested)
 
 
 def own_delays(

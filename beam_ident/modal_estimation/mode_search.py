@@ -54,6 +54,7 @@ MANY_MODES = 12
 _TRIES_PER_ORDER = 2
 _GLANCE = 3  # iterations between two modes that are only placed
 _MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a poor one
+_CLOCKS = 2  # far from that which a search ended with, from which it is begun again
 _PATIENCE = 6  # orders past the last that was believed
 _SHORT_PATIENCE = 2  # the same where every fit converges: a disturbance may stand before a mode
 
@@ -149,6 +150,11 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Return the fit after a look for cycles that the clock may have slipped."""
         return fit
 
+    def retimed(self, fit: ModalFit) -> ModalFit | None:
+        """Return the modes of a fit at a clock far from its own that promises more; None where there is none."""
+        del fit
+        return None
+
     def reweigh(self) -> None:
         """Let what the present model leaves decide how the data weigh against each other."""
 
@@ -207,7 +213,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """
         limit = max_modes if n_modes is None else n_modes
         try:
-            ended = self._extend(n_modes, limit)
+            ended = self._extend_anew(n_modes, limit, self._extend(n_modes, limit))
         except Stopped as stop:
             n, wanted = (
                 len(self.chosen.omegas),
@@ -245,6 +251,37 @@ class ModeSearch(ABC, Generic[ProblemT]):
         except Stopped as stop:
             missing = "a second look at modes that only the input's noise may have feigned"
             return self.unfinished(weighed, stop, missing)
+
+    def _extend_anew(self, n_modes: int | None, limit: int, ended: str) -> str:
+        """Search again from a clock far from the present one where that promises more, and keep the better end.
+
+        A clock that is cycles away bends poles until they fit it: no mode promises more elsewhere by itself.
+        """
+        for _ in range(_CLOCKS):
+            ends = [self.chosen] if self.chosen is self._believed[0] else [self.chosen, self._believed[0]]
+            found = [fit for own in ends if (fit := self.retimed(own)) is not None]
+            if not found:
+                break
+            start = min(map(self._without_doubtful, found), key=self._bic)
+            before = self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled
+            self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
+            self.chosen, self.chosen_entry = self._believed = start, 1
+            following = self._extend(n_modes, limit)
+            if not self._bic(self.chosen) < self._bic(before[0]):
+                self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled = before
+                break
+            ended = following
+        return ended
+
+    def _without_doubtful(self, fit: ModalFit) -> ModalFit:
+        """Return a fit without the modes that do not pass the gates, as long as one is left."""
+        while len(fit.omegas) > 1:
+            modes = range(len(fit.omegas))
+            doubtful = [mode for mode in modes if mode_complaint(fit, self.problem, mode, self.band)]
+            if not doubtful or len(doubtful) == len(fit.omegas):
+                break
+            fit = self.fit(np.delete(fit.omegas, doubtful), np.delete(fit.zetas, doubtful), fit.clock)
+        return fit
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""

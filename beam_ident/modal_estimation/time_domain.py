@@ -30,7 +30,12 @@ from beam_ident.modal.identification_result import IdentificationResult, OutputF
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
-from beam_ident.modal_estimation.clock_search import clock_places, own_delay_columns, own_delays
+from beam_ident.modal_estimation.clock_search import (
+    clock_places,
+    out_of_phase,
+    own_delay_columns,
+    own_delays,
+)
 from beam_ident.modal_estimation.hub_friction import FrictionEstimate
 from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
@@ -72,6 +77,9 @@ _CLOCK_STARTS = 3
 _DELAY_SETTLED = 0.5  # standard deviations that the last turn may still move a delay
 _DELAY_TURNS = 3  # for every output: of delays that outputs have of their own, and the modes that show them
 _CLOCK_ROUNDS = 3
+_FAR_STARTS = 12  # crests that poles which were bent by a wrong clock are tried at
+_GLANCE = 2  # iterations that sort them
+_BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to be
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
@@ -328,6 +336,31 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 return fit
             fit = again
         return fit
+
+    def retimed(self, fit: ModalFit) -> ModalFit | None:
+        """Return the modes of a fit at a clock far from its own that promises more; None where there is none.
+
+        Notes
+        -----
+        A clock that is cycles away turns the phase of every mode, and the poles bend until as little as possible of
+        that is seen: with them held, no other clock promises more. But a part a quarter of a cycle out of phase
+        remains, which residues cannot have: a score test for it decides whether poles are fitted at other crests.
+        """
+        thinned, priors = self.scan.regression, (self.latency, self.clock_rate)
+        if not self.latency.is_free or not self.band.is_excited or not len(fit.omegas):
+            return None
+        here = fit_modes(thinned, fit.omegas, fit.zetas, fit.clock, *priors, SHORT)
+        if out_of_phase(thinned, here, *priors).p_value > _BENT_LEVEL:
+            return None
+        places = clock_places(thinned, here, *priors, _FAR_STARTS)
+        starts = [fit_modes(thinned, fit.omegas, fit.zetas, p.clock, *priors, _GLANCE) for p in places]
+        starts = sorted(starts, key=lambda start: start.cost)[:_CLOCK_STARTS]
+        starts = [fit_modes(thinned, s.omegas, s.zetas, s.clock, *priors, SHORT) for s in starts]
+        best = min(starts, key=lambda start: start.cost)
+        if not best.cost < here.cost - _WORTH_A_LOOK:
+            return None
+        again = self.fit(best.omegas, best.zetas, best.clock)
+        return again if again.cost < fit.cost else None
 
     def begun(self, n_modes: int | None, max_modes: int) -> Weighed[ModalRegression]:
         """Search with equal weights, and return what was found, be it nothing."""

@@ -1,7 +1,8 @@
 """Twenty simulated systems unlike the rig through the automatic call, beside what a peer can do.
 
 Two to fourteen modes, rigid bodies, delays, drift, closed loops, and gaps in input and outputs; the first half
-identifies, the second is predicted.  ``benchmarks.ident_peers --systems unlike-rig`` sets peers beside it.
+identifies, the second is predicted.  ``benchmarks.ident_peers --systems unlike-rig`` sets peers beside it.  Others of
+the same kind are all late by up to 60 ms.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from beam_ident import (
 from benchmarks.ident.study import Outcome, Study
 
 N_SYSTEMS = 20
+N_LATE = 60
+_LATEST_S = 0.06
 
 
 @dataclass(frozen=True)
@@ -49,13 +52,21 @@ class UnlikeRig:
     period: float
 
 
-def unlike_rig(seed: int) -> UnlikeRig:
-    """Return a system; its kind follows from the seed."""
+def unlike_rig(seed: int, latest_s: float | None = None) -> UnlikeRig:
+    """Return a system; its kind follows from the seed.
+
+    Parameters
+    ----------
+    seed : int
+    latest_s : float or None -- bound on a delay [s]; None delays every third system by up to 40 ms
+    """
     rng = np.random.default_rng([seed, 20])
     n_modes = int(rng.integers(2, 15))
     n_outputs = int(rng.integers(1, 4))
     is_rigid = seed % 4 == 1
     delay = float(rng.uniform(0.0, 0.04)) if seed % 3 == 1 else 0.0
+    if latest_s is not None:
+        delay = float(np.random.default_rng([seed, 60]).uniform(0.0, latest_s))
     has_drift, is_loop = seed % 2 == 1, seed % 5 == 2 and not is_rigid
     gap = (0.0, 0.01, 0.05, 0.3)[seed // 2 % 4]
     middles = np.geomspace(0.6, 20.0, n_modes)
@@ -73,7 +84,9 @@ def unlike_rig(seed: int) -> UnlikeRig:
         kind, "u", names, omegas, zetas, residues, zero, gains, delay, 0.0, np.zeros((size, size)), one
     )
     period, n = 0.01, 8000
-    times = period * np.arange(5, n)  # stamps are late, and show nothing from before the input
+    # Stamps are late, and show nothing from before the input.
+    first = 5 if latest_s is None else round(latest_s / period) + 1
+    times = period * np.arange(first, n)
     u = rng.standard_normal(n).repeat(2)[:n]
     if is_rigid:  # a force without a mean, so that a free body wanders and does not run away
         u = np.diff(u, prepend=0.0)
@@ -85,7 +98,7 @@ def unlike_rig(seed: int) -> UnlikeRig:
         # A controller of the first output feeds back what was measured a sample before, noise included.
         k = 0.02 / max(float(np.max(np.abs(residues[0] / omegas**2))), 1e-300)
         for _ in range(30):
-            fed = u - k * np.concatenate([np.zeros(6), values[:-1, 0]])
+            fed = u - k * np.concatenate([np.zeros(first + 1), values[:-1, 0]])
             drive = InputSignal("u", "N", (0.0, period), fed, "zoh")
             following = truth.simulate(drive, times - delay) + (values - clean)
             moved = float(np.max(np.abs(following - values)))
@@ -129,9 +142,13 @@ def unseen_fits(system: UnlikeRig, model: ModalModel) -> np.ndarray:
 class UnlikeRigCase:
     """The automatic call on each of them, on the half that was not seen beside the true model."""
 
+    def system(self, seed: int) -> UnlikeRig:
+        """Return the system of a run."""
+        return unlike_rig(seed)
+
     def run(self, seed: int) -> Outcome:
         """Identify one system without a hint but its structure; a refusal counts as a FIT of 0."""
-        system = unlike_rig(seed)
+        system = self.system(seed)
         of_truth = unseen_fits(system, system.truth)
         start = time.perf_counter()
         try:
@@ -161,4 +178,15 @@ class UnlikeRigCase:
         }
 
 
-STUDIES = {"unlike-rig": Study("systems unlike the rig, unseen half", N_SYSTEMS, UnlikeRigCase)}
+class LateSystems(UnlikeRigCase):
+    """Others than the twenty, every one of them late."""
+
+    def system(self, seed: int) -> UnlikeRig:
+        """Return the system of a run."""
+        return unlike_rig(N_SYSTEMS + seed, _LATEST_S)
+
+
+STUDIES = {
+    "unlike-rig": Study("systems unlike the rig, unseen half", N_SYSTEMS, UnlikeRigCase),
+    "late-systems": Study("the same with delays of up to 60 ms", N_LATE, LateSystems),
+}

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 import pytest
 
-from beam_ident import Prior
+from beam_ident import Prior, identify
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal_estimation.clock_search import clock_places
 from beam_ident.modal_estimation.variable_projection import ModalFit, fit_modes
 from benchmarks.ident.forced_beam import FREE, PLAIN, ForcedBeam, foreign_clock
+from benchmarks.ident.unlike_rig import unlike_rig
 
 TRUTH = ClockState(2e-3, 1e-3)
 
@@ -55,3 +57,12 @@ def test_what_is_known_of_the_clock_is_respected(beam, regression):
         assert place.clock.rate == 0.0
     for place in clock_places(regression, fit, FREE, Prior(0.0, 5e-5), 3):
         assert abs(place.clock.rate) <= 5.0 * 5e-5 + 1e-4  # one step of the grid beyond the prior's reach
+
+
+def test_a_search_that_began_cycles_away_from_the_latency_is_left_for_the_right_one():
+    # The poles bend until a latency 175 ms away explains eight modes without a better crest near by.
+    system = unlike_rig(10)
+    model = identify(system.first.select(["y0"]), system.structure, 8, latency=FREE).model
+    assert abs(model.latency - system.truth.latency) < 4.0 * model.latency_sd
+    apart = np.abs(np.log(model.natural_frequencies[:, None] / system.truth.natural_frequencies))
+    assert np.max(np.min(apart, axis=1)) < 0.01
