@@ -150,10 +150,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Return the fit after a look for cycles that the clock may have slipped."""
         return fit
 
-    def retimed(self, fit: ModalFit) -> ModalFit | None:
-        """Return the modes of a fit at a clock far from its own that promises more; None where there is none."""
+    def retimed(self, fit: ModalFit) -> list[ModalFit]:
+        """Return the modes of a fit at clocks far from its own that explain more."""
         del fit
-        return None
+        return []
 
     def reweigh(self) -> None:
         """Let what the present model leaves decide how the data weigh against each other."""
@@ -259,7 +259,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """
         for _ in range(_CLOCKS):
             ends = [self.chosen] if self.chosen is self._believed[0] else [self.chosen, self._believed[0]]
-            found = [fit for own in ends if (fit := self.retimed(own)) is not None]
+            found = [fit for own in ends for fit in self.retimed(own)]
             if not found:
                 break
             start = min(map(self._without_doubtful, found), key=self._bic)

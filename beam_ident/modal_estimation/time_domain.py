@@ -79,6 +79,7 @@ _DELAY_TURNS = 3  # for every output: of delays that outputs have of their own, 
 _CLOCK_ROUNDS = 3
 _FAR_STARTS = 12  # crests that poles which were bent by a wrong clock are tried at
 _GLANCE = 2  # iterations that sort them
+_AS_GOOD = 10.0  # in log-likelihood: less than BIC charges for a mode
 _BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to be
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
@@ -337,8 +338,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             fit = again
         return fit
 
-    def retimed(self, fit: ModalFit) -> ModalFit | None:
-        """Return the modes of a fit at a clock far from its own that promises more; None where there is none.
+    def retimed(self, fit: ModalFit) -> list[ModalFit]:
+        """Return the modes of a fit at clocks far from its own that explain more.
 
         Notes
         -----
@@ -348,19 +349,21 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """
         thinned, priors = self.scan.regression, (self.latency, self.clock_rate)
         if not self.latency.is_free or not self.band.is_excited or not len(fit.omegas):
-            return None
+            return []
         here = fit_modes(thinned, fit.omegas, fit.zetas, fit.clock, *priors, SHORT)
         if out_of_phase(thinned, here, *priors).p_value > _BENT_LEVEL:
-            return None
+            return []
         places = clock_places(thinned, here, *priors, _FAR_STARTS)
         starts = [fit_modes(thinned, fit.omegas, fit.zetas, p.clock, *priors, _GLANCE) for p in places]
         starts = sorted(starts, key=lambda start: start.cost)[:_CLOCK_STARTS]
         starts = [fit_modes(thinned, s.omegas, s.zetas, s.clock, *priors, SHORT) for s in starts]
-        best = min(starts, key=lambda start: start.cost)
-        if not best.cost < here.cost - _WORTH_A_LOOK:
-            return None
-        again = self.fit(best.omegas, best.zetas, best.clock)
-        return again if again.cost < fit.cost else None
+        least = min(start.cost for start in starts)
+        if not least < here.cost - _WORTH_A_LOOK:
+            return []
+        # Modes too many make up for what is wrong with a clock: those that need fewer are to be seen, too.
+        near = [start for start in starts if start.cost < least + _AS_GOOD]
+        again = [self.fit(start.omegas, start.zetas, start.clock) for start in near]
+        return [own for own in again if own.cost < fit.cost]
 
     def begun(self, n_modes: int | None, max_modes: int) -> Weighed[ModalRegression]:
         """Search with equal weights, and return what was found, be it nothing."""
