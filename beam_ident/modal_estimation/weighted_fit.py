@@ -48,6 +48,7 @@ _MAX_STEPS = 15
 _MAX_STEPS_AMONG_OUTLIERS = 40  # weights by the tails settle more slowly
 _LOOKS = 2  # at the noise, once the fit has left what outliers did to its start
 _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
+_NEAR = 0.5  # the same, from where on the weights of rounded values need no caution
 _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
 _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
@@ -127,6 +128,7 @@ class WeightedFit:
         # Of the outputs' own noise in every record, beside that of the input.
         self.record_variances = np.tile(self.variances, (max(len(self.records), 1), 1))
         self.noises: list[list[RecordNoise]] = []
+        self._is_near = False
         if smoothing is None:
             self._take_noise(fit.residuals)
 
@@ -136,16 +138,22 @@ class WeightedFit:
         for j, (values, left) in enumerate(zip(self.regression.values, residuals, strict=True)):
             times, segments = self.regression.times[j], self.regression.segments[j]
             if known:
-                noises = [own.followed(left[part]) for own, (_, part) in zip(known[j], segments, strict=True)]
+                pairs = zip(known[j], segments, strict=True)
+                noises = [own.followed(left[part], self._is_near) for own, (_, part) in pairs]
             elif are_rounding(values, left):
                 noises = [RecordNoise(Whitening(np.ones(1), times[part])) for _, part in segments]
             else:
-                noises = [RecordNoise.of(left[part], times[part]) for _, part in segments]
+                noises = [RecordNoise.of(values[part], left[part], times[part]) for _, part in segments]
             self.noises.append(noises)
             # sigma_j^2 of (I.10), with the degrees of freedom that all parameters take; records that have a
             # colour or tails each have theirs, all others share the weights that they came with.
-            white = [own.apply(left[part]) for own, (_, part) in zip(noises, segments, strict=True)]
-            powers = [float(np.mean(np.square(own))) / self.freedom for own in white]
+            white = [
+                own.apply(own.moved(left[part])) for own, (_, part) in zip(noises, segments, strict=True)
+            ]
+            powers = [
+                own.expected * float(np.mean(np.square(seen))) / self.freedom
+                for own, seen in zip(noises, white, strict=True)
+            ]
             if all(own.is_plain for own in noises):
                 powers = [float(np.mean(np.square(left))) / self.freedom] * len(noises)
             self.levels.append(np.sqrt(powers))
@@ -159,6 +167,15 @@ class WeightedFit:
     @property
     def _has_outliers(self) -> bool:
         return any(own.kept is not None or own.tails is not None for noises in self.noises for own in noises)
+
+    @property
+    def _follows(self) -> bool:
+        """Whether weights go with the residuals, or outliers may have to be found anew."""
+        return self._has_outliers or any(own.follows for noises in self.noises for own in noises)
+
+    @property
+    def _is_cautious(self) -> bool:
+        return any(own.is_cautious for noises in self.noises for own in noises)
 
     @property
     def _driven(self) -> ModalRegression:
@@ -183,7 +200,7 @@ class WeightedFit:
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
         looks = 0
-        for step in range(1, (_MAX_STEPS_AMONG_OUTLIERS if self._has_outliers else _MAX_STEPS) + 1):
+        for step in range(1, (_MAX_STEPS_AMONG_OUTLIERS if self._follows else _MAX_STEPS) + 1):
             # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
             linear = self._linearise(point)
             design, right = self._with_priors(linear, point)
@@ -200,7 +217,12 @@ class WeightedFit:
                 break
             point = self._moved(point, change)
             # D step is the step in units of its standard deviation: |D step|^2 = step^T H step.
-            if float(np.linalg.norm(design @ change)) < _STEP_TOLERANCE * np.sqrt(len(change)):
+            size = float(np.linalg.norm(design @ change)) / math.sqrt(len(change))
+            if size < _NEAR and not self._is_near:
+                self._is_near = True
+                if self._is_cautious:
+                    continue
+            if size < _STEP_TOLERANCE:
                 if self._has_outliers and looks < _LOOKS:
                     # The start was off by what the outliers did to it, which has a colour: look again.
                     looks, self.noises = looks + 1, []
@@ -241,7 +263,7 @@ class WeightedFit:
             # Sigma^-1 r of (I.17), and from it the most likely input a_hat of (I.14). The derivatives are those at
             # a_hat, (I.15); the residuals stay those against the measured input, (I.12).
             driving = self._cleaned(disturbances, [w[:, 0] for w in white])
-        elif self._has_outliers and self._is_long:
+        elif self._follows and self._is_long:
             self._take_noise(self._residuals(point))  # the weights of tails go with the residuals
 
         def whitened() -> Iterator[list[FloatArray]]:
@@ -335,7 +357,7 @@ class WeightedFit:
                     rows[:, -1] = residuals[output][piece.places[output]]
                 columns.append(rows)
             if not filters:
-                if self._has_outliers and not self._is_long:
+                if self._follows and not self._is_long:
                     # The weights of tails go with the residuals.
                     self._take_noise([rows[:, -1].copy() for rows in columns])
                 columns = [self._filtered(piece, output, rows, passes) for output, rows in enumerate(columns)]
@@ -397,6 +419,7 @@ class WeightedFit:
         for number, ((_, part), noise, level) in enumerate(owned):
             if part.stop > part.start:
                 passed = passes.setdefault((output, number), NoisePass(noise))
+                columns[part, -1] = passed.moved(columns[part, -1])
                 np.divide(passed.apply(columns[part]), max(float(level), 1e-300), out=result[part])
         return result
 

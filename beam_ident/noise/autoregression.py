@@ -25,19 +25,31 @@ _MAX_LINE_ORDER = 30
 _FORGOTTEN = 1e-12  # correlation below which it is none
 
 
-def autoregression(residuals: FloatArray, max_order: int = _MAX_ORDER) -> FloatArray:
+def autoregression(
+    residuals: FloatArray, max_order: int = _MAX_ORDER, doubt: FloatArray | None = None
+) -> FloatArray:
     """Return the coefficients ``1, c_1 .. c_p`` of the autoregression that BIC prefers.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+    max_order : int
+    doubt : ndarray or None, shape (n, n_parameters)
+        U of (I.24), what the model that left these residuals is not known by; their mean then counts as well.
 
     Notes
     -----
     Levinson-Durbin on the biased autocorrelation, which is always stable.
     """
     n = len(residuals)
-    centred = residuals - np.mean(residuals)
     max_order = max(0, min(max_order, n // 10))
     # The autocovariance as the inverse transform of the periodogram, padded so that no lag wraps around.
     length = next_fast_len(n + max_order, real=True)
-    power = np.square(np.abs(rfft(centred, length)))
+    if doubt is None:
+        power = np.square(np.abs(rfft(residuals - np.mean(residuals), length)))
+    else:
+        every = np.concatenate([residuals[None], doubt.T])
+        power = np.sum(np.square(np.abs(rfft(every, length))), axis=0)
     covariance = irfft(power, length)[: max_order + 1] / n
     if covariance[0] <= 0.0:
         return np.ones(1)

@@ -216,15 +216,23 @@ class ContinuousWhitening:
         return np.asarray(spread.T @ spread)
 
 
-def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNoise | None:
+def continuous_noise(
+    residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None
+) -> ContinuousNoise | None:
     """Return the process that BIC prefers for residuals at stamps of any spacing, None for white noise.
 
     Parameters
     ----------
     residuals : ndarray, shape (n,)
     times_s : ndarray, shape (n,) -- rising [s]
+    doubt : ndarray or None, shape (n, n_parameters)
+        U of (I.24), what the model that left these residuals is not known by; their mean then counts as well.
     """
-    residuals, times_s = _thinned(residuals - np.mean(residuals), times_s)
+    every = np.reshape(residuals - np.mean(residuals), (-1, 1))
+    if doubt is not None:
+        every = np.concatenate([residuals[:, None], doubt], axis=1)
+    every, times_s = _thinned(every, times_s)
+    residuals = every[:, 0]
     if Whiteness.of(residuals).p_value > _ENOUGH:
         return None
     n = len(residuals)
@@ -237,11 +245,10 @@ def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNo
             whitening = ContinuousWhitening(noise, times_s)
         except (LinAlgError, ValueError):
             return _IMPOSSIBLE
-        white = whitening.apply(residuals)
-        found = 0.5 * n * math.log(max(float(white @ white), 1e-300))
+        found = 0.5 * n * math.log(max(float(np.sum(np.square(whitening.apply(every)))), 1e-300))
         return found if math.isfinite(found) else _IMPOSSIBLE
 
-    plain = 0.5 * n * math.log(max(float(residuals @ residuals), 1e-300))
+    plain = 0.5 * n * math.log(max(float(np.sum(np.square(every))), 1e-300))
     best: tuple[float, ContinuousNoise | None] = (2.0 * plain, None)
 
     def offer(form: Callable[[FloatArray], ContinuousNoise], starts: list[list[float]]) -> ContinuousNoise:
@@ -294,15 +301,15 @@ def continuous_noise(residuals: FloatArray, times_s: FloatArray) -> ContinuousNo
     return best[1]
 
 
-def _thinned(residuals: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _thinned(every: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a few stretches of a long record: the time between them only makes them independent."""
-    n = len(residuals)
+    n = len(every)
     if n <= _MAX_SAMPLES:
-        return residuals, times_s
+        return every, times_s
     size = _MAX_SAMPLES // _STRETCHES
     starts = np.linspace(0, n - size, _STRETCHES).astype(np.intp)
     kept = np.concatenate([np.arange(start, start + size) for start in starts])
-    return residuals[kept], times_s[kept]
+    return every[kept], times_s[kept]
 
 
 def _exp(value: float) -> float:

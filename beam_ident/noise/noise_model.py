@@ -3,9 +3,10 @@
 Maximum likelihood weighs every sample by the noise that it carries.  Within a record the noise has a
 colour, whose inverse makes residuals independent: an autoregression at the stamps of a clock
 (``Whitening``), a process in continuous time at any others (``noise.continuous_noise``).  It may have outliers,
-which weigh by Student's t (``noise.heavy_tails``) or, under a colour, are left out.  From record to record it
-has another level, by which they are divided.  All are linear maps, applied to residuals and
-gradients alike, and of determinant one, so that costs under different noise models can be compared.
+which weigh by Student's t (``noise.heavy_tails``) or, under a colour, are left out, and it may be less than the
+steps to which values are rounded (``noise.rounding``).  From record to record it has another level, by which they
+are divided.  All are linear maps, applied to residuals and gradients alike, and costs under different noise models
+can be compared.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from beam_ident.noise.autoregression import autocorrelation, autoregression, sco
 from beam_ident.noise.continuous_noise import ContinuousWhitening, continuous_noise
 from beam_ident.noise.heavy_tails import HeavyTails
 from beam_ident.noise.outliers import outliers, spoiling
+from beam_ident.noise.rounding import RoundedNoise
 
 _OFF_GRID = 1e-3  # of a period
 _FEW_BREAKS = 0.02  # of the samples: with so few gaps an autoregression knows its neighbours
@@ -121,13 +123,14 @@ class Whitening:
 Colour = Whitening | ContinuousWhitening
 
 
-def colour_of(residuals: FloatArray, times_s: FloatArray) -> Colour:
+def colour_of(residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None) -> Colour:
     """Return the colour that BIC prefers for residuals: an autoregression at a clock's stamps, or continuous.
 
     Parameters
     ----------
     residuals : ndarray, shape (n,)
     times_s : ndarray, shape (n,) -- rising [s]
+    doubt : ndarray or None, shape (n, n_parameters) -- U of (I.24), what the model is not known by
 
     Notes
     -----
@@ -139,70 +142,109 @@ def colour_of(residuals: FloatArray, times_s: FloatArray) -> Colour:
     is_on_grid = float(np.max(np.abs(steps / period - np.round(steps / period)))) < _OFF_GRID
     found: Colour = white
     if is_on_grid:
-        found = Whitening(autoregression(residuals), times_s)
+        found = Whitening(autoregression(residuals, doubt=doubt), times_s)
         if np.count_nonzero(steps > 1.5 * period) < _FEW_BREAKS * len(steps):
             return found
-    process = continuous_noise(residuals, times_s)
+    process = continuous_noise(residuals, times_s, doubt)
+    every = np.reshape(residuals - np.mean(residuals), (-1, 1))
+    if doubt is not None:
+        every = np.concatenate([residuals[:, None], doubt], axis=1)
     if process is None:
-        return found if is_on_grid and _criterion(found, residuals) < _criterion(white, residuals) else white
+        return found if is_on_grid and _criterion(found, every) < _criterion(white, every) else white
     try:
         continuous = ContinuousWhitening(process, times_s)
     except LinAlgError:
         return found
-    return min((found, continuous), key=lambda colour: _criterion(colour, residuals))
+    return min((found, continuous), key=lambda colour: _criterion(colour, every))
 
 
-def _criterion(colour: Colour, residuals: FloatArray) -> float:
-    """Return BIC of residuals under a colour, up to a constant."""
-    left, n = colour.apply(residuals - np.mean(residuals)), len(residuals)
+def _criterion(colour: Colour, every: FloatArray) -> float:
+    """Return BIC of residuals and doubts, shape (n, 1 + n_doubts), under a colour, up to a constant."""
+    left, n = colour.apply(every), len(every)
     scaled = 0.0 if isinstance(colour, ContinuousWhitening) else colour.log_determinant
-    misfit = n * math.log(max(float(left @ left), 1e-300)) - 2.0 * scaled
+    misfit = n * math.log(max(float(np.sum(np.square(left))), 1e-300)) - 2.0 * scaled
     return misfit + colour.n_parameters * math.log(n)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordNoise:
-    """Colour and tails of the noise in one record.
+    """Colour, tails and rounding of the noise in one record.
 
     Attributes
     ----------
     colour : Whitening or ContinuousWhitening -- of the samples that are kept
     kept : ndarray of bool or None, shape (n,) -- which samples count; None is all
     tails : HeavyTails or None
+    rounding : RoundedNoise or None
     """
 
     colour: Colour
     kept: BoolArray | None = None
     tails: HeavyTails | None = None
+    rounding: RoundedNoise | None = None
 
     @staticmethod
-    def of(residuals: FloatArray, times_s: FloatArray) -> RecordNoise:
+    def of(
+        values: FloatArray, residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None
+    ) -> RecordNoise:
         """Return the noise that residuals show.
+
+        Parameters
+        ----------
+        values, residuals : ndarray, shape (n,) -- as they were measured, and less the model
+        times_s : ndarray, shape (n,) -- rising [s]
+        doubt : ndarray or None, shape (n, n_parameters) -- U of (I.24), what the model is not known by
 
         Notes
         -----
         Outliers are left out by the rule of ``noise.outliers``, which takes 6 in 10 million samples of Gaussian
         noise; a filter would smear them over their neighbours. What is left weighs by its colour, or, where it is
-        white, by Student's t.
+        white, by Student's t. Coarse rounding weighs by the likelihood of its intervals: the colour that
+        rounding errors have of the signal is none of the noise.
         """
         far = outliers(residuals)
         if not spoiling(residuals, far):
-            return RecordNoise(colour_of(residuals, times_s))
+            if rounding := RoundedNoise.of(values, residuals):
+                return RecordNoise(Whitening(np.ones(1), times_s), rounding=rounding)
+            return RecordNoise(colour_of(residuals, times_s, doubt))
         kept = np.ones(len(residuals), dtype=bool)
         kept[far] = False
-        colour = colour_of(residuals[kept], times_s[kept])
+        colour = colour_of(residuals[kept], times_s[kept], None if doubt is None else doubt[kept])
         if colour.n_parameters:
             return RecordNoise(colour, kept)
         return RecordNoise(Whitening(np.ones(1), times_s), tails=HeavyTails.of(residuals, kept))
 
-    def followed(self, residuals: FloatArray) -> RecordNoise:
-        """Return the same noise, outliers included, with the weights that other residuals have under its tails."""
+    def followed(self, residuals: FloatArray, is_near: bool = True) -> RecordNoise:
+        """Return the same noise, outliers included, with the weights that other residuals have under it.
+
+        Parameters
+        ----------
+        residuals : ndarray, shape (n,)
+        is_near : bool -- whether the optimum is so near that weights need no caution
+        """
+        if self.rounding is not None:
+            return RecordNoise(self.colour, rounding=self.rounding.followed(residuals, not is_near))
         return self if self.tails is None else RecordNoise(self.colour, tails=self.tails.followed(residuals))
 
     @property
     def is_plain(self) -> bool:
-        """Whether the noise is white and without outliers."""
-        return self.kept is None and self.tails is None and not self.colour.n_parameters
+        """Whether the noise is white, without outliers, and not rounded away."""
+        parts = (self.kept, self.tails, self.rounding)
+        return all(part is None for part in parts) and not self.colour.n_parameters
+
+    @property
+    def follows(self) -> bool:
+        """Whether weights go with the residuals."""
+        return self.tails is not None or self.rounding is not None
+
+    @property
+    def is_cautious(self) -> bool:
+        """Whether weights are those of the way to the optimum."""
+        return self.rounding is not None and self.rounding.is_cautious
+
+    def moved(self, values: FloatArray) -> FloatArray:
+        """Return values, or what a model leaves of them, as least squares takes them."""
+        return values if self.rounding is None else values + self.rounding.shift
 
     @property
     def n_parameters(self) -> int:
@@ -222,17 +264,32 @@ class RecordNoise:
         return 1.0 if self.kept is None else len(self.kept) / np.count_nonzero(self.kept)
 
     @property
+    def expected(self) -> float:
+        """Power that the noise should leave in the weighed residuals, over what it leaves.
+
+        Under coarse rounding a few samples near an edge leave most, so that their power scatters far more than the
+        likelihood of all knows sigma.
+        """
+        if self.rounding is None:
+            return 1.0
+        weighed = self.apply(self.moved(self.rounding.residuals))
+        return self.rounding.sigma**2 / max(float(np.mean(np.square(weighed))), 1e-300)
+
+    @property
     def excess(self) -> float:
         """What the cost of the weighed squares lacks to be the negative log-likelihood."""
-        if self.tails is None:
+        own = self.tails or self.rounding
+        if own is None:
             return 0.0
-        weighed = self.apply(self.tails.residuals)
-        return self.tails.cost - 0.5 * len(weighed) * math.log(float(weighed @ weighed))
+        weighed = self.apply(self.moved(own.residuals))
+        return own.cost - 0.5 * len(weighed) * math.log(float(weighed @ weighed))
 
     def __str__(self) -> str:
         """Return what the noise is, in words."""
         if self.tails is not None:
             return str(self.tails)
+        if self.rounding is not None:
+            return str(self.rounding)
         beside = "" if self.kept is None else f" without {np.count_nonzero(~self.kept)} outliers"
         return f"{self.colour}{beside}"
 
@@ -254,12 +311,19 @@ class NoisePass:
         self._seen = self._kept = 0
         self._memory: tuple[FloatArray, ...] = ()
 
+    def moved(self, residuals: FloatArray) -> FloatArray:
+        """Return the residuals of the next rows as least squares takes them, shape (n,)."""
+        if self.noise.rounding is None:
+            return residuals
+        return np.asarray(residuals + self.noise.rounding.shift[self._seen : self._seen + len(residuals)])
+
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return the next rows, shape (n, ...)."""
         noise, rows = self.noise, slice(self._seen, self._seen + len(columns))
         self._seen = rows.stop
-        if noise.tails is not None:
-            roots = np.sqrt(noise.tails.weights[rows])
+        weighing = noise.tails or noise.rounding
+        if weighing is not None:
+            roots = np.sqrt(weighing.weights[rows])
             return np.asarray(columns * roots.reshape(-1, *([1] * (columns.ndim - 1))))
         if noise.kept is None:
             return self._whitened(columns)
@@ -290,13 +354,32 @@ class NoiseModel:
         mean = float(np.average(np.log(sds), weights=sizes))
         self.levels = np.exp(np.log(sds) - mean) if len(rows) > 1 else np.ones(1)
         share = sizes / np.sum(sizes)
-        self.inflation = 1.0 if noises is None else float(share @ [own.inflation for own in noises])
+        self.inflation = (
+            1.0 if noises is None else float(share @ [own.inflation * own.expected for own in noises])
+        )
         self.excess = 0.0 if noises is None else sum(own.excess for own in noises)
 
     @property
     def is_plain(self) -> bool:
         """Whether no record has a colour or outliers."""
         return self.noises is None or all(own.is_plain for own in self.noises)
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether some record weighs by the likelihood of its intervals."""
+        return self.noises is not None and any(own.rounding is not None for own in self.noises)
+
+    @property
+    def is_cautious(self) -> bool:
+        """Whether weights of some record are those of the way to the optimum."""
+        return self.noises is not None and any(own.is_cautious for own in self.noises)
+
+    def moved(self, values: FloatArray) -> FloatArray:
+        """Return values of all records, or what a model leaves of them, as least squares takes them."""
+        if self.noises is None or not self.is_rounded:
+            return values
+        pairs = zip(self.noises, self.rows, strict=True)
+        return np.concatenate([own.moved(values[part]) for own, part in pairs])
 
     @property
     def colours(self) -> tuple[FloatArray, ...]:

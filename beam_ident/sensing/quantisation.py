@@ -3,7 +3,8 @@
 Rounding to steps of q adds an error of deviation ``q / sqrt(12)``.  Noise of half a step or more before the rounding
 makes that error independent of the signal to a percent (Widrow and Kollar, Quantization Noise, 2008, ch. 4): then it
 is noise like any other, and least squares stays right.  With noise of sigma the mean error at y is, in first order,
-``(q / pi) exp(-2 pi^2 (sigma / q)^2) sin(2 pi y / q)``: below a third of a step errors follow the signal.
+``(q / pi) exp(-2 pi^2 (sigma / q)^2) sin(2 pi y / q)``: with less noise errors follow the signal, and samples weigh by
+the likelihood of their intervals (``noise.rounding``).
 
 Clipped samples stand at the end of the range, one after the other, where a model without them goes on beyond it.
 What is left out is decided by that model, not by the samples: else the noise would choose.
@@ -22,64 +23,49 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit
+from beam_ident.noise.rounding import DITHER, dither, quantum
 
-_MULTIPLE = 0.02  # of a step, within which all differences are multiples of it
-_MOST_STEPS = 1e6  # beyond which nothing can be said
-_FEW = 8  # samples
 _CLIPPED, _IN_A_ROW = 5, 3  # samples at an end of the range
 _PILE = 2.5  # times as many as at the level before: a sine that is only rounded has 2.4 at most
 _BEYOND = 2.0  # standard deviations by which the model must pass the end on average
 _MIN_BEYOND = 1e-6  # of the output's size: less is rounding
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
-_DITHER = 0.3  # steps of noise, below which a sixth of the rounding error and more follows the signal
-
 
 FitT = TypeVar("FitT")
 
 
-def quantum(values: FloatArray) -> float:
-    """Return the step to which values are rounded, 0 where there is none to be seen."""
-    levels = np.unique(values[np.isfinite(values)])
-    if not len(values) >= _FEW or len(levels) < 2:
-        return 0.0
-    steps = np.diff(levels)
-    smallest = float(np.min(steps))
-    if not smallest > 0.0 or float(np.ptp(levels)) > _MOST_STEPS * smallest:
-        return 0.0
-    # Levels that are missing leave multiples; the whole range knows the step best.
-    counts = np.round(steps / smallest)
-    found = float(np.ptp(levels)) / float(np.sum(counts))
-    # Samples that are not rounded repeat no level.
-    is_rounded = len(levels) < 0.9 * len(values) and np.max(np.abs(steps / found - counts)) < _MULTIPLE
-    return found if is_rounded else 0.0
-
-
 def rounding_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
-    """Return a warning of outputs whose rounding errors follow the signal, or an empty string.
+    """Return what was done about outputs whose rounding errors follow the signal, or an empty string.
 
     Parameters
     ----------
     outputs : sequence of (name, records) -- of every output
     """
-    found = []
+    weighed, found = [], []
     for name, records in outputs:
         for own in records:
             step = quantum(own.measured)
             if not step:
                 continue
-            # What is left beside the rounding's own variance is the noise before it.
-            before = float(np.mean(np.square(own.residuals))) - step**2 / 12.0
-            noise = math.sqrt(max(before, 0.0)) / step
-            if noise < _DITHER and float(np.std(own.residuals)) > 0.05 * step:
+            if "rounding" in own.noise:
+                weighed.append(f"{name} was taken for {own.noise}")
+                break
+            noise = dither(own.residuals, step)
+            if noise < DITHER and float(np.std(own.residuals)) > 0.05 * step:
                 found.append(f"{name} (steps of {step:.3g}, noise of {noise:.2g} steps)")
                 break
-    if not found:
-        return ""
-    return (
-        f"Rounding: {', '.join(found)}. With noise of less than {_DITHER} steps its errors follow the "
-        "signal and may bias the fit by as much as their own deviation, 0.29 steps; standard deviations take them "
-        "to be noise. Choose a finer range, or let half a step of noise in before the rounding."
-    )
+    said = []
+    if weighed:
+        said.append(
+            f"Rounding: {'; '.join(weighed)}: with noise of less than {DITHER} steps its errors follow the signal."
+        )
+    if found:
+        said.append(
+            f"Rounding: {', '.join(found)}. With noise of less than {DITHER} steps its errors follow the "
+            "signal and may bias the fit by as much as their own deviation, 0.29 steps; standard deviations take "
+            "them to be noise. Choose a finer range, or let half a step of noise in before the rounding."
+        )
+    return " ".join(said)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal, TimeRecord
-from beam_ident.sensing.quantisation import quantum
+from beam_ident.noise.rounding import quantum
 
 _WINDOW = 50  # samples
 _MIN_REST = 200  # samples of rest: their deviation is known to 10 %

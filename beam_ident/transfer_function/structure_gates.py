@@ -68,7 +68,8 @@ def transfer_function_warnings(
         warnings.append(said)
     if said := rounding_warning([(models[0].output_name, records)]):
         warnings.append(said)
-    weighed = [own.noise for own in records if own.noise and not own.noise.startswith("Student")]
+    white = ("Student", "white noise")
+    weighed = [own.noise for own in records if own.noise and not own.noise.startswith(white)]
     if weighed:
         warnings.append(
             f"The residuals of {models[0].output_name} are not white; the fit is weighed by their noise, taken for "

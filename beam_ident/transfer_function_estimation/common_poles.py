@@ -127,24 +127,43 @@ class _JointProblem:
 
         Where the noise ``stays`` what it was taken for, only levels and the weights of tails follow.
         """
-        pairs = zip(self.problems, state.states, strict=True)
-        return _JointProblem(
-            [problem.reweighed(own, as_it_is, problem.noise if stays else None) for problem, own in pairs],
-            state.states[0].scale,
-        )
+        is_new = as_it_is and not stays
+        problems = [
+            problem.reweighed(
+                own,
+                as_it_is,
+                problem.noise if stays else None,
+                problem.doubt(own, others) if is_new else None,
+            )
+            for problem, own, others in zip(self.problems, state.states, self._others(state), strict=True)
+        ]
+        return _JointProblem(problems, state.states[0].scale)
+
+    def _others(self, state: _JointState) -> list[FloatArray]:
+        """Return the information on theta that every output has from all others."""
+        parts = [problem.slope(own)[0] for problem, own in zip(self.problems, state.states, strict=True)]
+        return [
+            np.sum([part for k, part in enumerate(parts) if k != j] or [0.0 * parts[j]], axis=0)
+            for j in range(len(parts))
+        ]
 
     @property
     def is_plain(self) -> bool:
         """Whether no output has noise with a colour or outliers."""
         return all(problem.noise is None or problem.noise.is_plain for problem in self.problems)
 
+    @property
+    def is_cautious(self) -> bool:
+        """Whether weights of some output are those of the way to the optimum."""
+        return any(problem.noise is not None and problem.noise.is_cautious for problem in self.problems)
+
     def reach(self, state: _JointState) -> FloatArray:
         """Return the standard deviations of the coefficients, the colour of the noise included."""
-        parts = [problem.slope(own)[0] for problem, own in zip(self.problems, state.states, strict=True)]
-        shares = []
-        for j, (problem, own) in enumerate(zip(self.problems, state.states, strict=True)):
-            others = np.sum([part for k, part in enumerate(parts) if k != j] or [0.0 * parts[j]], axis=0)
-            shares.append(np.diag(problem.covariance(own, others).values)[: len(state.theta)])
+        owned = zip(self.problems, state.states, self._others(state), strict=True)
+        shares = [
+            np.diag(problem.covariance(own, others).values)[: len(state.theta)]
+            for problem, own, others in owned
+        ]
         return np.asarray(np.sqrt(np.maximum(np.max(shares, axis=0), 1e-300)))
 
 
@@ -290,13 +309,17 @@ def _in_turns(
     joint: _JointProblem, minimum: Minimum[_JointState], as_it_is: bool
 ) -> tuple[_JointProblem, Minimum[_JointState]]:
     """Estimate poles and noise in turns, until neither moves."""
+    stays = False
     for turn in range(_TURNS):
-        joint = joint.reweighed(minimum.state, as_it_is, stays=turn >= LOOKS)
+        stays = stays or turn >= LOOKS
+        joint = joint.reweighed(minimum.state, as_it_is, stays)
         start = minimum.state.theta
         minimum = minimise(joint, joint.state(start), _ITERATIONS)
         moved = minimum.state.theta - start
         if math.sqrt(float(moved @ joint.slope(minimum.state)[0] @ moved) / len(moved)) < _SETTLED:
-            return joint, minimum
+            if not joint.is_cautious and (turn or joint.is_plain):
+                return joint, minimum
+            stays = joint.is_cautious
     reason = f"system and noise still moved after {_TURNS} turns"
     return joint, replace(minimum, converged=False, reason=reason)
 

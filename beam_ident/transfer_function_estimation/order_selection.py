@@ -214,7 +214,7 @@ def _has_noise_of_its_own(results: Sequence[TransferFunctionResult | str]) -> bo
     best = min(found, key=lambda r: r.bic)
     return any(
         not are_rounding(own.measured, own.residuals)
-        and not RecordNoise.of(own.residuals, own.times_s).is_plain
+        and not RecordNoise.of(own.measured, own.residuals, own.times_s).is_plain
         for own in best.records
     )
 

@@ -138,7 +138,7 @@ class OutputErrorProblem:
         self._shown: tuple[FloatArray, list[RecordNoise]] | None = (
             None  # the noise at a point, for a second look
         )
-        self._target = self.weighed(self.values)
+        self._target = self.weighed(self.values if noise is None else noise.moved(self.values))
 
     def _refuse_few(self) -> None:
         n_parameters = self.n_a + len(self.free_delays) + self.n_columns
@@ -171,7 +171,11 @@ class OutputErrorProblem:
         return problem
 
     def reweighed(
-        self, state: OutputErrorState, as_it_is: bool, known: NoiseModel | None = None
+        self,
+        state: OutputErrorState,
+        as_it_is: bool,
+        known: NoiseModel | None = None,
+        doubt: FloatArray | None = None,
     ) -> OutputErrorProblem:
         """Return the problem under the noise that a state's residuals show.
 
@@ -181,6 +185,7 @@ class OutputErrorProblem:
         as_it_is : bool
             Whether the noise has a colour, which BIC chooses, and outliers; a level of every record alone.
         known : NoiseModel or None -- whose colours and outliers stay, while levels and the weights of tails follow
+        doubt : ndarray or None, shape (n_samples, n_parameters) -- what ``doubt`` says of the state
 
         Notes
         -----
@@ -194,7 +199,7 @@ class OutputErrorProblem:
                 pairs = zip(known.noises, self.rows, strict=True)
                 noises = [own.followed(left[part]) for own, part in pairs]
             else:
-                noises = self._noises(left)
+                noises = self._noises(left, doubt)
             self._shown = state.theta, noises
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:
@@ -204,7 +209,9 @@ class OutputErrorProblem:
             leverage = np.einsum("ij,ij->i", state.solution.basis, state.solution.basis)
             share = len(state.theta) / len(left)
             for record, part in enumerate(self.rows):
-                own = left[part] if noises is None else noises[record].apply(left[part])
+                own = left[part]
+                if noises is not None:
+                    own = noises[record].apply(noises[record].moved(own))
                 n_free = float(np.sum(1.0 - share - leverage[part]))
                 power = float(own @ own) / max(n_free, 1.0)
                 sds[record] = math.sqrt(power + self.floor / len(left) + 1e-300)
@@ -212,14 +219,34 @@ class OutputErrorProblem:
         problem.scale = state.scale
         return problem
 
-    def _noises(self, left: FloatArray) -> list[RecordNoise]:
+    def _noises(self, left: FloatArray, doubt: FloatArray | None) -> list[RecordNoise]:
         """Return the noise that residuals show in every record; errors of arithmetic are none."""
         return [
             RecordNoise(Whitening(np.ones(1), own.times))
             if are_rounding(own.values, left[part])
-            else RecordNoise.of(left[part], own.times)
+            else RecordNoise.of(own.values, left[part], own.times, None if doubt is None else doubt[part])
             for part, own in zip(self.rows, self.experiments, strict=True)
         ]
+
+    def doubt(self, state: OutputErrorState, also: FloatArray | None = None) -> FloatArray | None:
+        """Return U of (I.24), by what the model is not known; None without a noise model.
+
+        Parameters
+        ----------
+        state : OutputErrorState
+        also : ndarray or None, shape (n_theta, n_theta) -- information on theta from elsewhere
+
+        Returns
+        -------
+        ndarray or None, shape (n_samples, n_theta + n_columns) -- unweighed
+        """
+        if self.noise is None or not state.responses or not state.responses[0].has_squares:
+            return None
+        design = np.concatenate([self._gradient(state), state.matrix], axis=1)
+        covariance = self.covariance(state, also).values
+        sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
+        return np.asarray((design * sd) @ (vectors * np.sqrt(np.maximum(values, 0.0))))
 
     def unweighed_residuals(self, state: OutputErrorState) -> FloatArray:
         """Return what a state leaves of the output, without weights."""
@@ -354,6 +381,10 @@ class OutputErrorProblem:
 
         Both in scaled units.
         """
+        return self.weighed(self._gradient(state))
+
+    def _gradient(self, state: OutputErrorState) -> FloatArray:
+        """Return the gradient by theta of the model, unweighed."""
         result = np.zeros((len(self.values), len(state.theta)))
         for k, (path, response) in enumerate(zip(self.paths, state.responses, strict=True)):
             # (T.8) by the denominators: paths that share one add up.
@@ -373,7 +404,7 @@ class OutputErrorProblem:
             # (T.8) by a delay: a later input is the response's derivative by time, with the opposite sign.
             derivative = np.concatenate([[0.0], ascending])[None]  # s B / A: by time, in units of 1/scale
             result[:, self.n_a + column] = -self.scale * state.responses[k].combined(derivative)[:, 0]
-        return self.weighed(result)
+        return result
 
     def _by_denominator(self, response: Response, ascending: FloatArray, block: int) -> FloatArray:
         """Return d/da_i of B/A with a_i at s^(n-i): -s^(n-i) B / A^2."""
@@ -459,7 +490,7 @@ class OutputErrorProblem:
         cross = of_theta @ sensitivity.T
         of_linear = variance * state.solution.inverse_gram() + sensitivity @ cross
         values = np.block([[of_theta, cross], [cross.T, of_linear]])
-        if self.noise is None or self.noise.is_plain:
+        if self.noise is None or self.noise.is_plain or self.noise.is_rounded:
             values = self._under_colour(state, jacobian, variance, values)
         return JointCovariance(values, variance, condition)
 
@@ -467,14 +498,15 @@ class OutputErrorProblem:
         self, state: OutputErrorState, jacobian: FloatArray, variance: float, covariance: FloatArray
     ) -> FloatArray:
         """Return the covariance of equal weights under the colour that the noise has: the sandwich (T.17)."""
-        known = self._shown
+        known, is_rounded = self._shown, self.noise is not None and self.noise.is_rounded
         if known is not None and np.array_equal(known[0], state.theta) and all(n.is_plain for n in known[1]):
             return covariance
-        left = self.unweighed_residuals(state)
+        plain = self.unweighed_residuals(state)
+        left = state.residuals if is_rounded else plain
         excess = np.zeros_like(covariance)
         design: FloatArray | None = None
         for part, own in zip(self.rows, self.experiments, strict=True):
-            if are_rounding(own.values, left[part]):
+            if are_rounding(own.values, plain[part]):
                 continue
             colour = colour_of(left[part], own.times)
             if colour.n_parameters:

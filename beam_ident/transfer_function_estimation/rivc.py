@@ -84,11 +84,13 @@ def refine_with_noise_model(
         The problem in innovations, and the optimum there.
     """
     state, iterations = start.state, start.iterations
-    weighed = problem
+    weighed, stays = problem, False
     for turn in range(_TURNS):
         # W of (T.9) from the residuals at the present model, then the model under W. Samples at the brink of the
         # rule for outliers could come and go for ever: what the noise is taken for stays after a few turns.
-        weighed = problem.reweighed(state, as_it_is, weighed.noise if turn >= LOOKS else None)
+        stays = stays or turn >= LOOKS
+        doubt = weighed.doubt(state) if as_it_is and not stays else None
+        weighed = problem.reweighed(state, as_it_is, weighed.noise if stays else None, doubt)
         first = weighed.state(state.theta)
         if method == "srivc":
             found = srivc(weighed, first)
@@ -103,7 +105,11 @@ def refine_with_noise_model(
         moved = found.state.theta - state.theta
         size = math.sqrt(max(float(moved @ information @ moved), 0.0) / len(moved))
         state = found.state
-        if size < _SETTLED:
+        noise = weighed.noise
+        assert noise is not None
+        if size < _SETTLED and noise.is_cautious:
+            stays = True
+        elif size < _SETTLED and (turn or noise.is_plain):  # what is in doubt counts from the second turn on
             return weighed, Optimum(state, found.converged, found.reason, iterations)
     reason = f"system and noise still moved after {_TURNS} turns"
     return weighed, Optimum(state, False, reason, iterations)

@@ -16,26 +16,13 @@ from beam_ident import (
     estimate_transfer_function,
     identify,
 )
-from beam_ident.sensing.quantisation import quantum
 from tests.beam_ident.rao_garnier import PARAMETERS, benchmark_record
 from tests.beam_ident.transfer_function.test_structure_gates import record_of
 from tests.beam_ident.truth import beam_record
 
 
-@pytest.mark.parametrize("step", [1e-7, 0.3])
-def test_the_step_of_rounded_values_is_found(step):
-    values = np.random.default_rng(0).standard_normal(3000) * 12.0 * step
-    assert quantum(0.1 + step * np.round(values / step)) == pytest.approx(step, rel=1e-6)
-    assert quantum(values) == 0.0
-
-
-@pytest.mark.parametrize("values", [np.zeros(50), np.array([0.0, 1.0]), np.full(20, np.nan)])
-def test_what_shows_no_step_has_none(values):
-    assert quantum(values) == 0.0
-
-
 @pytest.mark.parametrize(
-    ("steps_of_noise", "is_said"), [(0.05, True), (0.15, True), (0.5, False), (2.0, False)]
+    ("steps_of_noise", "is_said"), [(0.05, True), (0.15, True), (0.6, False), (2.0, False)]
 )
 def test_errors_that_follow_the_signal_are_named(steps_of_noise, is_said):
     record = record_of(1.0)  # noise of 0.05
@@ -44,6 +31,9 @@ def test_errors_that_follow_the_signal_are_named(steps_of_noise, is_said):
     rounded = dataclasses.replace(output, values=step * np.round(output.values / step))
     found = estimate_transfer_function(TimeRecord(record.inputs, (rounded,)), 1, 0)
     assert any(said.startswith("Rounding") for said in found.warnings) == is_said
+    assert ("rounding" in found.records[0].noise) == is_said
+    plain = estimate_transfer_function(TimeRecord(record.inputs, (rounded,)), 1, 0, method="white")
+    assert any("may bias the fit" in said for said in plain.warnings) == is_said
 
 
 def clipped(record: TimeRecord, low: float, high: float) -> TimeRecord:
