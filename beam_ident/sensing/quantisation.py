@@ -1,10 +1,10 @@
 """What a sensor's steps and ends do to its values: rounding, and clipping.
 
-Rounding to steps of q adds an error of deviation ``q / sqrt(12)``.  Noise of half a step or more before the rounding
+Rounding to steps of q adds an error of deviation ``q / sqrt(12)``.  Noise of half a step or more before it
 makes that error independent of the signal to a percent (Widrow and Kollar, Quantization Noise, 2008, ch. 4): then it
 is noise like any other, and least squares stays right.  With noise of sigma the mean error at y is, in first order,
-``(q / pi) exp(-2 pi^2 (sigma / q)^2) sin(2 pi y / q)``: with less noise errors follow the signal, and samples weigh by
-the likelihood of their intervals (``noise.rounding``).
+``(q / pi) exp(-2 pi^2 (sigma / q)^2) sin(2 pi y / q)``: with less noise errors follow the signal, and samples weigh
+by the likelihood of their intervals (``noise.rounding``).
 
 Clipped samples stand at the end of the range, one after the other, where a model without them goes on beyond it.
 What is left out is decided by that model, not by the samples: else the noise would choose.
