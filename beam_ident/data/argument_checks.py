@@ -258,6 +258,19 @@ def chosen_input(record: TimeRecord, input_name: str | None) -> InputSignal:
     return record.inputs[0] if input_name is None else record.input(input_name)
 
 
+def chosen_inputs(record: TimeRecord, names: str | Sequence[str] | None) -> tuple[InputSignal, ...]:
+    """Return the inputs of some names, or all; raise EstimationError where there is none of a name, or none named."""
+    if names is None:
+        return record.inputs
+    asked = [names] if isinstance(names, str) else list(names)
+    if not asked or len(set(asked)) < len(asked):
+        raise EstimationError(
+            f"input_name is {names!r}; expected different names among {', '.join(s.name for s in record.inputs)}, "
+            "or None for all of them"
+        )
+    return tuple(record.input(name) for name in asked)
+
+
 def require_input(drive: InputSignal, is_needed: bool = True) -> None:
     """Raise EstimationError for an input of an absurd size, or one at zero throughout where it is needed."""
     require_size(f"input {drive.name!r}", drive.values)

@@ -94,6 +94,11 @@ def predict_amplitudes(
 
 
 def _input_of(excitation: SampledExcitation | HeldInput, model: ModalModel) -> InputSignal:
+    if model.further_inputs:
+        raise ExcitationError(
+            f"the model has the inputs {', '.join(model.input_names)}, and an excitation is one of them; give "
+            f"path({model.input_name!r}) of the model, or of another input"
+        )
     quantity = _QUANTITIES.get(model.structure)
     if isinstance(excitation, SampledExcitation):
         if quantity is None:

@@ -150,7 +150,7 @@ def _predict(
     """Predict one record, output by output."""
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
     present = [name for name in names if name in record.output_names]
-    inputs = model.input_names if isinstance(model, MultiInputModel) else (model.input_name,)
+    inputs = (model.input_name,) if isinstance(model, TransferFunctionModel) else model.input_names
     if not present or not set(inputs) <= {drive.name for drive in record.inputs}:
         raise EstimationError(
             f"record {record.name!r} has the input(s) {', '.join(d.name for d in record.inputs)} and the "
@@ -168,20 +168,17 @@ def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
     delays = dict(zip(model.output_names, model.output_delays, strict=True))
     outputs = tuple(replace(o, times_s=o.times_s - delays[o.name]) for o in record.outputs)
     shifted = TimeRecord(record.inputs, outputs, record.start_ns, record.name)
-    regression = ModalRegression([shifted], structure, model.input_name)
+    regression = ModalRegression([shifted], structure, model.input_names)
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
-    n_shared = regression.n_shared_fixed + model.n_modes
+    n_shared, parameters = regression.n_shared(model.n_modes), model.column_parameters()
     drive = record.input(model.input_name)
     signal = drive.signal()
     results = []
     for j, name in enumerate(regression.output_names):
         matrix = blocks[regression.block_of[j]].matrix
         row = model.output_names.index(name)
-        shared = np.concatenate([[model.residual_terms[row]], model.residues[row]])
-        if structure.has_direct:
-            shared = np.concatenate([[model.gains[row]], shared])
         values = regression.values[j]
-        remainder = values - matrix[:, :n_shared] @ shared
+        remainder = values - matrix[:, :n_shared] @ parameters[row]
         own = matrix[:, n_shared:]
         found = LinearSolution.of(own).coefficients(remainder)
         residuals = remainder - own @ found
@@ -189,7 +186,8 @@ def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
         plain_residuals = remainder - drifts @ LinearSolution.of(drifts).coefficients(remainder)
         rigid = drifts @ found[:2]
         if structure.has_direct:
-            rigid = rigid + model.gains[row] * matrix[:, 0]
+            direct = slice(0, regression.n_shared_fixed, regression.n_fixed_of_input)
+            rigid = rigid + matrix[:, direct] @ parameters[row, direct]
         output = record.output(name)
         results.append(
             _Prediction(

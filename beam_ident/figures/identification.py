@@ -24,6 +24,8 @@ from beam_ident.modal.identification_result import IdentificationResult, OutputF
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_LINES = ("-", "--", ":", "-.")  # of one input after the other
+
 
 def time_figure(record: TimeRecord) -> Figure:
     """Draw every signal of a record over time."""
@@ -95,7 +97,7 @@ def spectrum_figure(result: IdentificationResult) -> Figure:
 
 
 def frequency_response_figure(result: IdentificationResult, n_points: int = 1500) -> Figure:
-    """Draw magnitude and phase of the model with 95 % bands over the searched band."""
+    """Draw magnitude and phase of the model with 95 % bands over the searched band, from every input."""
     model = result.model
     low = max(result.band.low_hz, 1e-3)
     high = max(result.band.high_hz, 1.2 * float(model.frequencies_hz[-1]))
@@ -105,17 +107,20 @@ def frequency_response_figure(result: IdentificationResult, n_points: int = 1500
     ]
     hertz = np.unique(np.concatenate([np.geomspace(low, high, n_points), *near]))
     hertz = hertz[hertz > 0.0]
-    response = model.frequency_response(2.0 * np.pi * hertz)
     figure, axes = stacked_axes(2, 5.0)
-    for j, name in enumerate(model.output_names):
-        colour = COLOURS[j % len(COLOURS)]
-        size, spread = np.abs(response.response[:, j]), 1.96 * response.magnitude_sd[:, j]
-        axes[0].loglog(hertz, size, color=colour, linewidth=1.0, label=name)
-        axes[0].fill_between(
-            hertz, np.maximum(size - spread, size * 1e-3), size + spread, color=colour, alpha=0.2
-        )
-        phase = np.unwrap(np.angle(response.response[:, j])) * 180.0 / np.pi
-        axes[1].semilogx(hertz, phase, color=colour, linewidth=1.0)
+    responses = [(path.input_name, path.frequency_response(2.0 * np.pi * hertz)) for path in model.paths]
+    for number, (drive, response) in enumerate(responses):
+        style = _LINES[number % len(_LINES)]
+        for j, name in enumerate(model.output_names):
+            colour = COLOURS[j % len(COLOURS)]
+            label = f"{name} over {drive}" if len(responses) > 1 else name
+            size, spread = np.abs(response.response[:, j]), 1.96 * response.magnitude_sd[:, j]
+            axes[0].loglog(hertz, size, color=colour, linewidth=1.0, linestyle=style, label=label)
+            axes[0].fill_between(
+                hertz, np.maximum(size - spread, size * 1e-3), size + spread, color=colour, alpha=0.2
+            )
+            phase = np.unwrap(np.angle(response.response[:, j])) * 180.0 / np.pi
+            axes[1].semilogx(hertz, phase, color=colour, linewidth=1.0, linestyle=style)
     axes[0].set_ylabel("magnitude")
     axes[0].legend(loc="best", fontsize=8, frameon=False, ncols=3)
     axes[1].set_ylabel("phase [deg]")

@@ -119,13 +119,14 @@ def _model_response(
     model: ModalModel | TransferFunctionModel, estimate: ResponseSeries, omegas: FloatArray
 ) -> tuple[Any, FloatArray]:
     names = model.output_names if isinstance(model, ModalModel) else (model.output_name,)
-    if estimate.output_name not in names or estimate.input_name != model.input_name:
+    inputs = model.input_names if isinstance(model, ModalModel) else (model.input_name,)
+    if estimate.output_name not in names or estimate.input_name not in inputs:
         raise EstimationError(
             f"the estimate goes from {estimate.input_name!r} to {estimate.output_name!r}, the model from "
-            f"{model.input_name!r} to {', '.join(names)}; give estimates of the model's own signals"
+            f"{', '.join(map(repr, inputs))} to {', '.join(names)}; give estimates of the model's own signals"
         )
     if isinstance(model, ModalModel):
-        found = model.frequency_response(omegas)
+        found = model.path(estimate.input_name).frequency_response(omegas)
         j = names.index(estimate.output_name)
         return found.response[:, j], found.magnitude_sd[:, j]
     return model.frequency_response(omegas)

@@ -78,7 +78,7 @@ class ModalFit:
 def fitted_model(
     fit: ModalFit,
     structure: ModalStructure,
-    input_name: str,
+    input_names: tuple[str, ...],
     output_names: tuple[str, ...],
     clock_is_free: tuple[bool, bool],
     noise_sd: FloatArray | None = None,
@@ -87,32 +87,39 @@ def fitted_model(
 
     Parameters
     ----------
-    fit : ModalFit -- its linear parameters begin with direct gain, residual term and residues
+    fit : ModalFit
+        Its linear parameters begin with direct gain and residual term of every input, then the residues of all
+        modes under each input.
     structure : ModalStructure
-    input_name : str
+    input_names : tuple of str
     output_names : tuple of str
     clock_is_free : tuple of bool -- whether latency and clock rate were estimated
     noise_sd : ndarray or None, shape (n_outputs,) -- None takes the fit's own
     """
-    n, m = len(fit.omegas), len(output_names)
+    n, m, k = len(fit.omegas), len(output_names), len(input_names)
     # Where each parameter of the model stands among those of the fit; -1 for one that was not estimated.
     source: list[int] = list(range(2 * n))
     place = 2 * n
     for is_free in clock_is_free:
         source.append(place if is_free else -1)
         place += int(is_free)
-    gains, residual_terms, residues = np.zeros(m), np.zeros(m), np.zeros((m, n))
+    gains, residual_terms, residues = np.zeros((m, k)), np.zeros((m, k)), np.zeros((m, k, n))
     terms = ((structure.has_direct, gains), (structure.has_residual, residual_terms))
+    n_terms = sum(is_there for is_there, _ in terms)
     for j, found in enumerate(fit.coefficients):
-        column = 0
-        for is_there, values in terms:
-            source.append(place + column if is_there else -1)
-            if is_there:
-                values[j] = found[column]
-                column += 1
-        residues[j] = found[column : column + n]
-        source.extend(range(place + column, place + column + n))
+        for drive in range(k):
+            column = drive * n_terms
+            for is_there, values in terms:
+                source.append(place + column if is_there else -1)
+                if is_there:
+                    values[j, drive] = found[column]
+                    column += 1
+            column = k * n_terms + drive * n
+            residues[j, drive] = found[column : column + n]
+            source.extend(range(place + column, place + column + n))
         place += len(found)
+    if k == 1:
+        gains, residual_terms, residues = gains[:, 0], residual_terms[:, 0], residues[:, 0]
     index = np.array(source)
     covariance = fit.covariance[np.ix_(index, index)]
     covariance[index < 0, :] = 0.0
@@ -122,7 +129,7 @@ def fitted_model(
     scale[:n] = fit.omegas
     return ModalModel(
         structure=structure.kind,
-        input_name=input_name,
+        input_name=input_names[0],
         output_names=output_names,
         natural_frequencies=fit.omegas,
         damping_ratios=fit.zetas,
@@ -133,4 +140,5 @@ def fitted_model(
         clock_rate=fit.clock.rate,
         covariance=covariance * np.outer(scale, scale),
         noise_sd=fit.sigmas if noise_sd is None else noise_sd,
+        further_inputs=input_names[1:],
     )

@@ -9,11 +9,13 @@ comparison of two models, a physical fit) can carry its uncertainty.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import chdtrc as chi_squared_tail
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import finite_row, require_input_signal, require_time
@@ -35,13 +37,13 @@ SCHEMA = 1
 
 @dataclass(frozen=True, eq=False)
 class ModalModel:
-    """A sum of second-order modes with common poles over all outputs.
+    """A sum of second-order modes with common poles over all outputs, and over all inputs where there are several.
 
     Attributes
     ----------
     structure : {"base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"}
         Where the modes stand (see ``modal.structure``).
-    input_name : str
+    input_name : str -- the input, the first where there are several
     output_names : tuple of str
     natural_frequencies : ndarray, shape (n_modes,) -- [rad/s]
     damping_ratios : ndarray, shape (n_modes,)
@@ -49,6 +51,8 @@ class ModalModel:
         For a moved base pure numbers: the mode's share in -s^2 alpha.
     residual_terms : ndarray, shape (n_outputs,) -- static term R_j [s^2 for a moved base]
     gains : ndarray, shape (n_outputs,) -- direct gain c_j (0 for a receptance)
+        With several inputs residues have the shape (n_outputs, n_inputs, n_modes), residual terms and gains
+        (n_outputs, n_inputs).
     latency : float -- how late the outputs' stamps are [s]
     clock_rate : float -- how much faster the outputs' clock runs than the input's
     output_delays, output_delay_sd : ndarray, shape (n_outputs,)
@@ -57,8 +61,10 @@ class ModalModel:
     covariance : ndarray, shape (n_parameters, n_parameters)
     parameter_names : tuple of str
         ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
-        ``c[j]``, ``R[j]``, ``r_i[j]``; a parameter that was not estimated has variance 0.
+        ``c[j]``, ``R[j]``, ``r_i[j]``; a parameter that was not estimated has variance 0.  With several inputs
+        ``c[j, u]``, ``R[j, u]``, ``r_i[j, u]`` of one input u after the other.
     noise_sd : ndarray, shape (n_outputs,) -- of the residuals
+    further_inputs : tuple of str -- where there are several, all but the first
     """
 
     structure: StructureKind
@@ -76,6 +82,7 @@ class ModalModel:
     parameter_names: tuple[str, ...] = field(default=())
     output_delays: FloatArray = field(default_factory=lambda: np.empty(0))
     output_delay_sd: FloatArray = field(default_factory=lambda: np.empty(0))
+    further_inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("output_delays", "output_delay_sd"):
@@ -95,20 +102,22 @@ class ModalModel:
             values = np.array(getattr(self, name), dtype=np.float64, copy=True)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        names = parameter_names(self.n_modes, self.output_names)
+        names = parameter_names(self.n_modes, self.output_names, self.input_names)
         object.__setattr__(self, "parameter_names", names)
         n, m = self.n_modes, len(self.output_names)
+        paths = (m, len(self.input_names)) if self.further_inputs else (m,)
         shapes = {
             "damping_ratios": (n,),
-            "residues": (m, n),
-            "residual_terms": (m,),
-            "gains": (m,),
+            "residues": (*paths, n),
+            "residual_terms": paths,
+            "gains": paths,
             "output_delays": (m,),
             "output_delay_sd": (m,),
             "noise_sd": (m,),
             "covariance": (len(names), len(names)),
         }
-        require_shapes(f"modal model of {n} modes and {m} outputs", self, shapes)
+        several = f", {len(self.input_names)} inputs" if self.further_inputs else ""
+        require_shapes(f"modal model of {n} modes{several} and {m} outputs", self, shapes)
         self._require_parameters()
 
     def _require_parameters(self) -> None:
@@ -130,6 +139,57 @@ class ModalModel:
         return len(self.natural_frequencies)
 
     @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of all inputs."""
+        return (self.input_name, *self.further_inputs)
+
+    @property
+    def paths(self) -> tuple[ModalModel, ...]:
+        """The model from every input by itself; of one input the model as it is."""
+        return tuple(self.path(name) for name in self.input_names)
+
+    def path(self, input_name: str) -> ModalModel:
+        """Return the model from one of the inputs alone, with its share of the covariance."""
+        if input_name not in self.input_names:
+            raise EstimationError(
+                f"no input {input_name!r} in this model; available: {', '.join(self.input_names)}"
+            )
+        if not self.further_inputs:
+            return self
+        drive = self.input_names.index(input_name)
+        n, width = 2 * self.n_modes + 2, self.n_modes + 2
+        starts = n + width * (drive + len(self.input_names) * np.arange(len(self.output_names)))
+        index = np.concatenate([np.arange(n), *(np.arange(first, first + width) for first in starts)])
+        return replace(
+            self,
+            input_name=input_name,
+            further_inputs=(),
+            residues=self.residues[:, drive],
+            residual_terms=self.residual_terms[:, drive],
+            gains=self.gains[:, drive],
+            covariance=self.covariance[np.ix_(index, index)],
+        )
+
+    def _require_one_input(self, what: str) -> None:
+        if self.further_inputs:
+            raise EstimationError(
+                f"{what} goes with one input, and this model has {', '.join(self.input_names)}; take "
+                f"path({self.input_name!r}) of it, or of another one"
+            )
+
+    def nothing_p_value(self) -> float:
+        """Return how often outputs that do not follow the input would seem to follow it as much (Wald's test)."""
+        first = 2 * self.n_modes + 2
+        values, sds = self.parameters[first:], self.standard_deviations[first:]
+        known = sds > 0.0
+        if not np.any(known):
+            return 1.0
+        covariance = self.covariance[first:, first:][np.ix_(known, known)] / np.outer(sds[known], sds[known])
+        scaled = values[known] / sds[known]
+        statistic = float(scaled @ np.linalg.lstsq(covariance, scaled, rcond=1e-12)[0])
+        return float(chi_squared_tail(np.count_nonzero(known), statistic))
+
+    @property
     def frequencies_hz(self) -> FloatArray:
         """Natural frequencies [Hz]."""
         return np.asarray(self.natural_frequencies / (2.0 * np.pi))
@@ -144,7 +204,8 @@ class ModalModel:
     def parameters(self) -> FloatArray:
         """All parameters in the order of ``parameter_names``."""
         parts = [self.natural_frequencies, self.damping_ratios, [self.latency, self.clock_rate]]
-        for gain, residual, residues in zip(self.gains, self.residual_terms, self.residues, strict=True):
+        terms = (self.gains.ravel(), self.residual_terms.ravel(), self._residues_by_path())
+        for gain, residual, residues in zip(*terms, strict=True):
             parts.append(np.concatenate([[gain, residual], residues]))
         return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
 
@@ -185,52 +246,74 @@ class ModalModel:
         """Standard deviation of the clock rate."""
         return float(self.standard_deviations[2 * self.n_modes + 1])
 
+    def _residues_by_path(self) -> FloatArray:
+        return self.residues.reshape(-1, self.n_modes)
+
     def _output_sd(self) -> FloatArray:
-        return self.standard_deviations[2 * self.n_modes + 2 :].reshape(
-            len(self.output_names), self.n_modes + 2
-        )
+        return self.standard_deviations[2 * self.n_modes + 2 :].reshape(*self.gains.shape, self.n_modes + 2)
 
     @property
     def gain_sd(self) -> FloatArray:
-        """Standard deviations of the gains, shape (n_outputs,)."""
-        return self._output_sd()[:, 0]
+        """Standard deviations of the gains, in their shape."""
+        return self._output_sd()[..., 0]
 
     @property
     def residual_term_sd(self) -> FloatArray:
-        """Standard deviations of the residual terms, shape (n_outputs,)."""
-        return self._output_sd()[:, 1]
+        """Standard deviations of the residual terms, in their shape."""
+        return self._output_sd()[..., 1]
 
     @property
     def residue_sd(self) -> FloatArray:
-        """Standard deviations of the residues, shape (n_outputs, n_modes)."""
-        return self._output_sd()[:, 2:]
+        """Standard deviations of the residues, in their shape."""
+        return self._output_sd()[..., 2:]
 
-    def simulate(self, drive: InputSignal, times_s: FloatArray, exposure_s: float = 0.0) -> FloatArray:
-        """Return the outputs that an input causes from rest, shape (n_times, n_outputs).
+    def simulate(
+        self, drive: InputSignal | Sequence[InputSignal], times_s: FloatArray, exposure_s: float = 0.0
+    ) -> FloatArray:
+        """Return the outputs that an input, or all inputs together, cause from rest, shape (n_times, n_outputs).
 
         Parameters
         ----------
-        drive : InputSignal -- of the kind that the structure names
+        drive : InputSignal or sequence of InputSignal
+            Of the kind that the structure names; several are found by their names.
         times_s : ndarray, shape (n_times,) -- instants on the input's clock [s]
         exposure_s : float -- box average centred on each instant [s]
         """
-        require_input_signal(drive)
         require_time("exposure_s", exposure_s)
         columns = forced_columns(
-            drive,
+            self._drives(drive),
             ModalStructure(self.structure),
             finite_row("instants [s]", times_s),
             exposure_s,
             self.natural_frequencies,
             self.damping_ratios,
         )
-        return np.asarray(columns @ self._linear_parameters().T)
+        return np.asarray(columns @ self.column_parameters().T)
 
-    def _linear_parameters(self) -> FloatArray:
-        parts = [self.residual_terms[:, None], self.residues]
+    def _drives(self, given: InputSignal | Sequence[InputSignal]) -> list[InputSignal]:
+        """Return the signals of all inputs; of one input whatever its name."""
+        drives = list(given) if isinstance(given, Sequence) else [given]
+        for drive in drives:
+            require_input_signal(drive)
+        if len(drives) == len(self.input_names) == 1:
+            return drives
+        by_name = {drive.name: drive for drive in drives}
+        missing = [name for name in self.input_names if name not in by_name]
+        if missing:
+            raise EstimationError(
+                f"no input {', '.join(missing)} among {', '.join(by_name) or 'none'}; the model needs them all "
+                "(path() takes one alone)"
+            )
+        return [by_name[name] for name in self.input_names]
+
+    def column_parameters(self) -> FloatArray:
+        """Return the parameters that ``modal.regression`` has columns for, in their order, a row for each output."""
+        m, k = len(self.output_names), len(self.input_names)
+        terms = [self.residual_terms.reshape(m, k, 1)]
         if ModalStructure(self.structure).has_direct:
-            parts.insert(0, self.gains[:, None])
-        return np.concatenate(parts, axis=1)
+            terms.insert(0, self.gains.reshape(m, k, 1))
+        fixed = np.concatenate(terms, axis=2).reshape(m, -1)
+        return np.concatenate([fixed, self.residues.reshape(m, -1)], axis=1)
 
     def frequency_response(self, omegas: FloatArray) -> ModalFrequencyResponse:
         """Return the response from input to outputs, with bands.
@@ -239,6 +322,7 @@ class ModalModel:
         ----------
         omegas : ndarray, shape (n_frequencies,) -- positive frequencies [rad/s]
         """
+        self._require_one_input("a frequency response")
         omegas = finite_row("frequencies [rad/s]", omegas)
         structure = ModalStructure(self.structure)
         if n_integrations(structure) and not np.all(omegas):
@@ -272,6 +356,7 @@ class ModalModel:
         return ModalFrequencyResponse(omegas, self.output_names, response, covariance)
 
     def _own(self) -> tuple[ModalStructure, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        self._require_one_input("a form with one numerator for each output, or a response to a step,")
         return (
             ModalStructure(self.structure),
             self.natural_frequencies,
@@ -313,14 +398,23 @@ class ModalModel:
         return np.asarray(np.roots(numerator), dtype=np.complex128), poles, float(numerator[0])
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return A, B, C, D from the input to all outputs, with modal states.
+        """Return A, B, C, D from the inputs to all outputs, with modal states, of each input its own.
 
         Raises
         ------
         EstimationError
             A residual term that differentiates the input; see ``driven_by``.
         """
-        return modal_state_space(*self._own())
+        if not self.further_inputs:
+            return modal_state_space(*self._own())
+        parts = [path.state_space() for path in self.paths]
+        transitions, entries, rows, through = zip(*parts, strict=True)
+        return (
+            np.asarray(block_diag(*transitions)),
+            np.asarray(block_diag(*entries)),
+            np.concatenate(rows, axis=1),
+            np.concatenate(through, axis=1),
+        )
 
     def step_response(self, times_s: FloatArray) -> FloatArray:
         """Return the response to a unit step of the input at 0 s, shape (n_times, n_outputs).
@@ -333,6 +427,7 @@ class ModalModel:
 
     def step_response_sd(self, times_s: FloatArray) -> FloatArray:
         """Return the standard deviation of ``step_response``, shape (n_times, n_outputs)."""
+        self._require_one_input("a response to a step")
         times = _after_the_step(times_s)
         structure, n, m = ModalStructure(self.structure), self.n_modes, len(self.output_names)
 
@@ -357,8 +452,11 @@ class ModalModel:
 
         Notes
         -----
-        Residues divided by each mode's largest one, which therefore is 1 without uncertainty.
+        Residues divided by each mode's largest one, which therefore is 1 without uncertainty.  With several inputs
+        every input sees the same shapes, as far as they are those of modes of the structure: take those of the
+        ``path`` that drives a mode best.
         """
+        self._require_one_input("a mode shape")
         n, m = self.n_modes, len(self.output_names)
         shapes, sds = np.empty((m, n)), np.zeros((m, n))
         for i in range(n):
@@ -385,7 +483,7 @@ class ModalModel:
             import control
         except ImportError as err:
             raise EstimationError("python-control is not installed; `pip install control` brings it") from err
-        return control.ss(*self.state_space(), inputs=[self.input_name], outputs=list(self.output_names))
+        return control.ss(*self.state_space(), inputs=list(self.input_names), outputs=list(self.output_names))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain lists and numbers, from which it is rebuilt exactly."""
@@ -408,6 +506,8 @@ class ModalModel:
             "parameter_names": self.parameter_names,
             "covariance": self.covariance,
         }
+        if self.further_inputs:  # a file of one input stays as earlier versions read it
+            entries["further_inputs"] = self.further_inputs
         return {name: plain(value) for name, value in entries.items()}
 
     @staticmethod
@@ -421,14 +521,17 @@ class ModalModel:
         """
         data = checked_entries(data, "modal_model", SCHEMA)
         with complaints_about("modal model"):
-            n_outputs, n_modes = len(data["output_names"]), len(data["natural_frequencies_rad_s"])
+            further = names_of(data.get("further_inputs", []), "further_inputs")
+            paths = (len(data["output_names"]), *([1 + len(further)] if further else []))
             return ModalModel(
                 structure=ModalStructure(data["structure"]).kind,
                 input_name=str(data["input_name"]),
                 output_names=names_of(data["output_names"], "output_names"),
                 natural_frequencies=np.asarray(data["natural_frequencies_rad_s"], dtype=np.float64),
                 damping_ratios=np.asarray(data["damping_ratios"], dtype=np.float64),
-                residues=np.asarray(data["residues"], dtype=np.float64).reshape(n_outputs, n_modes),
+                residues=np.asarray(data["residues"], dtype=np.float64).reshape(
+                    *paths, len(data["natural_frequencies_rad_s"])
+                ),
                 residual_terms=np.asarray(data["residual_terms"], dtype=np.float64),
                 gains=np.asarray(data["gains"], dtype=np.float64),
                 latency=float(data["latency_s"]),
@@ -438,6 +541,7 @@ class ModalModel:
                 output_delay_sd=np.asarray(data.get("output_delay_sd_s", []), dtype=np.float64),
                 covariance=np.asarray(data["covariance"], dtype=np.float64),
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
+                further_inputs=further,
             )
 
     @property
@@ -456,10 +560,15 @@ def _after_the_step(times_s: FloatArray) -> FloatArray:
     return times
 
 
-def parameter_names(n_modes: int, output_names: tuple[str, ...]) -> tuple[str, ...]:
+def parameter_names(
+    n_modes: int, output_names: tuple[str, ...], input_names: tuple[str, ...]
+) -> tuple[str, ...]:
     """Name the parameters in the order of the covariance."""
     numbers = range(1, n_modes + 1)
     names = [f"omega_{i}" for i in numbers] + [f"zeta_{i}" for i in numbers] + ["latency", "clock_rate"]
-    for output in output_names:
-        names += [f"c[{output}]", f"R[{output}]", *(f"r_{i}[{output}]" for i in numbers)]
+    places = list(output_names)
+    if len(input_names) > 1:
+        places = [f"{output}, {drive}" for output in output_names for drive in input_names]
+    for place in places:
+        names += [f"c[{place}]", f"R[{place}]", *(f"r_{i}[{place}]" for i in numbers)]
     return tuple(names)

@@ -1,7 +1,8 @@
 """Columns of the modal model at the stamps where the outputs were measured.
 
 Given poles and clock, every structure of ``modal.structure`` is linear in
-the rest: gains, residues, offsets, ramps and free responses.  This module builds
+the rest: gains, residues, offsets, ramps and free responses.  Several inputs share the poles, and each has gains,
+residual terms and residues of its own.  This module builds
 the columns of that linear problem and their exact derivatives with respect to
 ``log omega``, ``zeta`` and the instant of measurement.  Outputs that share stamps
 share columns.
@@ -19,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
-from beam_ident.data.argument_checks import chosen_input
+from beam_ident.data.argument_checks import chosen_inputs
 from beam_ident.data.gaps import InputGap
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
@@ -121,13 +122,20 @@ class _Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class _Seen:
+    """What one input does at the instants of a grid."""
+
+    instants: Instants
+    direct: tuple[FloatArray, FloatArray]  # value, by time
+
+
+@dataclass(frozen=True, eq=False)
 class _Sampling:
     """Everything at one grid that depends on the clock alone."""
 
     clock: ClockState
-    instants: Instants
-    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time
-    direct: tuple[FloatArray, FloatArray]
+    seen: list[_Seen]  # of every input
+    fixed: list[tuple[FloatArray, FloatArray]]  # value, by time; of one input after the other
     elapsed: FloatArray  # since the first stamp, on the input's clock
     latency_factor: FloatArray
     rate_factor: FloatArray
@@ -138,7 +146,7 @@ class _GridColumns:
     """All columns at one grid; derivatives by (log omega, zeta, time) where asked for."""
 
     sampling: _Sampling
-    forced: tuple[FloatArray, ...]  # value[, by log omega, by zeta, by time], each (n_modes, n)
+    forced: tuple[FloatArray, ...]  # value[, by log omega, by zeta, by time], each (n_inputs * n_modes, n)
     free: tuple[ComplexArray, ...]
     ramp: FloatArray
     restarts: tuple[RestartColumns, ...]
@@ -195,26 +203,29 @@ class _Driving:
 
 
 class _PreparedRecord:
-    """One record, its input turned into exact signals."""
+    """One record, its inputs turned into exact signals."""
 
     def __init__(
         self,
         record: TimeRecord,
-        drive: InputSignal,
+        drives: Sequence[InputSignal],
         structure: ModalStructure,
         restarts: tuple[InputGap, ...] = (),
         n_drifts: int = 0,
         latency: float = 0.0,
     ) -> None:
         kind = structure.kind
-        if kind == "base_motion" and drive.hold == "zoh":
-            raise EstimationError(
-                f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
-                "give hold='linear', 'cubic' or 'band_limited'"
-            )
+        for drive in drives:
+            if kind == "base_motion" and drive.hold == "zoh":
+                raise EstimationError(
+                    f"input {drive.name!r} is a position held ZOH, which would make the deflection jump; "
+                    "give hold='linear', 'cubic' or 'band_limited'"
+                )
         self.structure, self.restarts, self.n_drifts = structure, restarts, n_drifts
-        self.span = drive.span_s
-        self.driving = _Driving(drive, structure)  # in common with every choice of stamps
+        spans = [drive.span_s for drive in drives]
+        self.span = max(first for first, _ in spans), min(last for _, last in spans)
+        # In common with every choice of stamps.
+        self.drivings = [_Driving(drive, structure) for drive in drives]
         self.grids: list[_Grid] = []
         self.grid_of: dict[str, int] = {}
         self.rows_of: dict[str, IndexArray] = {}
@@ -256,21 +267,20 @@ class _PreparedRecord:
         # (I.6), and its derivatives by latency and rate in the last two fields.
         late = grid.times - clock.latency - self.middle
         times = self.middle + late * stretch
-        driving = self.driving
-        instants = Instants.on(driving.drive, times, grid.exposure_s)
-        fixed = []
-        above, speed = instants.mean(driving.position)
-        direct = above + driving.rest, speed
-        if structure.has_direct:
-            fixed.append(direct)
-        if structure.has_residual:
-            value, rate = instants.mean(*driving.residual)
-            fixed.append((structure.sign * value, structure.sign * rate))
+        seen, fixed = [], []
+        for driving in self.drivings:
+            instants = Instants.on(driving.drive, times, grid.exposure_s)
+            above, speed = instants.mean(driving.position)
+            seen.append(_Seen(instants, (above + driving.rest, speed)))
+            if structure.has_direct:
+                fixed.append(seen[-1].direct)
+            if structure.has_residual:
+                value, rate = instants.mean(*driving.residual)
+                fixed.append((structure.sign * value, structure.sign * rate))
         known = _Sampling(
             clock,
-            instants,
+            seen,
             fixed,
-            direct,
             times - self.start,
             np.full_like(times, -stretch),
             -late * stretch**2,
@@ -283,11 +293,11 @@ class _PreparedRecord:
         """Return when the samples at one grid of stamps were taken, on the input's clock [s]."""
         return np.asarray(self._sampling(number, clock).elapsed + self.start)
 
-    def position_integral_at(self, number: int, clock: ClockState) -> FloatArray:
-        """Return the integral of the position that the input stands for, at one grid of stamps [m s]."""
-        instants = self._sampling(number, clock).instants
-        integral = self.driving.position.shifted(self.driving.rest).antiderivative()
-        return instants.mean(integral)[0]
+    def position_integrals_at(self, number: int, clock: ClockState) -> FloatArray:
+        """Return the integral of the position that every input stands for, (n_stamps, n_inputs) [m s]."""
+        integrals = [own.position.shifted(own.rest).antiderivative() for own in self.drivings]
+        seen = self._sampling(number, clock).seen
+        return np.stack([s.instants.mean(i)[0] for s, i in zip(seen, integrals, strict=True)], axis=1)
 
     def columns(
         self,
@@ -302,29 +312,15 @@ class _PreparedRecord:
         structure, grid = self.structure, self.grids[number]
         poles = modal_poles(omegas, zetas)
         sampling = self._sampling(number, clock)
-        sampled = self.driving.responses(poles, gradients).sample(sampling.instants, gradients)
-        power, column = structure.differentiations, poles[:, None]
-        # (I.5): one real column for every mode, Im(factor x).
-        factor = column**power * structure.sign / column.imag
-        values = np.ascontiguousarray(np.imag(factor * sampled.values))
-        forced: tuple[FloatArray, ...] = (values,)
+        by_input = [
+            self._forced(driving, seen, omegas, zetas, gradients)
+            for driving, seen in zip(self.drivings, sampling.seen, strict=True)
+        ]
+        forced = by_input[0]
+        if len(by_input) > 1:
+            forced = tuple(np.concatenate(own) for own in zip(*by_input, strict=True))
+        column = poles[:, None]
         by_log_omega, by_zeta = pole_slopes(omegas, zetas)
-        if sampled.pole_slopes is not None and sampled.time_slopes is not None:
-            slopes = sampled.pole_slopes
-            if power:
-                # d(p^k x)/dp = p^k (dx/dp + k x / p); below, Im(p) in the denominator of (I.5) moves as well.
-                slopes = slopes + power / column * sampled.values
-            by_pole = [
-                np.imag(factor * d * slopes) - values * (d.imag / column.imag)
-                for d in (by_log_omega, by_zeta)
-            ]
-            by_time = np.imag(factor * sampled.time_slopes)
-            if power == 2:
-                by_time += structure.sign * sampling.direct[1]
-            forced = (values, *by_pole, by_time)
-        if power == 2:
-            # The direct term of (I.5), k = 2.
-            values += structure.sign * (sampling.direct[0] - self.driving.rest)
         free: tuple[ComplexArray, ...] = ()
         if structure.has_free_response:
             free = free_motions(
@@ -343,6 +339,35 @@ class _PreparedRecord:
             for gap in (self.restarts if with_restarts else ())
         )
         return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length, restarts)
+
+    def _forced(
+        self, driving: _Driving, seen: _Seen, omegas: FloatArray, zetas: FloatArray, gradients: bool
+    ) -> tuple[FloatArray, ...]:
+        """Return the columns of all modes under one input, and their derivatives by (log omega, zeta, time)."""
+        structure, poles = self.structure, modal_poles(omegas, zetas)
+        sampled = driving.responses(poles, gradients).sample(seen.instants, gradients)
+        power, column = structure.differentiations, poles[:, None]
+        # (I.5): one real column for every mode, Im(factor x).
+        factor = column**power * structure.sign / column.imag
+        values = np.ascontiguousarray(np.imag(factor * sampled.values))
+        forced: tuple[FloatArray, ...] = (values,)
+        if sampled.pole_slopes is not None and sampled.time_slopes is not None:
+            slopes = sampled.pole_slopes
+            if power:
+                # d(p^k x)/dp = p^k (dx/dp + k x / p); below, Im(p) in the denominator of (I.5) moves as well.
+                slopes = slopes + power / column * sampled.values
+            by_pole = [
+                np.imag(factor * d * slopes) - values * (d.imag / column.imag)
+                for d in pole_slopes(omegas, zetas)
+            ]
+            by_time = np.imag(factor * sampled.time_slopes)
+            if power == 2:
+                by_time += structure.sign * seen.direct[1]
+            forced = (values, *by_pole, by_time)
+        if power == 2:
+            # The direct term of (I.5), k = 2.
+            values += structure.sign * (seen.direct[0] - driving.rest)
+        return forced
 
 
 def modal_poles(omegas: FloatArray, zetas: FloatArray) -> ComplexArray:
@@ -365,8 +390,8 @@ class ModalRegression:
     records : sequence of TimeRecord
         Experiments that share poles, gains and residues.
     structure : ModalStructure
-    input_name : str or None
-        Which input; may be left out where there is only one.
+    input_name : str, sequence of str or None
+        Which input, or inputs; None takes all.
 
     smoothing : Smoothing or None
         Low-pass that a noisy input passes first.
@@ -376,30 +401,28 @@ class ModalRegression:
     Raises
     ------
     EstimationError
-        No input chosen among several, a held position, too few usable samples.
+        No such input, a held position, too few usable samples.
     """
 
     is_noise_known = False
     is_sequence = True
-    n_forced = 1  # columns of a mode that the input drives; its free responses follow
     max_latency_s = MAX_LATENCY_S
 
     def __init__(
         self,
         records: Sequence[TimeRecord],
         structure: ModalStructure,
-        input_name: str | None = None,
+        input_name: str | Sequence[str] | None = None,
         smoothing: Smoothing | None = None,
         restarts: Restarts | None = None,
     ) -> None:
         if not records:
             raise EstimationError("no record to identify from; give at least one TimeRecord")
         self.structure = structure
-        self.drives: list[InputSignal] = []
-        for record in records:
-            self.drives.append(chosen_input(record, input_name))
-        smooth = [d if smoothing is None else smoothing.of(d) for d in self.drives]
-        self.restarts = Restarts.at_poor_bridges(self.drives, structure) if restarts is None else restarts
+        self.inputs = [chosen_inputs(record, input_name) for record in records]  # of every record
+        self.input_names = tuple(drive.name for drive in self.inputs[0])
+        smooth = [[d if smoothing is None else smoothing.of(d) for d in drives] for drives in self.inputs]
+        self.restarts = Restarts.at_poor_bridges(self.inputs, structure) if restarts is None else restarts
         self._prepared = [
             _PreparedRecord(r, d, structure, gaps, self.restarts.n_drifts, self.restarts.latency)
             for r, d, gaps in zip(records, smooth, self.restarts.gaps, strict=True)
@@ -547,7 +570,8 @@ class ModalRegression:
     def release(self) -> None:
         """Let go of what the inputs do between their samples; it is made anew when it is asked for."""
         for prepared in self._prepared:
-            prepared.driving.release()
+            for driving in prepared.drivings:
+                driving.release()
 
     def _like(self) -> ModalRegression:
         """Return a copy without what belongs to its rows."""
@@ -613,9 +637,28 @@ class ModalRegression:
         return sum(len(v) for v in self.values)
 
     @property
-    def n_shared_fixed(self) -> int:
-        """Number of columns (direct gain, residual term) in front of the residues."""
+    def drives(self) -> list[InputSignal]:
+        """The input of every record, of all of them one after the other where records have several."""
+        return [drive for drives in self.inputs for drive in drives]
+
+    @property
+    def n_forced(self) -> int:
+        """Columns of a mode that inputs drive, one for each; its free responses follow."""
+        return len(self.input_names)
+
+    @property
+    def n_fixed_of_input(self) -> int:
+        """Number of columns (direct gain, residual term) of an input that no mode touches."""
         return int(self.structure.has_direct) + int(self.structure.has_residual)
+
+    @property
+    def n_shared_fixed(self) -> int:
+        """Number of such columns of all inputs, which stand in front of the residues."""
+        return self.n_forced * self.n_fixed_of_input
+
+    def n_shared(self, n_modes: int) -> int:
+        """Number of columns that records share: of gains, residual terms and residues."""
+        return self.n_shared_fixed + self.n_forced * n_modes
 
     @property
     def duration_s(self) -> float:
@@ -635,7 +678,7 @@ class ModalRegression:
         """Number of linear parameters of an output that is in one record."""
         most = max(len(gaps) for gaps in self.restarts.gaps)
         of_restart = self.restarts.n_drifts + 2 * n_modes
-        return self.n_shared_fixed + n_modes + self.n_nuisance(n_modes) + most * of_restart
+        return self.n_shared(n_modes) + self.n_nuisance(n_modes) + most * of_restart
 
     def n_nuisance(self, n_modes: int) -> int:
         """Number of columns that each record has for itself."""
@@ -648,13 +691,14 @@ class ModalRegression:
         n_free = 2 if self.structure.has_free_response else 0
         n_anew = [sum(len(self.restarts.gaps[part[0]]) for part in parts) for parts in self._parts]
         return 2 + sum(
-            1 + n_free * len(parts) + 2 * anew for parts, anew in zip(self._parts, n_anew, strict=True)
+            self.n_forced + n_free * len(parts) + 2 * anew
+            for parts, anew in zip(self._parts, n_anew, strict=True)
         )
 
     def restart_places(self, n_modes: int, output: int) -> list[tuple[InputGap, int]]:
         """Return every restart at an output, and which is the first of its columns: drifts, then free motions."""
         parts = self._parts[output]
-        first = self.n_shared_fixed + n_modes + self.n_nuisance(n_modes) * len(parts)
+        first = self.n_shared(n_modes) + self.n_nuisance(n_modes) * len(parts)
         gaps = [gap for part in parts for gap in self.restarts.gaps[part[0]]]
         width = self.restarts.n_drifts + 2 * n_modes
         return [(gap, first + width * number) for number, gap in enumerate(gaps)]
@@ -674,11 +718,11 @@ class ModalRegression:
         ]
 
     def position_integrals(self, clock: ClockState) -> list[FloatArray]:
-        """Return the integral of what stands behind the direct gain, at the samples of every output."""
+        """Return the integrals of what stands behind the direct gains, (n_samples, n_inputs) of every output."""
         return [
             np.concatenate(
                 [
-                    self._prepared[part[0]].position_integral_at(part[1], clock)[self._rows[part[:3]]]
+                    self._prepared[part[0]].position_integrals_at(part[1], clock)[self._rows[part[:3]]]
                     for part in parts
                 ]
             )
@@ -695,9 +739,9 @@ class ModalRegression:
     ) -> list[ColumnBlock]:
         """Return the columns of every group of outputs that share stamps.
 
-        Columns stand in the order direct gain, residual term, residues of all modes,
-        then for each record offset, ramp, and the real and imaginary free response of
-        each mode; then for each restart its drifts, and the free responses again.
+        Columns stand in the order direct gain and residual term of every input, residues of all modes under the
+        first input and under each other one, then for each record offset, ramp, and the real and imaginary free
+        response of each mode; then for each restart its drifts, and the free responses again.
         """
         cache = {
             (index, number): prepared.columns(number, omegas, zetas, clock, gradients, with_restarts)
@@ -732,21 +776,22 @@ class ModalRegression:
         with_restarts: bool,
     ) -> ColumnBlock:
         structure = self.structure
-        n_fixed, n_own = self.n_shared_fixed, self.n_nuisance(n_modes)
+        n_fixed, n_own, n_forced = self.n_shared_fixed, self.n_nuisance(n_modes), self.n_forced
+        n_shared = self.n_shared(n_modes)
         lengths = [len(self._rows[part[:3]]) for part in parts]
         n_anew = self.restarts.n_drifts + 2 * n_modes
         n_restarts = sum(len(self.restarts.gaps[part[0]]) for part in parts) if with_restarts else 0
-        n_plain = n_fixed + n_modes + n_own * len(parts)
+        n_plain = n_shared + n_own * len(parts)
         n_rows, n_columns = sum(lengths), n_plain + n_anew * n_restarts
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
         n_free = 2 * len(parts) if structure.has_free_response else 0
-        n_touched = 1 + n_free + 2 * n_restarts
-        # A mode touches its residue's column and, in every record and after every restart, the two of its free
+        n_touched = n_forced + n_free + 2 * n_restarts
+        # A mode touches its residues' columns and, in every record and after every restart, the two of its free
         # motion: the rest of the derivative is zero and is not stored.
         touched = [np.zeros((2, n_touched, n_rows)) for _ in range(n_modes)] if gradients else []
         mode_columns = np.zeros((n_modes, n_touched), dtype=np.intp)
-        mode_columns[:, 0] = n_fixed + np.arange(n_modes)
+        mode_columns[:, :n_forced] = n_fixed + np.arange(n_forced * n_modes).reshape(n_forced, n_modes).T
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
         first, restart = 0, 0
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
@@ -754,13 +799,14 @@ class ModalRegression:
             level = part[3]
             here = slice(first, first + length)
             first += length
-            own = n_fixed + n_modes + n_own * number
+            own = n_shared + n_own * number
             n_drifts = int(structure.has_offset) + int(structure.has_ramp)
             if n_free:
                 pairs = own + n_drifts + np.arange(2 * n_modes).reshape(n_modes, 2)
-                mode_columns[:, 1 + 2 * number : 3 + 2 * number] = pairs
+                place = n_forced + 2 * number
+                mode_columns[:, place : place + 2] = pairs
             restarts = [
-                (n_plain + n_anew * k + self.restarts.n_drifts, 1 + n_free + 2 * k)
+                (n_plain + n_anew * k + self.restarts.n_drifts, n_forced + n_free + 2 * k)
                 for k in range(restart, restart + (len(self.restarts.gaps[part[0]]) if with_restarts else 0))
             ]
             restart += len(restarts)
@@ -783,16 +829,15 @@ class ModalRegression:
             if structure.has_ramp:
                 matrix[here, own] = source.ramp[rows]
                 own += 1
-            for mode in range(n_modes):
-                column = n_fixed + mode
-                matrix[here, column] = source.forced[0][mode][rows]
+            for place in range(n_forced * n_modes):
+                column, (drive, mode) = n_fixed + place, divmod(place, n_modes)
+                matrix[here, column] = source.forced[0][place][rows]
                 if by_time is not None:
-                    touched[mode][0, 0, here] = source.forced[1][mode][rows]
-                    touched[mode][1, 0, here] = source.forced[2][mode][rows]
-                    by_time[here, column] = source.forced[3][mode][rows]
-                if not structure.has_free_response:
-                    continue
-                pair, place = own + 2 * mode, 1 + 2 * number
+                    touched[mode][0, drive, here] = source.forced[1][place][rows]
+                    touched[mode][1, drive, here] = source.forced[2][place][rows]
+                    by_time[here, column] = source.forced[3][place][rows]
+            for mode in range(n_modes if structure.has_free_response else 0):
+                pair, place = own + 2 * mode, n_forced + 2 * number
                 targets = [matrix.T[pair:, here]]
                 if by_time is not None:
                     slopes = touched[mode]
@@ -830,22 +875,23 @@ def _fill_pairs(
 
 
 def forced_columns(
-    drive: InputSignal,
+    drives: Sequence[InputSignal],
     structure: ModalStructure,
     times_s: FloatArray,
     exposure_s: float,
     omegas: FloatArray,
     zetas: FloatArray,
 ) -> FloatArray:
-    """Return direct, residual and modal columns from rest, shape (n_times, n_shared)."""
-    first, last = drive.span_s
+    """Return direct, residual and modal columns of all inputs from rest, shape (n_times, n_shared)."""
     half = 0.5 * exposure_s
-    if len(times_s) and (np.min(times_s) - half < first - 1e-9 or np.max(times_s) + half > last + 1e-9):
-        raise EstimationError(
-            f"instants from {np.min(times_s) - half:.6f} to {np.max(times_s) + half:.6f} s, exposure "
-            f"included, are asked for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
-        )
+    for drive in drives:
+        first, last = drive.span_s
+        if len(times_s) and (np.min(times_s) - half < first - 1e-9 or np.max(times_s) + half > last + 1e-9):
+            raise EstimationError(
+                f"instants from {np.min(times_s) - half:.6f} to {np.max(times_s) + half:.6f} s, exposure "
+                f"included, are asked for; input {drive.name!r} is known from {first:.6f} to {last:.6f} s"
+            )
     output = OutputSignal("instants", "", times_s, np.zeros(len(times_s)), exposure_s)
-    prepared = _PreparedRecord(TimeRecord((drive,), (output,)), drive, structure)
+    prepared = _PreparedRecord(TimeRecord(tuple(drives), (output,)), drives, structure)
     columns = prepared.columns(0, omegas, zetas, ClockState(), gradients=False)
     return np.column_stack([value for value, _ in columns.sampling.fixed] + list(columns.forced[0]))

@@ -9,7 +9,7 @@ on one clock, with one offset and one drift.  That costs parameters, so that it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,20 +38,32 @@ class Restarts:
     latency: float = 0.0
 
     @staticmethod
-    def at_poor_bridges(drives: Sequence[InputSignal], structure: ModalStructure) -> Restarts:
-        """Return the gaps whose bridge is poor by the input alone: one that is integrated forgets nothing."""
+    def at_poor_bridges(
+        inputs: Sequence[Sequence[InputSignal]], structure: ModalStructure, latency: float = 0.0
+    ) -> Restarts:
+        """Return the gaps whose bridge is poor by the input alone: one that is integrated forgets nothing.
+
+        Parameters
+        ----------
+        inputs : sequence of sequence of InputSignal -- of every record
+        structure : ModalStructure
+        latency : float -- of the outputs' stamps [s]
+
+        Notes
+        -----
+        Where several inputs drive the modes, whatever may be missing of any of them makes the modes begin anew.
+        """
         n_drifts = _n_drifts(structure)
-        return Restarts(
-            tuple(
-                tuple(
-                    gap
-                    for gap in drive.gaps
-                    if n_drifts or not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
-                )
+        found = []
+        for drives in inputs:
+            poor = [
+                gap
                 for drive in drives
-            ),
-            n_drifts,
-        )
+                for gap in drive.gaps
+                if n_drifts or len(drives) > 1 or not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
+            ]
+            found.append(_apart(poor) if len(drives) > 1 else tuple(poor))
+        return Restarts(tuple(found), n_drifts, latency)
 
     def is_near(self, other: Restarts) -> bool:
         """Whether another one has the same gaps, and a latency that finds the same samples inside them."""
@@ -77,6 +89,22 @@ class RestartColumns:
 
     drifts: Sequence[tuple[FloatArray, FloatArray]]
     free: tuple[ComplexArray, ...]
+
+
+def _apart(gaps: Sequence[InputGap]) -> tuple[InputGap, ...]:
+    """Return the gaps of several inputs in order of time, those that overlap as one."""
+    result: list[InputGap] = []
+    for gap in sorted(gaps, key=lambda own: own.start_s):
+        if result and gap.start_s < result[-1].end_s:
+            result[-1] = replace(
+                result[-1],
+                end_s=max(result[-1].end_s, gap.end_s),
+                missing=result[-1].missing + gap.missing,
+                sigma=max(result[-1].sigma, gap.sigma),
+            )
+        else:
+            result.append(gap)
+    return tuple(result)
 
 
 def _n_drifts(structure: ModalStructure) -> int:

@@ -141,7 +141,8 @@ class _Phasor:
 
 def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
     """Compress every mode to its phasors, with all other columns beside it."""
-    n, n_fixed = len(fit.omegas), regression.n_shared_fixed
+    n, n_fixed = regression.n_forced * len(fit.omegas), regression.n_shared_fixed
+    omegas = np.tile(fit.omegas, regression.n_forced)  # of every residue: under one input after the other
     blocks = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
     found = []
     for number, block in enumerate(blocks):
@@ -156,7 +157,7 @@ def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
         for mode in range(n):
             # c and c'/omega of (I.19).
             pair = np.stack(
-                [block.matrix[:, n_fixed + mode], block.by_time[:, n_fixed + mode] / fit.omegas[mode]]
+                [block.matrix[:, n_fixed + mode], block.by_time[:, n_fixed + mode] / omegas[mode]]
             )
             # One factor for both: the phase between them must stay.
             pair = pair / max(float(np.linalg.norm(pair[0])), 1e-300)
@@ -181,7 +182,7 @@ def _phasors(regression: ModalRegression, fit: ModalFit) -> list[_Phasor]:
             places = first + 2 * np.array(mine)[:, None] + np.arange(2)
             found.append(
                 _Phasor(
-                    float(fit.omegas[mode]),
+                    float(omegas[mode]),
                     np.array([owners[k][1] for k in mine]),
                     solved[places],
                     gram[places[:, :, None], places[:, None, :]],

@@ -280,7 +280,7 @@ class _LineSearch(ModeSearch[StackedRegression]):
         names = tuple(first.output_names)
         return FrequencyDomainResult(
             model=fitted_model(
-                fit, self.structure, first.input_names[0], names, (self.latency.is_free, False), noise
+                fit, self.structure, (first.input_names[0],), names, (self.latency.is_free, False), noise
             ),
             records=self.data,
             modelled=tuple(

@@ -57,7 +57,8 @@ class FrictionEstimate:
             speed = block.by_time @ found
             clock = np.stack([speed * block.latency_factor, speed * block.rate_factor], axis=1)
             basis = LinearSolution.of(np.concatenate([block.matrix, clock], axis=1)).basis
-            column = -found[0] / fit.sigmas[j] * triple
+            gains = found[: regression.n_shared_fixed : regression.n_fixed_of_input]
+            column = -(triple @ gains) / fit.sigmas[j]
             column = column - basis @ (basis.T @ column)
             noise = left / fit.sigmas[j]
             correlation = autocorrelation(autoregression(noise), len(noise))

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.data.argument_checks import chosen_inputs
 from beam_ident.data.bandwidth import Band
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.modal.fit import ModalFit
@@ -109,7 +110,7 @@ class ModalScan:
     ----------
     records : sequence of TimeRecord
     structure : ModalStructure
-    input_name : str or None
+    input_name : str, sequence of str or None -- as of ``ModalRegression``
     band : Band
     restarts : Restarts -- the gaps of the inputs after which the modes begin anew
     seed : int
@@ -120,20 +121,20 @@ class ModalScan:
         self,
         records: Sequence[TimeRecord],
         structure: ModalStructure,
-        input_name: str | None,
+        input_name: str | Sequence[str] | None,
         band: Band,
         restarts: Restarts,
         seed: int = 0,
     ) -> None:
         self.band = band
-        drives = [r.inputs[0] if input_name is None else r.input(input_name) for r in records]
+        inputs = [chosen_inputs(r, input_name) for r in records]
         longest = 1.0 / (_SAMPLES_PER_CYCLE * band.high_hz)
-        if any(d.period_s is None or d.period_s < 0.75 * longest for d in drives):
-            drives = [_thinned_input(d, structure, longest) for d in drives]
+        if any(d.period_s is None or d.period_s < 0.75 * longest for drives in inputs for d in drives):
+            inputs = [tuple(_thinned_input(d, structure, longest) for d in drives) for drives in inputs]
             if structure.has_direct:
                 kind: StructureKind = "base_motion" if structure.is_motion else "accelerance"
                 structure = dataclasses.replace(structure, kind=kind)
-        thinned = [_thinned_record(r, d, seed) for r, d in zip(records, drives, strict=True)]
+        thinned = [_thinned_record(r, d, seed) for r, d in zip(records, inputs, strict=True)]
         self._plain = self.regression = ModalRegression(thinned, structure, restarts=restarts)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
@@ -166,9 +167,10 @@ class ModalScan:
         fixed = [block.matrix for block in regression.blocks(none, none, self._clock, gradients=False)]
         for columns, others in zip(candidates, fixed, strict=True):
             for own in columns:
-                free = LinearSolution.of(np.concatenate([own[1:].T, others], axis=1)).basis
-                left = own[0] - free @ (free.T @ own[0])
-                parts.append(float(np.linalg.norm(left)) / max(float(np.linalg.norm(own[0])), 1e-300))
+                forced = own[: regression.n_forced].T
+                free = LinearSolution.of(np.concatenate([own[regression.n_forced :].T, others], axis=1)).basis
+                left = np.linalg.norm(forced - free @ (free.T @ forced), axis=0)
+                parts += (left / np.maximum(np.linalg.norm(forced, axis=0), 1e-300)).tolist()
         return float(np.median(parts)) < _TANGLED
 
     def gains(self, model: ModalFit) -> FloatArray:
@@ -290,8 +292,8 @@ def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float
     return InputSignal(drive.name, drive.unit, grid, values, "cubic", gaps=drive.gaps)
 
 
-def _thinned_record(record: TimeRecord, drive: InputSignal, seed: int) -> TimeRecord:
-    """Return a record with another input and not too many stamps."""
+def _thinned_record(record: TimeRecord, drives: tuple[InputSignal, ...], seed: int) -> TimeRecord:
+    """Return a record with other inputs and not too many stamps."""
     rng = np.random.default_rng(seed)
     outputs = []
     chosen: dict[bytes, IndexArray] = {}
@@ -315,4 +317,4 @@ def _thinned_record(record: TimeRecord, drive: InputSignal, seed: int) -> TimeRe
                 output.sigma,
             )
         )
-    return TimeRecord((drive,), tuple(outputs), record.start_ns, record.name)
+    return TimeRecord(drives, tuple(outputs), record.start_ns, record.name)

@@ -38,7 +38,7 @@ def weigh_records(
     fit : ModalFit -- of it
     latency, clock_rate : Prior
     """
-    if len(regression.drives) == 1:
+    if len(regression.inputs) == 1:
         return regression, fit
     weighed = regression
     for _ in range(_TURNS):
@@ -76,7 +76,7 @@ def record_levels(regression: ModalRegression, fit: ModalFit) -> list[FloatArray
     The parameters are paid by the records that have them; those that all share, in proportion to samples.
     """
     n_own = regression.n_nuisance(len(fit.omegas))
-    n_common = regression.n_shared_fixed + len(fit.omegas) + 2.0 * len(fit.omegas) / regression.n_outputs
+    n_common = regression.n_shared(len(fit.omegas)) + 2.0 * len(fit.omegas) / regression.n_outputs
     result = []
     for j, residuals in enumerate(fit.residuals):
         left = residuals * regression.row_levels(j)
@@ -187,5 +187,10 @@ def restart_priors(regression: ModalRegression, fit: ModalFit) -> list[tuple[int
 
 def gap_sentences(regression: ModalRegression) -> list[str]:
     """Return what was done about the gaps of every record's input."""
-    pairs = zip(regression.drives, regression.restarts.gaps, strict=True)
-    return [describe_gaps(drive.name, drive.gaps, drive.unit, anew) for drive, anew in pairs if drive.gaps]
+    pairs = zip(regression.inputs, regression.restarts.gaps, strict=True)
+    return [
+        describe_gaps(drive.name, drive.gaps, drive.unit, anew)
+        for drives, anew in pairs
+        for drive in drives
+        if drive.gaps
+    ]

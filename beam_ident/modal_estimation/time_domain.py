@@ -18,7 +18,12 @@ import numpy as np
 from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import require_input, require_output, require_records
+from beam_ident.data.argument_checks import (
+    chosen_inputs,
+    require_input,
+    require_output,
+    require_records,
+)
 from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
 from beam_ident.data.prior import Prior
@@ -84,6 +89,7 @@ _BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
+_IDLE_LEVEL = 1e-3  # an input that is less likely to do nothing is not said to
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 _MANY_STAMPS = 100_000  # of an output: from here on the search begins with some of them
 _THINNED = 25_000  # of a record: so many
@@ -97,7 +103,7 @@ def identify(
     n_modes: int | None = None,
     latency: Prior | None = None,
     clock_rate: Prior | None = None,
-    input_name: str | None = None,
+    input_name: str | Sequence[str] | None = None,
     max_modes: int = MAX_MODES,
     progress: Progress | None = None,
 ) -> IdentificationResult:
@@ -110,7 +116,7 @@ def identify(
         and the outliers of its noise there; where noise on the input matters, by the level.  An input that is
         measured and states no ``sigma`` has that which its rest shows.
     structure : str or ModalStructure
-        Which model goes with the input; "base_motion" for a hub position.
+        Which model goes with the input, or with every input; "base_motion" for a hub position.
     n_modes : int or None
         Number of modes; None lets the Bayesian information criterion decide.
     latency, clock_rate : Prior or None
@@ -118,8 +124,9 @@ def identify(
         rate.  ``Prior(mean, 0)`` fixes them, ``Prior(0, inf)`` leaves them to the data.
         None is an unknown latency and a rate of 0 +- 50 ppm, as of a camera beside an axis;
         for a receptance, mobility or accelerance, whose signals commonly share a clock, it is no error at all.
-    input_name : str or None
-        Which input, where a record has several.
+    input_name : str, sequence of str or None
+        Which input, or which inputs together; None takes all that the records have.  Inputs share the poles and
+        the clock; each has gains, residual terms, residues and a hold of its own (``ModalModel.path``).
     max_modes : int
         Bound on the modes tried when ``n_modes`` is None.
     progress : callable or None
@@ -135,9 +142,10 @@ def identify(
     ------
     EstimationError
         A record from which nothing can be identified: too few samples for the order,
-        a constant output, an input and outputs at rest, an impossible order.
+        a constant output, an input and outputs at rest, an impossible order, no such input.
     """
     records = require_records(record, may_lack_outputs=True)
+    input_names = tuple(drive.name for drive in chosen_inputs(records[0], input_name))
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     checked_limit(n_modes, max_modes)
     for name, prior in (("latency", latency), ("clock_rate", clock_rate)):
@@ -145,9 +153,9 @@ def identify(
             raise EstimationError(
                 f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
             )
-    if terms.is_test and any(_jumps_into(terms, own, input_name) for own in records):
+    if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
         terms = replace(terms, has_residual=False)
-    records, found = with_found_noise(records, input_name)
+    records, found = with_found_noise(records, input_names)
     shares_clock = terms.is_test
     latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
@@ -160,7 +168,7 @@ def identify(
         for turn in range(most):
             shifted = [_earlier(one, delays) for one in seen]
             try:
-                regression = ModalRegression(shifted, terms, input_name)
+                regression = ModalRegression(shifted, terms, input_names)
                 _refuse_hopeless(regression, n_modes)
                 search = begun(shifted, regression, delays=delays)
                 if turn == 0 and (result := untangled(seen, regression, search)) is not None:
@@ -196,7 +204,7 @@ def identify(
     ) -> _TimeSearch:
         is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
         first = regression.thinned(_THINNED) if is_long else regression
-        search = _TimeSearch(seen, first, *clocks, input_name, told, highest_hz, delays)
+        search = _TimeSearch(seen, first, *clocks, input_names, told, highest_hz, delays)
         search.found_noise = found
         return search
 
@@ -224,7 +232,7 @@ def identify(
         if not is_left_to_us or terms.is_motion or not (search.band.is_excited and search.scan.is_tangled):
             return None
         # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
-        still = ModalRegression(seen, replace(terms, has_free_response=False), input_name)
+        still = ModalRegression(seen, replace(terms, has_free_response=False), input_names)
         try:
             from_rest, weighed = finished(begun(seen, still, 0.5 * regression.rate_hz), still)
             result = from_rest.result(weighed, n_modes)
@@ -242,13 +250,13 @@ def identify(
 
 def _prediction(model: ModalModel, record: TimeRecord, name: str) -> FloatArray:
     """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
-    drive, output = record.input(model.input_name), record.output(name)
-    first, last = drive.span_s
+    drives, output = chosen_inputs(record, model.input_names), record.output(name)
+    first, last = max(drive.span_s[0] for drive in drives), min(drive.span_s[1] for drive in drives)
     late = model.latency + float(model.output_delays[model.output_names.index(name)])
     inside = output.is_within(first + max(late, 0.0), last + min(late, 0.0))
     result = np.full(len(inside), np.nan)
     if np.any(inside):
-        simulated = model.simulate(drive, output.times_s[inside] - late, output.exposure_s)
+        simulated = model.simulate(drives, output.times_s[inside] - late, output.exposure_s)
         result[inside] = simulated[:, model.output_names.index(name)]
         result += float(np.nanmedian(output.values - result))
     return result
@@ -269,10 +277,11 @@ def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
         require_input(drive, is_needed=False)
     for name, values in zip(regression.output_names, regression.values, strict=True):
         require_output(name, values)
-        needed = 4 * (regression.n_shared_fixed + regression.n_nuisance(n_modes or 1) + 3 * (n_modes or 1))
+        n = n_modes or 1
+        needed = 4 * (regression.n_shared(n) + regression.n_nuisance(n) + 2 * n)
         if len(values) < needed:
             raise EstimationError(
-                f"output {name!r} has {len(values)} usable samples for {n_modes or 1} modes; expected at "
+                f"output {name!r} has {len(values)} usable samples for {n} modes; expected at "
                 f"least {needed}. Record longer or ask for fewer modes"
             )
 
@@ -289,7 +298,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         regression: ModalRegression,
         latency: Prior,
         clock_rate: Prior,
-        input_name: str | None,
+        input_names: tuple[str, ...],
         progress: Progress,
         highest_hz: float = math.inf,
         delays: Mapping[str, float] = MappingProxyType({}),
@@ -297,12 +306,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         start: ModalFit | None = None,
     ) -> None:
         self.delays = delays
-        self.records, self.input_name = records, input_name
+        self.records, self.input_names = records, input_names
         self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
         if scan is None:
             band = _common_band(regression, highest_hz)
-            scan = ModalScan(records, structure, input_name, band, regression.restarts)
+            scan = ModalScan(records, structure, input_names, band, regression.restarts)
         self.scan, band = scan, scan.band
         if not band.is_excited:  # without an input there are no two clocks to compare
             latency, clock_rate = Prior(latency.mean), Prior(clock_rate.mean)
@@ -395,12 +404,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         regression = self.plain
         model = self._model(fit)
         smoothing = None
-        shares = [_noise_share(model, drive) for drive in regression.drives]
+        shares = [_noise_share(model.path(drive.name), drive) for drive in regression.drives]
         self._release()
-        if self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
+        if regression.n_forced == 1 and self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
             smoothing = Smoothing(self.band.high_hz)
             regression = ModalRegression(
-                self.records, regression.structure, self.input_name, smoothing, regression.restarts
+                self.records, regression.structure, self.input_names, smoothing, regression.restarts
             )
             if self.delays:
                 regression = self._with_own_delays(regression, fit)
@@ -442,7 +451,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
 
         Its noise decides, and the gaps that are bridged badly are in its noise: both take turns.
         """
-        if not any(drive.gaps for drive in self.plain.drives):
+        if self.plain.n_forced > 1 or not any(drive.gaps for drive in self.plain.drives):
             return fit
         for _ in range(_RESTART_TURNS):
             plain = self.plain
@@ -450,7 +459,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             if self.bridges.restarts.is_near(plain.restarts):
                 break
             self.problem = self.plain = ModalRegression(
-                self.records, plain.structure, self.input_name, restarts=self.bridges.restarts
+                self.records, plain.structure, self.input_names, restarts=self.bridges.restarts
             )
             fit = self.fit(fit.omegas, fit.zetas, fit.clock)
         return fit
@@ -464,8 +473,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     def _model(self, fit: ModalFit) -> ModalModel:
         regression = self.plain
         clock_is_free = self.latency.is_free, self.clock_rate.is_free
-        name = regression.drives[0].name
-        return fitted_model(fit, regression.structure, name, regression.output_names, clock_is_free)
+        names = regression.input_names
+        return fitted_model(fit, regression.structure, names, regression.output_names, clock_is_free)
 
     def _delayed(self, model: ModalModel, fit: ModalFit) -> ModalModel:
         """Return the model with the delays that outputs have of their own."""
@@ -507,15 +516,38 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             warnings=tuple(
                 [f"{unrelated}."] * bool(unrelated)
                 + self._gain_warnings(model)
+                + self._input_warnings(model)
                 + self._warnings(fit, regression, outputs)
             ),
             doubts=tuple(mode_complaint(fit, regression, mode, self.band) for mode in range(len(fit.omegas))),
         )
 
     def _gain_warnings(self, model: ModalModel) -> list[str]:
-        if not (self.band.is_excited and self.plain.structure.is_motion):
+        if not (self.band.is_excited and self.plain.structure.is_motion) or self.plain.n_forced > 1:
             return []
         return gain_warnings(model.gains, model.gain_sd, model.output_names)
+
+    def _input_warnings(self, model: ModalModel) -> list[str]:
+        """Return what must be known of inputs that act together: one that does nothing, and noise on them."""
+        if self.plain.n_forced == 1 or not self.band.is_excited:
+            return []
+        warnings = []
+        for path in model.paths:
+            p_value = path.nothing_p_value()
+            if p_value > _IDLE_LEVEL:
+                warnings.append(
+                    f"Nothing that the outputs do is seen to come from input {path.input_name} (p = {p_value:.2g}); "
+                    "without it, input_name of the others, the rest is known better."
+                )
+            drives = [drive for drive in self.plain.drives if drive.name == path.input_name]
+            share = max(_noise_share(path, drive) for drive in drives)
+            if share > _VISIBLE_SHARE:
+                warnings.append(
+                    f"Noise on input {path.input_name} makes up {share:.0%} of the noise variance of an output. "
+                    "With several inputs it is not weighed: estimates may be biased, and standard deviations do "
+                    "not include it."
+                )
+        return warnings
 
     def _unrelated(self, fit: ModalFit) -> str:
         """Return that modes explain no more of the outputs than noise of any colour would, or an empty string."""
@@ -536,23 +568,22 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         are_exact = all(are_rounding(v, e) for v, e in zip(regression.values, fit.residuals, strict=True))
         if are_exact or with_modes + fit.n_parameters * log_n < without:
             return ""
-        return (
-            f"the modes driven by {regression.drives[0].name!r} explain no more than chance would: BIC prefers noise "
-            "without an input"
-        )
+        drives = ", ".join(map(repr, regression.input_names))
+        return f"the modes driven by {drives} explain no more than chance would: BIC prefers noise without an input"
 
     def _starts(self, j: int, fit: ModalFit, regression: ModalRegression) -> list[int]:
         """Return where among an output's parameters those begin that belong to each of its records alone."""
         n = len(fit.omegas)
-        first, n_own = regression.n_shared_fixed + n, regression.n_nuisance(n)
+        first, n_own = regression.n_shared(n), regression.n_nuisance(n)
         return [first + n_own * k for k in range(len(regression.segments[j]))]
 
     def _rigid(self, j: int, fit: ModalFit, regression: ModalRegression) -> FloatArray:
-        """Return an output's parameters with all zero but direct gain, offsets and ramps."""
+        """Return an output's parameters with all zero but direct gains, offsets and ramps."""
         structure, found = regression.structure, fit.coefficients[j]
         rigid = np.zeros_like(found)
         if structure.has_direct:
-            rigid[0] = found[0]
+            direct = slice(0, regression.n_shared_fixed, regression.n_fixed_of_input)
+            rigid[direct] = found[direct]
         n_plain = int(structure.has_offset) + int(structure.has_ramp)
         for own in self._starts(j, fit, regression):
             rigid[own : own + n_plain] = found[own : own + n_plain]
@@ -606,7 +637,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     def _left_out_motion(self, fit: ModalFit, regression: ModalRegression) -> list[str]:
         """Return what is to be said where motion at the beginning was left out by request, and is there."""
         moving = replace(regression.structure, has_free_response=True)
-        whole = ModalRegression(self.records, moving, self.input_name, restarts=regression.restarts)
+        whole = ModalRegression(self.records, moving, self.input_names, restarts=regression.restarts)
         if len(whole.pieces) > 1:
             whole = whole.thinned(_THINNED)
         regression, fit = _some_samples(regression, fit)
@@ -616,7 +647,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         for j, (design, left) in enumerate(zip(present, fit.residuals, strict=True)):
             matrix, n_modes = blocks[whole.block_of[j]].matrix, 2 * len(fit.omegas)
             ends = [
-                whole.n_shared_fixed + len(fit.omegas) + whole.n_nuisance(len(fit.omegas)) * (k + 1)
+                whole.n_shared(len(fit.omegas)) + whole.n_nuisance(len(fit.omegas)) * (k + 1)
                 for k in range(len(whole.segments[j]))
             ]
             columns = np.concatenate([matrix[:, end - n_modes : end] for end in ends], axis=1)
@@ -688,9 +719,9 @@ def _some_samples(regression: ModalRegression, fit: ModalFit) -> tuple[ModalRegr
     return few, replace(fit, residuals=tuple(residuals))
 
 
-def _jumps_into(structure: ModalStructure, record: TimeRecord, input_name: str | None) -> bool:
+def _jumps_into(structure: ModalStructure, record: TimeRecord, input_names: Sequence[str]) -> bool:
     """Return whether a held input jumps where the residual term would differentiate it: to nothing at a sample."""
-    drives = record.inputs if input_name is None else (record.input(input_name),)
+    drives = chosen_inputs(record, input_names)
     return structure.differentiations > 0 and any(drive.hold == "zoh" for drive in drives)
 
 
@@ -730,7 +761,7 @@ class _LongSearch(_TimeSearch):
             regression,
             before.latency,
             before.clock_rate,
-            before.input_name,
+            before.input_names,
             before.progress,
             delays=before.delays,
             scan=before.scan,

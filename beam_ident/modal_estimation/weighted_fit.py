@@ -121,8 +121,7 @@ class WeightedFit:
         self.records, self.regression, self.fit = list(records), regression, fit
         self.latency, self.clock_rate, self.smoothing = latency, clock_rate, smoothing
         self.n_theta = 2 * len(fit.omegas) + int(latency.is_free) + int(clock_rate.is_free)
-        n_shared = regression.n_shared_fixed + len(fit.omegas)
-        self.n_shared = n_shared
+        self.n_shared = regression.n_shared_fixed + regression.n_forced * len(fit.omegas)
         self.variances = np.square(fit.sigmas)
         self.freedom = 1.0 - len(fit.covariance) / max(regression.n_samples, 1)
         # Of the outputs' own noise in every record, beside that of the input.

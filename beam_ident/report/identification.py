@@ -172,7 +172,7 @@ def _summary(record: TimeRecord, result: IdentificationResult) -> str:
     n = sum(len(output.times_s) for output in result.outputs)
     return (
         f"{result.model.n_modes} modes from {len(result.outputs)} outputs ({n} samples) of {record.name}, "
-        f"structure {result.model.structure}, input {result.model.input_name}; "
+        f"structure {result.model.structure}, input {', '.join(result.model.input_names)}; "
         f"{'converged' if result.converged else 'not converged'} after {result.iterations} iterations "
         f"({result.reason})."
     )

@@ -8,6 +8,7 @@ alone: there the scatter about a straight line is that of the fourth differences
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,20 +68,20 @@ def _rounding(values: FloatArray) -> float:
 
 
 def with_found_noise(
-    records: list[TimeRecord], input_name: str | None
+    records: list[TimeRecord], input_names: Sequence[str]
 ) -> tuple[list[TimeRecord], dict[int, StillNoise]]:
     """Return records whose input has the noise that its rest shows, where it states none; and of which it was found.
 
     Parameters
     ----------
     records : list of TimeRecord
-    input_name : str or None -- which input is used; None is the only one
+    input_names : sequence of str -- which inputs are used; what one shows stands for all
     """
     result, found = [], {}
     for index, record in enumerate(records):
         inputs = list(record.inputs)
         for place, drive in enumerate(inputs):
-            if drive.sigma == 0.0 and (input_name is None or drive.name == input_name):
+            if drive.sigma == 0.0 and drive.name in input_names:
                 noise = StillNoise.of(drive)
                 if noise.sigma > 0.0:
                     inputs[place] = replace(drive, sigma=noise.sigma)

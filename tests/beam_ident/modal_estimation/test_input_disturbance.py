@@ -32,7 +32,7 @@ def unit_responses(structure: ModalStructure, shared: np.ndarray, exposure_s: fl
         columns.append(
             np.concatenate(
                 [
-                    forced_columns(drive, structure, times, exposure_s, OMEGAS, ZETAS) @ own
+                    forced_columns([drive], structure, times, exposure_s, OMEGAS, ZETAS) @ own
                     for times, own in zip(stamps(), shared, strict=True)
                 ]
             )
