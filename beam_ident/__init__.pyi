@@ -100,6 +100,9 @@ from beam_ident.transfer_function_estimation.clsrivc import ClosedLoopResult as 
 from beam_ident.transfer_function_estimation.clsrivc import estimate_in_closed_loop as estimate_in_closed_loop
 from beam_ident.transfer_function_estimation.common_poles import CommonPoleResult as CommonPoleResult
 from beam_ident.transfer_function_estimation.common_poles import (
+    MultiInputCommonPoleResult as MultiInputCommonPoleResult,
+)
+from beam_ident.transfer_function_estimation.common_poles import (
     estimate_common_poles as estimate_common_poles,
 )
 from beam_ident.transfer_function_estimation.estimation import MultiInputResult as MultiInputResult

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from beam_ident.noise.scores import Scores, Whiteness
     from beam_ident.subspace.model import SubspaceModel
     from beam_ident.transfer_function_estimation.clsrivc import ClosedLoopResult
-    from beam_ident.transfer_function_estimation.common_poles import CommonPoleResult
+    from beam_ident.transfer_function_estimation.common_poles import (
+        CommonPoleResult,
+        MultiInputCommonPoleResult,
+    )
     from beam_ident.transfer_function_estimation.estimation import (
         MultiInputResult,
         SeparateOutputsResult,
@@ -120,6 +123,7 @@ if TYPE_CHECKING:
     _outputs: tuple[type[OutputsResult], ...] = (
         IdentificationResult,
         CommonPoleResult,
+        MultiInputCommonPoleResult,
         SeparateOutputsResult,
         SubspaceModel,
         FreeDecay,

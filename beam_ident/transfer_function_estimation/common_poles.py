@@ -1,8 +1,8 @@
-"""Transfer functions from one input to several outputs that share their poles.
+"""Transfer functions from one input or several to several outputs that share their poles.
 
-    y_j = B_j(s) / (s^q A(s)) e^(-s T) u + nuisances_j + noise_j
+    y_j = sum_k B_jk(s) / (s^q A(s)) e^(-s T_k) u_k + nuisances_j + noise_j
 
-Every output has its own numerator, nuisances, stamps and noise, and all of them inform the one
+Every output has its own numerators, nuisances, stamps and noise, and all of them inform the one
 denominator: the log-likelihoods add up, each with its own unknown noise variance.  The best of the
 denominators that the outputs give alone is where the joint iteration starts.
 """
@@ -12,11 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import (
+    chosen_inputs,
     require_arrival,
     require_excitation,
     require_records,
@@ -34,11 +36,13 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.estimation import (
     Tested,
+    one_each,
     physical_model,
     pooled_level,
     record_fits,
@@ -55,13 +59,16 @@ _SETTLED = 0.02  # standard deviations that a turn may still move the poles
 _MAX_POLES = 20
 
 
+Model = TypeVar("Model", TransferFunctionModel, MultiInputModel)
+
+
 @dataclass(frozen=True, eq=False)
-class CommonPoleResult:
-    """Transfer functions with one denominator and what is to be known about their estimation.
+class CommonPoleFit(Generic[Model]):
+    """Models with one denominator and what is to be known about their estimation.
 
     Attributes
     ----------
-    models : tuple of TransferFunctionModel
+    models : tuple of TransferFunctionModel, or of MultiInputModel where there are several inputs
         One for each output; the denominator and its covariance are the same in all.
     times_s, measured, modelled, residuals : tuple of ndarray
         Of every output the samples used, in the order of the records.
@@ -74,7 +81,7 @@ class CommonPoleResult:
     warnings : tuple of str -- what a reader must know before trusting the numbers
     """
 
-    models: tuple[TransferFunctionModel, ...]
+    models: tuple[Model, ...]
     times_s: tuple[FloatArray, ...]
     measured: tuple[FloatArray, ...]
     modelled: tuple[FloatArray, ...]
@@ -87,13 +94,21 @@ class CommonPoleResult:
     iterations: int
     warnings: tuple[str, ...]
 
-    def model(self, output_name: str) -> TransferFunctionModel:
-        """Return the transfer function of one output by its name."""
+    def model(self, output_name: str) -> Model:
+        """Return the model of one output by its name."""
         for model in self.models:
             if model.output_name == output_name:
                 return model
         names = ", ".join(model.output_name for model in self.models)
         raise EstimationError(f"no output {output_name!r} in this result; available: {names}")
+
+
+class CommonPoleResult(CommonPoleFit[TransferFunctionModel]):
+    """Transfer functions from one input with one denominator; all else stands in ``CommonPoleFit``."""
+
+
+class MultiInputCommonPoleResult(CommonPoleFit[MultiInputModel]):
+    """Transfer functions from several inputs with one denominator; all else stands in ``CommonPoleFit``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,19 +182,47 @@ class _JointProblem:
         return np.asarray(np.sqrt(np.maximum(np.max(shares, axis=0), 1e-300)))
 
 
-@on_one_thread
+@overload
 def estimate_common_poles(
     record: TimeRecord | Sequence[TimeRecord],
     n_poles: int,
     n_zeros: int | Sequence[int],
+    has_offset: bool = ...,
+    has_ramp: bool = ...,
+    has_free_response: bool | None = ...,
+    delay: float = ...,
+    input_name: str | None = ...,
+    n_integrators: int = ...,
+) -> CommonPoleResult: ...
+
+
+@overload
+def estimate_common_poles(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int,
+    n_zeros: Sequence[Sequence[int]],
+    has_offset: bool = ...,
+    has_ramp: bool = ...,
+    has_free_response: bool | None = ...,
+    delay: float | Sequence[float] = ...,
+    input_name: None = ...,
+    n_integrators: int = ...,
+) -> MultiInputCommonPoleResult: ...
+
+
+@on_one_thread
+def estimate_common_poles(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int,
+    n_zeros: int | Sequence[int] | Sequence[Sequence[int]],
     has_offset: bool = False,
     has_ramp: bool = False,
     has_free_response: bool | None = None,
-    delay: float = 0.0,
+    delay: float | Sequence[float] = 0.0,
     input_name: str | None = None,
     n_integrators: int = 0,
-) -> CommonPoleResult:
-    """Estimate transfer functions from one input to every output, with common poles.
+) -> CommonPoleResult | MultiInputCommonPoleResult:
+    """Estimate transfer functions from one input, or from several, to every output, with common poles.
 
     Parameters
     ----------
@@ -187,13 +230,19 @@ def estimate_common_poles(
         One experiment, or several that share the transfer functions; each has its own clocks, offsets,
         ramps and initial states, and every output weighs in each by its noise there.
     n_poles : int -- degree of the common denominator
-    n_zeros : int or sequence of int -- degree of the numerators, or of each
+    n_zeros : int, sequence of int, or sequence of sequences of int
+        Degree of the numerators, or of that of each output; or for each output a degree for each input, which
+        takes all inputs of the record.
     has_offset, has_ramp : bool -- estimated for every output
     has_free_response : bool or None
         Whether records may begin in motion; None decides from the data, as ``estimate_transfer_function`` does.
-    delay : float -- known pure delay of all outputs [s]
-    input_name : str or None -- which input, where there are several
+    delay : float or sequence of float -- known pure delay of all outputs, or one from each input [s]
+    input_name : str or None -- which input, where there are several and not all are taken
     n_integrators : {0, 1, 2} -- known poles at zero
+
+    Returns
+    -------
+    CommonPoleResult, or MultiInputCommonPoleResult where ``n_zeros`` has a sequence for each output
 
     Raises
     ------
@@ -203,48 +252,56 @@ def estimate_common_poles(
     """
     records = require_records(record)
     first = records[0]
-    if input_name is None and len(first.inputs) > 1:
+    degrees: list[Any] = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(first.outputs)
+    several = any(isinstance(own, Sequence) for own in degrees)
+    if several and input_name is not None:
         raise EstimationError(
-            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name"
+            "input_name goes with one number of zeros for each output; a sequence of them takes all inputs"
         )
-    drive = first.inputs[0] if input_name is None else first.input(input_name)
-    zeros = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(first.outputs)
-    if len(zeros) != len(first.outputs):
+    if not several and input_name is None and len(first.inputs) > 1:
         raise EstimationError(
-            f"n_zeros has {len(zeros)} entries for {len(first.outputs)} outputs; expected one for each"
+            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name, or give for every "
+            "output a number of zeros for each input"
         )
+    drives = [own.name for own in (first.inputs if several else chosen_inputs(first, input_name))]
+    if len(degrees) != len(first.outputs):
+        raise EstimationError(
+            f"n_zeros has {len(degrees)} entries for {len(first.outputs)} outputs; expected one for each"
+        )
+    zeros = [one_each("n_zeros", own, drives) for own in degrees]
+    delays = one_each("delay", delay, drives)
     for name, value in (
         ("n_poles", n_poles),
         ("n_integrators", n_integrators),
-        *(("n_zeros", m) for m in zeros),
+        *(("n_zeros", m) for own in zeros for m in own),
     ):
         require_whole_number(name, value, 0)
     if (
         n_integrators not in range(3)
         or not 1 <= n_poles <= _MAX_POLES
-        or not all(0 <= m <= n_poles + n_integrators for m in zeros)
+        or not all(0 <= m <= n_poles + n_integrators for own in zeros for m in own)
     ):
         raise EstimationError(
-            f"{n_poles} poles, {n_integrators} integrators and {zeros} zeros; expected 1 to {_MAX_POLES} poles, at "
+            f"{n_poles} poles, {n_integrators} integrators and {n_zeros} zeros; expected 1 to {_MAX_POLES} poles, at "
             "most 2 integrators, and no more zeros than both together"
         )
-    require_time("delay", delay)
-    for one in records:
-        for output in one.outputs:
-            require_arrival(one.input(drive.name), delay, output)
-    if not has_free_response:
-        require_excitation(records, drive.name)
+    for name, late in zip(drives, delays, strict=True):
+        require_time("delay", late)
+        for one in records:
+            for output in one.outputs:
+                require_arrival(one.input(name), late, output)
+        if not has_free_response:
+            require_excitation(records, name)
     records, gaps = split_at_gaps(records, 3 * (n_poles + 2))
 
-    def fit(seen: list[TimeRecord]) -> CommonPoleResult:
+    def fit(seen: list[TimeRecord]) -> CommonPoleResult | MultiInputCommonPoleResult:
         def attempt(is_moving: bool) -> tuple[_JointProblem, Minimum[_JointState], int]:
             nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
             problems, starts = [], []
-            for name, m in zip(first.output_names, zeros, strict=True):
+            priors, blocks = [Prior(late) for late in delays], [0] * len(drives)
+            for name, own in zip(first.output_names, zeros, strict=True):
                 experiments = [
-                    RecordShare.of(
-                        one, name, [drive.name], [m], [0], [Prior(delay)], n_integrators, is_moving
-                    )
+                    RecordShare.of(one, name, drives, own, blocks, priors, n_integrators, is_moving)
                     for one in seen
                 ]
                 problem, optimum = estimate_denominator(
@@ -256,7 +313,7 @@ def estimate_common_poles(
 
         (joint, minimum, iterations), motion = with_initial_motion(attempt, _tested, has_free_response)
         joint, minimum, more = _under_noise_as_it_is(joint, minimum)
-        result = _result(seen, joint, minimum, n_integrators, iterations + more)
+        result = _result(seen, joint, minimum, n_integrators, iterations + more, several)
         return replace(result, warnings=(*motion.warnings, *result.warnings))
 
     result, said = without_clipped(
@@ -330,7 +387,8 @@ def _result(
     minimum: Minimum[_JointState],
     n_integrators: int,
     iterations: int,
-) -> CommonPoleResult:
+    several: bool,
+) -> CommonPoleResult | MultiInputCommonPoleResult:
     """Collect what an optimum says, in physical units."""
     states = minimum.state.states
     residuals = [
@@ -345,7 +403,7 @@ def _result(
         covariance = problem.covariance(own, np.sum(others, axis=0) if others else None)
         fits.append(record_fits(problem, own, covariance))
         model = physical_model(problem, own, covariance.values, n_integrators, pooled_level(fits[-1]), name)
-        models.append(model.path(0))
+        models.append(model)
     whiteness = tuple(
         Whiteness.of(problem.standardised(own.residuals))
         for problem, own in zip(joint.problems, states, strict=True)
@@ -362,23 +420,32 @@ def _result(
         )
         warnings += [
             f"Output {found.output_name}: {said}"
-            for said in transfer_function_warnings([found], of_records, of_residuals, is_worth_it, True, "")
+            for said in transfer_function_warnings(
+                [found.path(k) for k in range(len(found.input_names))],
+                of_records,
+                of_residuals,
+                is_worth_it,
+                True,
+                "",
+            )
         ]
     if not minimum.converged:
         warnings.insert(0, f"The fit did not converge: {minimum.reason}.")
-    return CommonPoleResult(
-        models=tuple(models),
-        times_s=tuple(problem.times for problem in joint.problems),
-        measured=tuple(problem.values for problem in joint.problems),
-        modelled=tuple(
+    figures: dict[str, Any] = {
+        "times_s": tuple(problem.times for problem in joint.problems),
+        "measured": tuple(problem.values for problem in joint.problems),
+        "modelled": tuple(
             problem.values - left for problem, left in zip(joint.problems, residuals, strict=True)
         ),
-        residuals=tuple(residuals),
-        records=tuple(fits),
-        scores=tuple(pooled_scores([(own.measured, own.residuals) for own in parts]) for parts in fits),
-        whiteness=whiteness,
-        converged=minimum.converged,
-        reason=minimum.reason,
-        iterations=iterations,
-        warnings=tuple(warnings),
-    )
+        "residuals": tuple(residuals),
+        "records": tuple(fits),
+        "scores": tuple(pooled_scores([(own.measured, own.residuals) for own in parts]) for parts in fits),
+        "whiteness": whiteness,
+        "converged": minimum.converged,
+        "reason": minimum.reason,
+        "iterations": iterations,
+        "warnings": tuple(warnings),
+    }
+    if several:
+        return MultiInputCommonPoleResult(models=tuple(models), **figures)
+    return CommonPoleResult(models=tuple(model.path(0) for model in models), **figures)

@@ -323,9 +323,9 @@ def estimate_transfer_function(
         )
     else:
         drives = [(first.inputs[0] if input_name is None else first.input(input_name)).name]
-    zeros = _one_each("n_zeros", n_zeros, drives)
+    zeros = one_each("n_zeros", n_zeros, drives)
     own_poles = isinstance(n_poles, Sequence) and not isinstance(n_poles, str)
-    poles = _one_each("n_poles", n_poles, drives)
+    poles = one_each("n_poles", n_poles, drives)
     for n, m in zip(poles, zeros, strict=True):
         require_whole_number("n_poles", n, 0)
         require_whole_number("n_zeros", m, 0)
@@ -340,7 +340,7 @@ def estimate_transfer_function(
                 f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "
                 "(beyond that use the additive modal form: identify())"
             )
-    delays = [delay_prior(value) for value in _one_each("delay", delay, drives)]
+    delays = [delay_prior(value) for value in one_each("delay", delay, drives)]
     if any(prior.is_free for prior in delays) and method in ("srivc", "ivsvf", "lssvf"):
         raise EstimationError(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
@@ -458,7 +458,7 @@ def with_initial_motion(
         return still, InitialMotion(p_value, warnings=(f"{left_out} With it: {err}.",))
 
 
-def _one_each(name: str, value: Any, drives: list[str]) -> list[Any]:
+def one_each(name: str, value: Any, drives: list[str]) -> list[Any]:
     """Return one value for each input."""
     if isinstance(value, Sequence) and not isinstance(value, str):
         if len(value) != len(drives):

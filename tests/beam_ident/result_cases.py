@@ -96,6 +96,8 @@ def result(name: str) -> Any:
         return estimate_transfer_function(one, 2, [0])
     if name == "estimate_common_poles":
         return estimate_common_poles(record(), 2, 0)
+    if name == "common poles of several inputs":
+        return estimate_common_poles(record(), 2, [[0]] * len(record().outputs))
     if name == "estimate_in_closed_loop":
         return estimate_in_closed_loop(looped(), SampledController([0.2], [1.0], PERIOD_S), 2, 0, "r", "u")
     if name == "subspace_model":
@@ -114,6 +116,7 @@ BY_NAME = tuple(ESTIMATORS)
 OVER_SEVERAL_OUTPUTS = (
     "identify",
     "estimate_common_poles",
+    "common poles of several inputs",
     "subspace_model",
     "fit_free_decay",
     *(name for name in BY_NAME if name != "local_polynomial"),
