@@ -8,8 +8,9 @@ sampled controller and the present model without noise.  These instruments are
 independent of the noise, of any colour, so that the estimate is that of the plant alone.
 
 The estimate is the root of ``Z^T C(q) (y - B/A u) = 0``: u the measured input under its hold,
-Z the gradients of the model at the simulated input, C(q) an autoregression that whitens
-the residuals.  It starts at the open-loop estimate and is found by Newton's method.
+Z the gradients of the model at the simulated input, C(q) what whitens the residuals: an autoregression
+or, at stamps of any spacing, a process in continuous time.  It starts at the open-loop estimate and is
+found by Newton's method.
 
 Several records of one loop are one set of equations: every record has its own reference, offset and
 drift, and its residuals their own colour and level, by which it weighs.
@@ -25,18 +26,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import require_records, require_whole_number
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.noise_model import Colour, Whitening, colour_of
 from beam_ident.noise.record_fit import OverOneOutput, RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
-from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.noise.scores import Scores, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
-from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial, regular_period
+from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
@@ -101,8 +101,7 @@ def estimate_in_closed_loop(
     Notes
     -----
     The covariance is ``(Z^T Psi)^-1 Z^T R Z (Psi^T Z)^-1`` with Psi the gradients at the measured
-    input and R the covariance of the whitened residuals.  An autoregression needs regular stamps;
-    with irregular ones the noise is taken as white.
+    input and R the covariance of the whitened residuals.
     """
     records = require_records(record)
     require_whole_number("n_poles", n_poles, 0)
@@ -146,7 +145,6 @@ class _LoopRecord:
         keep = output.is_valid & output.is_within(*drive.span_s)
         self.times = np.asarray(output.times_s[keep])
         self.values = np.asarray(output.values[keep])
-        self.is_regular = regular_period(self.times) is not None
         columns = [np.ones_like(self.times)] if nuisances[0] else []
         if nuisances[1]:
             middle, length = self.times.mean(), self.times[-1] - self.times[0]
@@ -155,12 +153,12 @@ class _LoopRecord:
         self.measured_drive = drive.signal(margin_s=output.exposure_s, from_rest=True)
         self.measured_integral = self.measured_drive.antiderivative()
         self.instants = Instants.on(self.measured_drive, self.times, output.exposure_s)
-        self.noise: FloatArray = np.ones(1)
+        self.noise: Colour = Whitening(np.ones(1), self.times)
         self.level = 1.0
 
     def white(self, columns: FloatArray) -> FloatArray:
-        """Apply the autoregression along the samples, without those that it starts on."""
-        return np.asarray(lfilter(self.noise, [1.0], columns, axis=0)[len(self.noise) - 1 :] / self.level)
+        """Return samples as independent noise of this record's level sees them."""
+        return np.asarray(self.noise.apply(columns) / self.level)
 
     def clean_drive(self, simulated: FloatArray) -> PiecewisePolynomial:
         """Return the input as it would be without noise, under its hold."""
@@ -230,7 +228,7 @@ class _Loop:
             self._weigh(point)
             point, count, converged, reason = self._newton(point)
             iterations += count
-            if len(self.records) == 1 and len(self.records[0].noise) == 1:
+            if len(self.records) == 1 and not self.records[0].noise.n_parameters:
                 break
         return self._result(point, converged, reason, iterations)
 
@@ -239,7 +237,9 @@ class _Loop:
         for own, left in zip(self.records, self._residuals(point), strict=True):
             # C(q) and, with several records, the level: both are weights only, so that the estimate stays
             # consistent whatever they are.
-            own.noise = autoregression(left) if own.is_regular else np.ones(1)
+            own.noise = Whitening(np.ones(1), own.times)
+            if not are_rounding(own.values, left):
+                own.noise = colour_of(left, own.times)
             own.level = 1.0
             if len(self.records) > 1:
                 innovations = own.white(left)
@@ -361,17 +361,15 @@ class _Loop:
     def _score(self, z: FloatArray, residuals: FloatArray) -> FloatArray:
         """Return the covariance of the score under the colour that whitened residuals still have."""
         score = np.zeros((z.shape[1], z.shape[1]))
-        for own, rows in zip(self.records, self._white_rows(), strict=True):
-            if own.is_regular:
-                left = residuals[rows]
-                score += score_covariance(z[rows], autocorrelation(autoregression(left), len(left)))
-            else:
-                score += z[rows].T @ z[rows]
+        for own, rows in zip(self.records, self._rows(), strict=True):
+            left = residuals[rows]
+            is_exact = are_rounding(own.values, left * own.level)
+            score += z[rows].T @ z[rows] if is_exact else colour_of(left, own.times).score_covariance(z[rows])
         return score
 
-    def _white_rows(self) -> list[slice]:
-        """Return where every record's whitened samples stand."""
-        ends = np.cumsum([0, *(len(own.values) - len(own.noise) + 1 for own in self.records)])
+    def _rows(self) -> list[slice]:
+        """Return where every record's samples stand."""
+        ends = np.cumsum([0, *(len(own.values) for own in self.records)])
         return [slice(int(first), int(end)) for first, end in itertools.pairwise(ends)]
 
     def _residuals(self, point: _Point) -> list[FloatArray]:
@@ -389,9 +387,7 @@ class _Loop:
         return step[len(point.theta) :].reshape(len(self.records), self.n_own)
 
     def _result(self, point: _Point, converged: bool, reason: str, iterations: int) -> ClosedLoopResult:
-        _, covariance, condition, white = self._solution(
-            point, is_white=not any(own.is_regular for own in self.records)
-        )
+        _, covariance, condition, white = self._solution(point, is_white=False)
         if not condition < 1e13:
             converged, reason = False, "the reference does not determine all coefficients: singular equations"
         parts = self._residuals(point)
@@ -424,7 +420,7 @@ class _Loop:
             measured=values,
             modelled=values - residuals,
             residuals=residuals,
-            noise_coefficients=self.records[0].noise,
+            noise_coefficients=self.records[0].noise.coefficients,
             records=fits,
             scores=pooled_scores([(own.values, left) for own, left in zip(self.records, parts, strict=True)]),
             whiteness=whiteness,
@@ -448,13 +444,14 @@ class _Loop:
                 modelled=own.values - left,
                 residuals=left,
                 noise_sd=float(np.std(left)),
-                noise_coefficients=own.noise,
+                noise_coefficients=own.noise.coefficients,
+                noise=str(own.noise) if own.noise.n_parameters else "",
                 scores=Scores.of(own.values, left),
                 whiteness=Whiteness.of(white[rows]),
                 offset=float(found[0]) if self.has_offset else 0.0,
                 ramp=float(found[-1]) if self.has_ramp else 0.0,
             )
-            for own, left, rows, found in zip(self.records, parts, self._white_rows(), nuisances, strict=True)
+            for own, left, rows, found in zip(self.records, parts, self._rows(), nuisances, strict=True)
         )
 
 
