@@ -30,6 +30,8 @@ from beam_ident.errors import RecordError
 SCHEMA = 2
 TAIL_POWERS = (-2, -1, 0, 1, 2)
 
+_REGULAR = 1e-6  # of the spacing of lines
+
 
 def _fixed(values: Any, kind: Any) -> AnyArray:
     result = np.array(values, dtype=kind, copy=True)
@@ -249,6 +251,23 @@ class FrequencyRecord:
     def s(self) -> ComplexArray:
         """Complex frequencies of the lines [rad/s], beside the imaginary axis where a window was exponential."""
         return np.asarray(self.decay_rate + 1j * self.omegas, dtype=np.complex128)
+
+    @property
+    def line_correlation(self) -> ComplexArray | None:
+        """Correlation of errors 0 .. n_lines - 1 lines apart, where an exponential window determines it; else None.
+
+        Notes
+        -----
+        Noise behind the window e^(-a t) has the power e^(-2 a t), whose transform is the correlation of lines.  At
+        the lines of a discrete transform it is ``2 a / (2 a + j m d)``, with m lines of spacing d between them.
+        """
+        if not self.decay_rate > 0.0 or self.n_lines < 2:
+            return None
+        apart = np.diff(self.omegas)
+        if np.ptp(apart) > _REGULAR * apart[0]:
+            return None
+        twice = 2.0 * self.decay_rate
+        return np.asarray(twice / (twice + 1j * (self.omegas - self.omegas[0])), dtype=np.complex128)
 
     @property
     def sd(self) -> FloatArray | None:

@@ -236,7 +236,8 @@ def analyse_modes(
     ]
     problem = StackedRegression([basis], outputs, record.variance is not None)
     hertz = record.frequencies_hz
-    fit, refused = _credible(problem, omegas, zetas, Band(float(hertz[0]), float(hertz[-1]), True))
+    band = Band(float(hertz[0]), float(hertz[-1]), True)
+    fit, refused = _credible(problem, omegas, zetas, band, chart.record.line_correlation)
     return _result(chart, problem, fit, has_upper, has_lower, refused)
 
 
@@ -347,7 +348,11 @@ def _result(
 
 
 def _credible(
-    problem: StackedRegression, omegas: FloatArray, zetas: FloatArray, band: Band
+    problem: StackedRegression,
+    omegas: FloatArray,
+    zetas: FloatArray,
+    band: Band,
+    correlation: ComplexArray | None,
 ) -> tuple[ModalFit, tuple[str, ...]]:
     """Return the refined fit of the modes that pass the gates of all estimators, and what was left out.
 
@@ -359,7 +364,7 @@ def _credible(
     refused: list[str] = []
     while True:
         plain = fit_modes(problem, omegas, zetas, ClockState(), Prior(), Prior(), _ITERATIONS)
-        fit = _with_neighbours(problem, plain)
+        fit = _with_neighbours(problem, plain, correlation)
         modes = range(len(fit.omegas))
         complaints = {mode: said for mode in modes if (said := mode_complaint(fit, problem, mode, band))}
         if not complaints:
@@ -373,7 +378,7 @@ def _credible(
         omegas, zetas = np.delete(fit.omegas, worst), np.delete(fit.zetas, worst)
 
 
-def _with_neighbours(problem: StackedRegression, fit: ModalFit) -> ModalFit:
+def _with_neighbours(problem: StackedRegression, fit: ModalFit, correlation: ComplexArray | None) -> ModalFit:
     """Return the fit with what neighbouring lines have in common in its covariance (``noise.autoregression``)."""
     middle = np.zeros_like(fit.covariance)
     place = fit.n_theta
@@ -381,7 +386,8 @@ def _with_neighbours(problem: StackedRegression, fit: ModalFit) -> ModalFit:
         width = len(fit.coefficients[j])
         own = np.append(np.arange(fit.n_theta), place + np.arange(width))
         place += width
-        middle[np.ix_(own, own)] += excess_over_lines(design, fit.residuals[j]) / fit.sigmas[j] ** 2
+        excess = excess_over_lines(design, fit.residuals[j], correlation)
+        middle[np.ix_(own, own)] += excess / fit.sigmas[j] ** 2
     return dataclasses.replace(fit, covariance=fit.covariance + fit.covariance @ middle @ fit.covariance)
 
 

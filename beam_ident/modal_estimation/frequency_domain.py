@@ -218,9 +218,8 @@ class _LineSearch(ModeSearch[StackedRegression]):
             for record in self.data:
                 rows = slice(first, first + 2 * record.n_lines)
                 first += 2 * record.n_lines
-                middle[np.ix_(own, own)] += (
-                    excess_over_lines(design[rows], residuals[rows]) / fit.sigmas[j] ** 2
-                )
+                excess = excess_over_lines(design[rows], residuals[rows], record.line_correlation)
+                middle[np.ix_(own, own)] += excess / fit.sigmas[j] ** 2
         return np.asarray(fit.covariance @ middle @ fit.covariance)
 
     def _under_common_noise(self, fit: ModalFit) -> FloatArray:

@@ -190,23 +190,28 @@ def line_correlation(coefficients: ComplexArray, n: int) -> ComplexArray:
     return np.asarray(result / result[0].real)
 
 
-def excess_over_lines(design: FloatArray, residuals: FloatArray) -> FloatArray:
+def excess_over_lines(
+    design: FloatArray, residuals: FloatArray, correlation: ComplexArray | None = None
+) -> FloatArray:
     """Return ``S - H``, by which the covariance of the score exceeds the information of independent lines.
 
     Parameters
     ----------
     design : ndarray, shape (2 n_lines, n_parameters) -- rows over the noise, real parts above imaginary ones
     residuals : ndarray, shape (2 n_lines,) -- alike
+    correlation : complex ndarray, shape (n_lines,), or None
+        Of errors 0 .. n_lines - 1 lines apart, where it is known; None takes that which the residuals show.
 
     Notes
     -----
     With complex rows D and errors of correlation P that has the lag alone, ``S = Re(D^H P D)`` and ``H = Re(D^H D)``.
     """
     n = len(residuals) // 2
-    colour = line_autoregression(residuals[:n] + 1j * residuals[n:])
-    if len(colour) == 1:
-        return np.zeros((design.shape[1], design.shape[1]))
-    correlation = line_correlation(colour, n)
+    if correlation is None:
+        colour = line_autoregression(residuals[:n] + 1j * residuals[n:])
+        if len(colour) == 1:
+            return np.zeros((design.shape[1], design.shape[1]))
+        correlation = line_correlation(colour, n)
     rows = design[:n] + 1j * design[n:]
     length = next_fast_len(2 * n - 1)
     # P is a corner of a circulant matrix; its first column holds both signs of the lag.
