@@ -1,8 +1,10 @@
-"""Noise of a measured input that nobody declared, from the stretches in which the input stands still.
+"""Noise of a measured input that nobody declared, from stretches of rest, or from the floor of its spectrum.
 
 An encoder's noise passes through the model like the motion itself; residuals may look white all the same while poles
 move by several standard deviations.  Nearly every record has stretches of rest, where what is measured is noise
 alone: there the scatter about a straight line is that of the fourth differences, which let no slow motion pass.
+
+Where nothing ever rests, the upper half of the spectrum tells: what moves falls off there, and white noise does not.
 """
 
 from __future__ import annotations
@@ -21,17 +23,22 @@ _WINDOW = 50  # samples
 _MIN_REST = 200  # samples of rest: their deviation is known to 10 %
 _AS_WHITE = 2.5  # scatter about a line over that of the differences, squared; of white noise 1 +- 0.4
 _SPREAD = 3.0  # of the squared levels of stretches of rest
+_SEGMENT, _MIN_SEGMENTS = 256, 8  # samples, each half of the one before; and how many of them
+_FLAT = (
+    1.4  # of the power in the two upper quarters of the band: 5 deviations of white noise in so few segments
+)
+_STEADY = 3.0  # of the floor's power in all segments but a tenth on each side
 _SMALL = 0.01  # of the input's own deviation: more is no noise of a sensor, but the signal
 
 
 @dataclass(frozen=True)
 class StillNoise:
-    """Noise found in rest.
+    """Noise found in rest, or beneath the motion.
 
     Attributes
     ----------
     sigma : float -- standard deviation, in the input's unit; 0 where none was found
-    still_s : float -- how long the input stood still [s]
+    still_s : float -- how long the input stood still [s]; 0 where it is the floor of the spectrum
     """
 
     sigma: float = 0.0
@@ -40,9 +47,16 @@ class StillNoise:
     @staticmethod
     def of(drive: InputSignal) -> StillNoise:
         """Return the noise of an input that is measured; a held command has none."""
+        if drive.hold == "zoh":
+            return StillNoise()
+        found = StillNoise._in_rest(drive)
+        return found if found.sigma > 0.0 else StillNoise(_floor(drive.values))
+
+    @staticmethod
+    def _in_rest(drive: InputSignal) -> StillNoise:
         values = drive.values
         n_windows = len(values) // _WINDOW
-        if drive.hold == "zoh" or n_windows * _WINDOW < _MIN_REST:
+        if n_windows * _WINDOW < _MIN_REST:
             return StillNoise()
         windows = values[: n_windows * _WINDOW].reshape(n_windows, _WINDOW)
         # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 = 70 times its variance.
@@ -61,6 +75,25 @@ class StillNoise:
         if count < _MIN_REST or not _rounding(values) < sigma < _SMALL * float(np.std(values)):
             return StillNoise()
         return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
+
+
+def _floor(values: FloatArray) -> float:
+    """Return the standard deviation of white noise beneath a motion, 0 where the spectrum has no flat end."""
+    if len(values) < (_MIN_SEGMENTS + 1) * _SEGMENT // 2:
+        return 0.0
+    segments = np.lib.stride_tricks.sliding_window_view(values, _SEGMENT)[:: _SEGMENT // 2]
+    # Differences first: of a fast and large motion too much would leak through the window.
+    window = np.hanning(_SEGMENT - 4)
+    power = np.square(np.abs(np.fft.rfft(np.diff(segments, 4, axis=1) * window, axis=1)))
+    lines = np.pi * np.arange(power.shape[1]) / (power.shape[1] - 1)
+    quarter = len(lines) // 4
+    upper = power[:, 2 * quarter : -1] / float(window @ window)
+    upper /= (2.0 * np.sin(0.5 * lines[2 * quarter : -1])) ** 8
+    third, fourth = float(np.mean(upper[:, :quarter])), float(np.mean(upper[:, quarter:]))
+    levels = np.quantile(np.mean(upper, axis=1), (0.1, 0.5, 0.9))
+    sigma = math.sqrt(max(third + fourth, 0.0) / 2.0)
+    is_noise = third < _FLAT * fourth and fourth < _FLAT * third and levels[2] < _STEADY * levels[0]
+    return sigma if is_noise and _rounding(values) < sigma < _SMALL * float(np.std(values)) else 0.0
 
 
 def _rounding(values: FloatArray) -> float:
@@ -99,7 +132,9 @@ def found_noise_warning(drive: InputSignal, noise: StillNoise, treatment: str) -
     noise : StillNoise
     treatment : str -- what was done about it
     """
-    return (
-        f"Input {drive.name} has noise that nobody declared: {noise.sigma:.2g} {drive.unit}, seen while it "
-        f"stood still for {noise.still_s:.3g} s. {treatment}"
+    where = (
+        f"seen while it stood still for {noise.still_s:.3g} s"
+        if noise.still_s > 0.0
+        else "seen as the flat end of its spectrum, for it never stood still"
     )
+    return f"Input {drive.name} has noise that nobody declared: {noise.sigma:.2g} {drive.unit}, {where}. {treatment}"
