@@ -17,6 +17,7 @@ from scipy.signal import spectrogram
 from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray
+from beam_ident.data.gaps import POOR_BRIDGE
 from beam_ident.data.records import InputSignal
 
 _BELOW, _BEYOND = 0.5, 1.3  # of a band's ends: how far a mode may stand outside
@@ -26,6 +27,7 @@ _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
 _STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
 _NOISE_BEYOND = 1e-6  # chance that noise alone has one value as large as makes a blow
+_LEAST_SEGMENT = 256
 _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 
@@ -73,16 +75,25 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
         step = float(np.median(np.diff(times)))
         grid = np.arange(times[0], times[-1], step)
         values = np.interp(grid, times, values)
-    segment = int(min(len(values), max(256, round(min(_SEGMENT_S, length_s / 4.0) / step))))
+    segment = int(min(len(values), max(_LEAST_SEGMENT, round(min(_SEGMENT_S, length_s / 4.0) / step))))
     if _is_at_an_end(np.diff(values, differentiations), segment):
         # Continued there, mirrored, so that a force stays without a jump, and a motion (mirrored about its end as
         # well) without a kink.
         mirrored: Literal["even", "odd"] = "odd" if differentiations else "even"
         values = np.pad(values, min(segment // 2, len(values) - 1), "reflect", reflect_type=mirrored)
-    frequencies, _, densities = spectrogram(
-        values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
+    pieces = [values]
+    if drive.gaps:
+        pieces, segment = _between_gaps(drive, values, differentiations, step, segment)
+    spectra = [
+        spectrogram(
+            piece, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
+        )
+        for piece in pieces
+    ]
+    frequencies, densities = (
+        spectra[0][0][1:],
+        _smooth(np.concatenate([own[2] for own in spectra], axis=1)[1:]),
     )
-    frequencies, densities = frequencies[1:], _smooth(densities[1:])
     loudest = np.max(densities, axis=1)
     force_like = loudest * (2.0 * np.pi * frequencies) ** (2 * differentiations)
     if differentiations:
@@ -96,6 +107,38 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     high = float(above[-1]) + 1.0 / (segment * step)
     low = max(_MIN_CYCLES / length_s, 0.7 * float(within[0]))
     return Band(low, max(high, 2.0 * low), True)
+
+
+def _between_gaps(
+    drive: InputSignal, values: FloatArray, differentiations: int, step: float, segment: int
+) -> tuple[list[FloatArray], int]:
+    """Return what is known of an input between gaps whose bridges would look like excitation, and a segment's length.
+
+    The error of a bridge is zero at both ends of its gap: it bends, and jumps in its slope, as a wave of that length
+    does. An input that is nowhere known for long is returned as it is.
+    """
+    force_like = np.diff(drive.values, differentiations) / step**differentiations
+    places = [
+        [round((instant - drive.times_s[0]) / step) for instant in (gap.start_s, gap.end_s)]
+        for gap in drive.gaps
+    ]
+    is_known = np.ones(len(force_like), dtype=bool)
+    for first, last in places:
+        is_known[max(first + 1 - differentiations, 0) : last] = False
+    least = POOR_BRIDGE * float(np.std(force_like[is_known])) if np.any(is_known) else 0.0
+    offset = (len(values) - len(drive.values)) // 2  # mirrored at the ends
+    ends = [0, len(values)]
+    for gap, (first, last) in zip(drive.gaps, places, strict=True):
+        if not gap.sigma * (math.pi / (gap.end_s - gap.start_s)) ** differentiations < least:
+            ends[-1:] = [offset + first + 1, offset + last, len(values)]
+    pieces = [values[first:last] for first, last in zip(ends[::2], ends[1::2], strict=True)]
+    longest = max(len(piece) for piece in pieces)
+    if longest < _LEAST_SEGMENT:
+        return [values], segment
+    segment = min(segment, longest)
+    pieces = [piece for piece in pieces if len(piece) >= segment]
+    # The last samples of a piece as well.
+    return pieces + [piece[-segment:] for piece in pieces if len(piece) > segment], segment
 
 
 def _is_at_an_end(force_like: FloatArray, segment: int) -> bool:

@@ -10,7 +10,7 @@ are known.  The rule that does best there is taken, and its error there is the b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,9 @@ _TRIALS = 4  # holes of the same length, to either side
 _NAMED = 5  # gaps in a sentence
 _IRREGULAR = 0.01  # of a step: stamps that wander more take no autoregression
 _RANK = 1e-14  # of the largest eigenvalue: below it a signal without noise shows rounding alone
+
+_OFF_GRID = 0.1  # of a step: stamps that wander more are no grid from which samples could be missing
+_MOSTLY = 2.0 / 3.0  # of the steps: fewer that are one period long, or beside a hole, are no grid with holes
 
 _Rule = Callable[[int, int], FloatArray]
 
@@ -52,6 +55,41 @@ class InputGap:
     missing: int
     sigma: float
     errors: FloatArray = field(compare=False, repr=False)
+
+
+def on_every_stamp(times_s: FloatArray, values: FloatArray, is_held: bool) -> tuple[FloatArray, FloatArray]:
+    """Return an input with a stamp for every sample that its grid lacks, NaN where it has none.
+
+    Parameters
+    ----------
+    times_s : ndarray, shape (n,) -- stamps [s]
+    values : ndarray, shape (n,)
+    is_held : bool -- whether the input stays what it is until the next sample: at zero it may do so for long
+
+    Notes
+    -----
+    Stamps are a grid with holes where all steps are whole numbers of periods, most of them one, those beside
+    holes too.  Stamps at which a value merely changes, or those of two rates one after the other, are not.
+    """
+    steps = np.diff(times_s)
+    if len(steps) < 2 or not np.max(steps) > 1.5 * (usual := float(np.median(steps))):
+        return times_s, values
+    periods = np.rint(steps / usual)
+    is_hole = periods > 1.0
+    beside = np.concatenate([is_hole[1:], [False]]) | np.concatenate([[False], is_hole[:-1]])
+    if (
+        np.max(np.abs(steps - periods * usual)) > _OFF_GRID * usual
+        or np.mean(~is_hole) < _MOSTLY
+        or np.mean(~is_hole[beside]) < _MOSTLY * float(np.mean(~is_hole))
+    ):
+        return times_s, values
+    if is_held:
+        is_hole &= (values[:-1] != 0.0) | (values[1:] != 0.0)
+    places = np.arange(len(times_s)) + np.concatenate([[0], np.cumsum(np.where(is_hole, periods - 1.0, 0.0))])
+    every = np.arange(int(places[-1]) + 1)
+    found = np.full(len(every), np.nan)
+    found[places.astype(np.intp)] = values
+    return np.asarray(np.interp(every, places, times_s)), found
 
 
 def bridged(name: str, times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, tuple[InputGap, ...]]:
@@ -179,7 +217,13 @@ class Bridge:
         return np.asarray(found[np.isin(line[unknown], places)])
 
 
-def describe_gaps(name: str, gaps: Sequence[InputGap], unit: str, anew: Sequence[InputGap] = ()) -> str:
+def describe_gaps(
+    name: str,
+    gaps: Sequence[InputGap],
+    unit: str,
+    anew: Sequence[InputGap] = (),
+    rigid: Collection[InputGap] = (),
+) -> str:
     """Return one sentence on the gaps of an input and what was done about them; nothing where there are none.
 
     Parameters
@@ -187,6 +231,7 @@ def describe_gaps(name: str, gaps: Sequence[InputGap], unit: str, anew: Sequence
     name, unit : str -- of the input
     gaps : sequence of InputGap
     anew : sequence of InputGap -- those of them after which the motion begins anew
+    rigid : collection of InputGap -- those after which only the constants of the input's integration do
     """
     if not gaps:
         return ""
@@ -200,4 +245,6 @@ def describe_gaps(name: str, gaps: Sequence[InputGap], unit: str, anew: Sequence
     )
     if anew:
         said += f"; after {len(anew)} of them the motion begins anew, since that is not sure enough"
+    if rigid:
+        said += f"; after {len(rigid)} of them the constants of the input's integration begin anew"
     return f"{said}."

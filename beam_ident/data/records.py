@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.gaps import InputGap, bridged
+from beam_ident.data.gaps import InputGap, bridged, on_every_stamp
 from beam_ident.errors import RecordError
 from beam_ident.numerics.piecewise import HOLDS, Hold, PiecewisePolynomial, regular_period
 
@@ -82,6 +82,7 @@ class InputSignal:
     name : str
     unit : str
     times_s : ndarray, shape (n,) or tuple (start, period) -- sample times [s]
+        Where a grid lacks some, they are put in, but for a "zoh" or "linear" input that is zero on both sides.
     values : ndarray, shape (n,)
         NaN where a sample is missing, its stamp being known all the same; never at the ends.  Missing ones
         are filled in from both sides, see ``gaps``.
@@ -92,8 +93,8 @@ class InputSignal:
     sigma : float
         Standard deviation of the noise on each value; 0 for a known input.
     gaps : tuple of InputGap
-        Where values were missing and are filled in, with the uncertainty of that.  Found from NaN; given only for
-        values that are filled in already.
+        Where values were missing and are filled in, with the uncertainty of that.  Found from NaN and from holes in
+        the stamps; given only for values that are filled in already.
 
     Raises
     ------
@@ -128,6 +129,8 @@ class InputSignal:
         if not (_is_number(self.sigma) and self.sigma >= 0.0):
             raise RecordError(f"input {self.name!r}: sigma is {self.sigma!r}; expected a finite number >= 0")
         times = _stamps(self.name, self.times_s, len(values))
+        if not self.gaps:
+            times, values = on_every_stamp(times, values, self.hold in ("zoh", "linear"))
         if np.any(np.isnan(values)):
             values, gaps = bridged(self.name, times, values)
             object.__setattr__(self, "gaps", (*self.gaps, *gaps))

@@ -210,7 +210,7 @@ class _PreparedRecord:
         record: TimeRecord,
         drives: Sequence[InputSignal],
         structure: ModalStructure,
-        restarts: tuple[InputGap, ...] = (),
+        restarts: tuple[tuple[InputGap, bool], ...] = (),
         n_drifts: int = 0,
         latency: float = 0.0,
     ) -> None:
@@ -237,7 +237,7 @@ class _PreparedRecord:
                 self.grids.append(_Grid(output.times_s, output.exposure_s))
             self.grid_of[output.name] = keys[key]
             usable = output.is_within(*self.span) & output.is_valid
-            for gap in restarts:
+            for gap, _ in restarts:
                 # Samples that the unknown part of the input touches.
                 usable &= ~output.overlaps(gap.start_s + latency, gap.end_s + latency)
             self.rows_of[output.name] = np.flatnonzero(usable)
@@ -330,13 +330,13 @@ class _PreparedRecord:
         restarts = tuple(
             restart_columns(
                 self.n_drifts,
-                column,
+                column if is_modal else column[:0],
                 instants,
                 grid.exposure_s,
                 gap,
-                (by_log_omega, by_zeta) if gradients else (),
+                tuple(own if is_modal else own[:0] for own in (by_log_omega, by_zeta)) if gradients else (),
             )
-            for gap in (self.restarts if with_restarts else ())
+            for gap, is_modal in (self.restarts if with_restarts else ())
         )
         return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length, restarts)
 
@@ -424,8 +424,10 @@ class ModalRegression:
         smooth = [[d if smoothing is None else smoothing.of(d) for d in drives] for drives in self.inputs]
         self.restarts = Restarts.at_poor_bridges(self.inputs, structure) if restarts is None else restarts
         self._prepared = [
-            _PreparedRecord(r, d, structure, gaps, self.restarts.n_drifts, self.restarts.latency)
-            for r, d, gaps in zip(records, smooth, self.restarts.gaps, strict=True)
+            _PreparedRecord(
+                r, d, structure, self.restarts.of_record(k), self.restarts.n_drifts, self.restarts.latency
+            )
+            for k, (r, d) in enumerate(zip(records, smooth, strict=True))
         ]
         names = list(dict.fromkeys(name for record in records for name in record.output_names))
         self.units: list[str] = [
@@ -676,9 +678,8 @@ class ModalRegression:
 
     def n_columns(self, n_modes: int) -> int:
         """Number of linear parameters of an output that is in one record."""
-        most = max(len(gaps) for gaps in self.restarts.gaps)
-        of_restart = self.restarts.n_drifts + 2 * n_modes
-        return self.n_shared(n_modes) + self.n_nuisance(n_modes) + most * of_restart
+        most = max(self.restarts.n_columns(n_modes, index) for index in range(len(self.inputs)))
+        return self.n_shared(n_modes) + self.n_nuisance(n_modes) + most
 
     def n_nuisance(self, n_modes: int) -> int:
         """Number of columns that each record has for itself."""
@@ -689,19 +690,24 @@ class ModalRegression:
     def n_parameters_of_a_mode(self) -> int:
         """Number of parameters that one more mode adds."""
         n_free = 2 if self.structure.has_free_response else 0
-        n_anew = [sum(len(self.restarts.gaps[part[0]]) for part in parts) for parts in self._parts]
+        n_anew = [
+            sum(self.restarts.n_columns(1, part[0]) - self.restarts.n_columns(0, part[0]) for part in parts)
+            for parts in self._parts
+        ]
         return 2 + sum(
-            self.n_forced + n_free * len(parts) + 2 * anew
+            self.n_forced + n_free * len(parts) + anew
             for parts, anew in zip(self._parts, n_anew, strict=True)
         )
 
-    def restart_places(self, n_modes: int, output: int) -> list[tuple[InputGap, int]]:
-        """Return every restart at an output, and which is the first of its columns: drifts, then free motions."""
+    def restart_places(self, n_modes: int, output: int) -> list[tuple[InputGap, int, bool]]:
+        """Return every restart at an output, the first of its columns, and whether free motions follow its drifts."""
         parts = self._parts[output]
         first = self.n_shared(n_modes) + self.n_nuisance(n_modes) * len(parts)
-        gaps = [gap for part in parts for gap in self.restarts.gaps[part[0]]]
-        width = self.restarts.n_drifts + 2 * n_modes
-        return [(gap, first + width * number) for number, gap in enumerate(gaps)]
+        found = []
+        for gap, is_modal in (own for part in parts for own in self.restarts.of_record(part[0])):
+            found.append((gap, first, is_modal))
+            first += self.restarts.n_drifts + (2 * n_modes if is_modal else 0)
+        return found
 
     def instants(self, clock: ClockState) -> list[FloatArray]:
         """Return when the samples of every output were taken, on the input's clock [s]."""
@@ -763,9 +769,27 @@ class ModalRegression:
         return replace(block, matrix=np.hstack([block.matrix, column]), by_time=by_time)
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
-        """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
+        """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows).
+
+        Where modes begin anew, what free motion since then explains is taken out: a bridge that nobody believes
+        leaves nothing else there.
+        """
         blocks = self.blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
-        return [block.matrix.T[block.mode_columns] for block in blocks]
+        found = [block.matrix.T[block.mode_columns] for block in blocks]
+        poles = modal_poles(omegas, zetas)[:, None]
+        for columns, (parts, _) in zip(found, self._block_keys, strict=True):
+            first = 0
+            for part in parts:
+                rows = self._rows[part[:3]]
+                ends_s = [gap.end_s for gap, is_modal in self.restarts.of_record(part[0]) if is_modal]
+                if ends_s and len(rows):
+                    instants = self._prepared[part[0]].instants(part[1], clock)[rows]
+                    places = [*np.searchsorted(instants, ends_s, side="right"), len(rows)]
+                    for end_s, low, high in zip(ends_s, places[:-1], places[1:], strict=True):
+                        free = np.exp(poles * (instants[low:high] - end_s))
+                        _take_out(columns[:, :, first + low : first + high], free)
+                first += len(rows)
+        return found
 
     def _assemble(
         self,
@@ -779,10 +803,13 @@ class ModalRegression:
         n_fixed, n_own, n_forced = self.n_shared_fixed, self.n_nuisance(n_modes), self.n_forced
         n_shared = self.n_shared(n_modes)
         lengths = [len(self._rows[part[:3]]) for part in parts]
-        n_anew = self.restarts.n_drifts + 2 * n_modes
-        n_restarts = sum(len(self.restarts.gaps[part[0]]) for part in parts) if with_restarts else 0
-        n_plain = n_shared + n_own * len(parts)
-        n_rows, n_columns = sum(lengths), n_plain + n_anew * n_restarts
+        # Of every part, how its columns begin anew: with the modes, or with constants of integration alone.
+        anew = [self.restarts.of_record(part[0]) if with_restarts else () for part in parts]
+        n_restarts = sum(is_modal for own in anew for _, is_modal in own)
+        begin = n_shared + n_own * len(parts)
+        n_rows, n_columns = sum(lengths), begin
+        if with_restarts:
+            n_columns += sum(self.restarts.n_columns(n_modes, part[0]) for part in parts)
         matrix = np.zeros((n_rows, n_columns), order="F")
         by_time = np.zeros_like(matrix) if gradients else None
         n_free = 2 * len(parts) if structure.has_free_response else 0
@@ -793,7 +820,7 @@ class ModalRegression:
         mode_columns = np.zeros((n_modes, n_touched), dtype=np.intp)
         mode_columns[:, :n_forced] = n_fixed + np.arange(n_forced * n_modes).reshape(n_forced, n_modes).T
         latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
-        first, restart = 0, 0
+        first, touches = 0, n_forced + n_free
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
             rows: IndexArray | slice = self._rows[part[:3]]
             level = part[3]
@@ -805,13 +832,14 @@ class ModalRegression:
                 pairs = own + n_drifts + np.arange(2 * n_modes).reshape(n_modes, 2)
                 place = n_forced + 2 * number
                 mode_columns[:, place : place + 2] = pairs
-            restarts = [
-                (n_plain + n_anew * k + self.restarts.n_drifts, n_forced + n_free + 2 * k)
-                for k in range(restart, restart + (len(self.restarts.gaps[part[0]]) if with_restarts else 0))
-            ]
-            restart += len(restarts)
-            for begin, place in restarts:
-                mode_columns[:, place : place + 2] = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
+            restarts = []  # where free motions begin, among the columns and among those that a mode touches
+            for _, is_modal in anew[number]:
+                begin += self.restarts.n_drifts
+                restarts.append((begin, touches))
+                if is_modal:
+                    pairs = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
+                    mode_columns[:, touches : touches + 2] = pairs
+                    begin, touches = begin + 2 * n_modes, touches + 2
             if not length:
                 continue
             source = cache[part[0], part[1]]
@@ -843,18 +871,18 @@ class ModalRegression:
                     slopes = touched[mode]
                     targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
                 _fill_pairs(targets, source.free, mode, rows)
-            for anew, (begin, place) in zip(source.restarts, restarts, strict=True):
-                for column, (value, rate) in enumerate(anew.drifts, begin - len(anew.drifts)):
+            for restart, (free, place) in zip(source.restarts, restarts, strict=True):
+                for column, (value, rate) in enumerate(restart.drifts, free - len(restart.drifts)):
                     matrix[here, column] = value[rows]
                     if by_time is not None:
                         by_time[here, column] = rate[rows]
-                for mode in range(n_modes):
-                    pair = begin + 2 * mode
+                for mode in range(len(restart.free[0])):
+                    pair = free + 2 * mode
                     targets = [matrix.T[pair:, here]]
                     if by_time is not None:
                         slopes = touched[mode]
                         targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
-                    _fill_pairs(targets, anew.free, mode, rows)
+                    _fill_pairs(targets, restart.free, mode, rows)
             if level != 1.0:
                 for columns in (matrix, by_time):
                     if columns is not None:
@@ -863,6 +891,22 @@ class ModalRegression:
                     slopes[:, :, here] /= level
         modes = tuple(ModeSlopes(by_log_omega.T, by_zeta.T) for by_log_omega, by_zeta in touched)
         return ColumnBlock(matrix, mode_columns, modes, by_time, latency_factor, rate_factor)
+
+
+def _take_out(columns: FloatArray, free: ComplexArray) -> None:
+    """Take the real and imaginary parts of a free motion out of some columns, each by its own mode.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n_modes, n_columns, n) -- changed in place
+    free : ndarray, shape (n_modes, n)
+    """
+    pairs = np.stack([free.real, free.imag], axis=1)
+    gram = pairs @ pairs.transpose(0, 2, 1)
+    # Of one sample or two both parts look alike, or nothing is left of a damped motion.
+    gram += (1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
+    shares = np.linalg.solve(gram, pairs @ columns.transpose(0, 2, 1))
+    columns -= shares.transpose(0, 2, 1) @ pairs
 
 
 def _fill_pairs(

@@ -4,6 +4,8 @@ What the hub did in a gap ends as a state of every mode, and as a wrong constant
 free motion that begins where the input is known again stands for it, whatever it was: the record stays one record,
 on one clock, with one offset and one drift.  That costs parameters, so that it is done only where the bridge
 (``data.gaps``) is not good enough; everything between the first and the last sample of such a gap is left out.
+An input that is integrated forgets nothing: its constants of integration begin anew after every gap, the modes, which
+forget, only where the bridge is poor for them too.
 """
 
 from __future__ import annotations
@@ -24,24 +26,26 @@ _SAME_LATENCY_S = 1e-4
 
 @dataclass(frozen=True)
 class Restarts:
-    """The gaps after which the modes of a fit begin anew.
+    """The gaps after which something begins anew.
 
     Attributes
     ----------
     gaps : tuple of tuple of InputGap -- of every record
     n_drifts : int -- constants of integration that a gap leaves unknown: position, and speed
+    rigid : tuple of frozenset of InputGap -- those of every record after which these constants alone begin anew
     latency : float -- of the outputs' stamps, by which samples inside a gap are found [s]
     """
 
     gaps: tuple[tuple[InputGap, ...], ...]
     n_drifts: int
+    rigid: tuple[frozenset[InputGap], ...]
     latency: float = 0.0
 
     @staticmethod
     def at_poor_bridges(
         inputs: Sequence[Sequence[InputSignal]], structure: ModalStructure, latency: float = 0.0
     ) -> Restarts:
-        """Return the gaps whose bridge is poor by the input alone: one that is integrated forgets nothing.
+        """Return the gaps whose bridge is poor by the input alone: of one that is integrated, all.
 
         Parameters
         ----------
@@ -51,23 +55,29 @@ class Restarts:
 
         Notes
         -----
-        Where several inputs drive the modes, whatever may be missing of any of them makes the modes begin anew.
+        The modes go on after gaps of an integrated input that hold, all together, less of its energy than a poor
+        bridge would. Where several inputs drive the modes, whatever may be missing of any of them makes the modes
+        begin anew.
         """
         n_drifts = _n_drifts(structure)
-        found = []
+        gaps, rigid = [], []
         for drives in inputs:
-            poor = [
-                gap
-                for drive in drives
-                for gap in drive.gaps
-                if n_drifts or len(drives) > 1 or not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
-            ]
-            found.append(_apart(poor) if len(drives) > 1 else tuple(poor))
-        return Restarts(tuple(found), n_drifts, latency)
+            is_alone = len(drives) == 1
+            every = [(drive, gap) for drive in drives for gap in drive.gaps]
+            if is_alone and not n_drifts:
+                every = [
+                    (drive, gap)
+                    for drive, gap in every
+                    if not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
+                ]
+            own = tuple(gap for _, gap in every)
+            gaps.append(own if is_alone else _apart(own))
+            rigid.append(_hardly_missed(drives[0]) if is_alone and n_drifts else frozenset())
+        return Restarts(tuple(gaps), n_drifts, tuple(rigid), latency)
 
     def is_near(self, other: Restarts) -> bool:
         """Whether another one has the same gaps, and a latency that finds the same samples inside them."""
-        return self.gaps == other.gaps and (
+        return (self.gaps, self.rigid) == (other.gaps, other.rigid) and (
             self.count == 0 or abs(self.latency - other.latency) < _SAME_LATENCY_S
         )
 
@@ -75,6 +85,16 @@ class Restarts:
     def count(self) -> int:
         """How many there are, in all records."""
         return sum(len(own) for own in self.gaps)
+
+    def of_record(self, index: int) -> tuple[tuple[InputGap, bool], ...]:
+        """Return every gap of a record after which something begins anew, and whether the modes do."""
+        rigid = self.rigid[index]
+        return tuple((gap, gap not in rigid) for gap in self.gaps[index])
+
+    def n_columns(self, n_modes: int, index: int) -> int:
+        """Return how many columns begin after the gaps of a record."""
+        own = self.of_record(index)
+        return self.n_drifts * len(own) + 2 * n_modes * sum(is_modal for _, is_modal in own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +125,15 @@ def _apart(gaps: Sequence[InputGap]) -> tuple[InputGap, ...]:
         else:
             result.append(gap)
     return tuple(result)
+
+
+def _hardly_missed(drive: InputSignal) -> frozenset[InputGap]:
+    """Return gaps of an input that hold, all together, less of its energy than a poor bridge would."""
+    lost = sorted((gap.sigma**2 * (gap.end_s - gap.start_s), gap.start_s, gap) for gap in drive.gaps)
+    span_s = float(drive.times_s[-1] - drive.times_s[0])
+    least = POOR_BRIDGE**2 * float(np.var(drive.values)) * span_s
+    sums = np.cumsum([own for own, _, _ in lost])
+    return frozenset(gap for (_, _, gap), total in zip(lost, sums, strict=True) if total < least)
 
 
 def _n_drifts(structure: ModalStructure) -> int:
@@ -183,6 +212,7 @@ def bridge_effects(
     zetas: FloatArray,
     shared: FloatArray,
     instants: FloatArray,
+    with_direct: bool = True,
 ) -> FloatArray:
     """Return what errors of a bridge do to one output, shape (n_trials, n).
 
@@ -191,6 +221,7 @@ def bridge_effects(
     gap, structure, omegas, zetas -- as of ``bridge_amplitudes``
     shared : ndarray, shape (n_shared,) -- direct gain, residual term and residues of the output
     instants : ndarray, shape (n,) -- when its samples were taken, on the input's clock [s]
+    with_direct : bool -- False: of the modes alone, where constants of integration begin anew
     """
     modal, drifts = bridge_amplitudes(gap, structure, omegas, zetas)
     after, inside = instants >= gap.end_s, (instants > gap.start_s) & (instants < gap.end_s)
@@ -200,7 +231,7 @@ def bridge_effects(
     for omega, zeta, amplitudes in zip(omegas, zetas, (modal * residues).T, strict=True):
         pole = omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
         effects[:, after] += np.imag(amplitudes[:, None] * np.exp(pole * elapsed))
-    if structure.has_direct:
+    if structure.has_direct and with_direct:
         gain = float(shared[0])
         direct = gap.errors if not drifts.shape[1] else np.repeat(drifts[:, :1], gap.missing, axis=1)
         effects[:, inside] += gain * np.stack(

@@ -12,9 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.gaps import describe_gaps
+from beam_ident.data.gaps import POOR_BRIDGE, InputGap, describe_gaps
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
@@ -23,6 +24,7 @@ from beam_ident.modal_estimation.variable_projection import designs, fit_modes
 
 _MOST_FROM_BRIDGES = 0.05  # of the variance of a pole or of the clock
 _NO_ERROR = 1e-9  # of an output's noise: an error of a bridge is never taken to be less
+_SURPRISE = float(chi_squared_isf(1, 1e-3))  # mean square over what is expected: one restart in a thousand
 _TURNS = 6
 _SETTLED = 0.02  # standard deviations that a turn may still move a pole
 
@@ -107,16 +109,27 @@ class BridgeUncertainty:
 
     @staticmethod
     def of(
-        regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior
+        regression: ModalRegression,
+        fit: ModalFit,
+        latency: Prior,
+        clock_rate: Prior,
+        most: float = _MOST_FROM_BRIDGES,
     ) -> BridgeUncertainty:
         """Judge the bridges by a fit of a regression.
+
+        Parameters
+        ----------
+        regression : ModalRegression
+        fit : ModalFit -- of it
+        latency, clock_rate : Prior
+        most : float -- share of the variance of a pole or of the clock that bridges may add
 
         Notes
         -----
         With the derivatives D of the model, the noise's variances s and the covariance C of the parameters, an
         error d of the outputs moves the estimate by ``C D^T d / s``. Every bridge has errors of its kind at places
         where the input is known; their mean square is what it adds to the variance. The bridges that add most to
-        some pole or clock are given up, until all others together add no more than a twentieth.
+        some pole or clock are given up, until all others together add no more than ``most``.
         """
         n_shared = regression.n_shared_fixed + len(fit.omegas)
         kept = regression.restarts
@@ -124,7 +137,7 @@ class BridgeUncertainty:
             (index, gap)
             for index, drive in enumerate(regression.drives)
             for gap in drive.gaps
-            if gap not in kept.gaps[index]
+            if gap not in kept.gaps[index] or gap in kept.rigid[index]
         ]
         scores = [np.zeros((len(fit.covariance), len(gap.errors))) for _, gap in asked]
         for piece in regression.pieces if asked else ():
@@ -143,6 +156,7 @@ class BridgeUncertainty:
                             fit.zetas,
                             found[:n_shared],
                             instants[j][part],
+                            with_direct=gap not in kept.rigid[index],
                         )
                         score[own] += weighed[:, part] @ effects.T
         scale = np.sqrt(np.maximum(np.diag(fit.covariance)[: fit.n_theta], 1e-300))
@@ -152,45 +166,71 @@ class BridgeUncertainty:
             share = float(np.max(np.sum(np.square(moved[: fit.n_theta]), axis=1) / scale**2, initial=0.0))
             judged.append((share, index, gap, moved))
         judged.sort(key=lambda item: item[0])
-        n_kept = int(np.searchsorted(np.cumsum([item[0] for item in judged]), _MOST_FROM_BRIDGES))
-        given_up = [set(own) for own in kept.gaps]
+        n_kept = int(np.searchsorted(np.cumsum([item[0] for item in judged]), most))
+        given_up, rigid = [set(own) for own in kept.gaps], [set(own) for own in kept.rigid]
         for _, index, gap, _ in judged[n_kept:]:
             given_up[index].add(gap)
+            rigid[index].discard(gap)
         added = np.zeros_like(fit.covariance)
         for _, _, _, moved in judged[:n_kept]:
             added += moved @ moved.T
         gaps = tuple(tuple(sorted(own, key=lambda gap: gap.start_s)) for own in given_up)
-        return BridgeUncertainty(Restarts(gaps, kept.n_drifts, fit.clock.latency), added)
+        restarts = Restarts(gaps, kept.n_drifts, tuple(map(frozenset, rigid)), fit.clock.latency)
+        return BridgeUncertainty(restarts, added)
 
 
 def restart_priors(regression: ModalRegression, fit: ModalFit) -> list[tuple[int, float]]:
     """Return what is known of the columns that begin after gaps: their place among the parameters, and its size.
 
     The bridge is in the regression's input still, so that these columns hold its errors alone, and errors of its
-    kind are known.  With them a restart is a bridge that counts as far as it is to be believed.
+    kind are known.  With them a restart is a bridge that counts as far as it is to be believed: not at all where it
+    is poor, and no further than what the fit, without such knowledge, found there itself.
     """
     n, structure = len(fit.omegas), regression.structure
-    priors, first = [], fit.n_theta
+    poor = {
+        gap
+        for drive in regression.drives
+        for gap in drive.gaps
+        if not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))
+    }
+    # Of every restart and kind of column: its place at every output, and the size of the bridge's errors there.
+    known: dict[tuple[InputGap, int], list[tuple[int, float]]] = {}
+    first = fit.n_theta
     for j, found in enumerate(fit.coefficients):
         residues = found[regression.n_shared_fixed : regression.n_shared_fixed + n]
         least = _NO_ERROR * float(fit.sigmas[j])
-        for gap, place in regression.restart_places(n, j):
+        for gap, place, is_modal in regression.restart_places(n, j):
+            if gap in poor:
+                continue
             modal, drifts = bridge_amplitudes(gap, structure, fit.omegas, fit.zetas)
-            sizes = [abs(float(found[0])) * float(np.linalg.norm(own)) for own in drifts.T]
-            for residue, own in zip(residues, modal.T, strict=True):
-                sizes += 2 * [abs(float(residue)) * float(np.linalg.norm(own)) / math.sqrt(2.0)]
-            for column, size in enumerate(sizes, first + place):
-                priors.append((column, max(size / math.sqrt(len(gap.errors)), least)))
+            sizes = [(abs(float(found[0])) * float(np.linalg.norm(own)), 1) for own in drifts.T]
+            for residue, own in zip(residues, modal.T, strict=True) if is_modal else ():
+                sizes.append((abs(float(residue)) * float(np.linalg.norm(own)) / math.sqrt(2.0), 2))
+            column = first + place
+            for kind, (size, width) in enumerate(sizes):
+                own_size = max(size / math.sqrt(len(gap.errors)), least)
+                known.setdefault((gap, kind), []).extend((column + k, own_size) for k in range(width))
+                column += width
         first += len(found)
+    amplitudes = np.concatenate([np.zeros(fit.n_theta), *fit.coefficients])
+    variances = np.maximum(np.diag(fit.covariance), 0.0)
+    priors = []
+    for columns in known.values():
+        places = np.array([place for place, _ in columns])
+        expected = np.square([size for _, size in columns]) + variances[places]
+        # All outputs see the same errors: together they are one random number, or two of a free motion.
+        surprise = float(np.mean(np.square(amplitudes[places]) / expected))
+        worse = math.sqrt(surprise) if surprise > _SURPRISE else 1.0
+        priors += [(place, worse * size) for place, size in columns]
     return priors
 
 
 def gap_sentences(regression: ModalRegression) -> list[str]:
     """Return what was done about the gaps of every record's input."""
-    pairs = zip(regression.inputs, regression.restarts.gaps, strict=True)
+    pairs = zip(regression.inputs, regression.restarts.gaps, regression.restarts.rigid, strict=True)
     return [
-        describe_gaps(drive.name, drive.gaps, drive.unit, anew)
-        for drives, anew in pairs
+        describe_gaps(drive.name, drive.gaps, drive.unit, [gap for gap in anew if gap not in rigid], rigid)
+        for drives, anew, rigid in pairs
         for drive in drives
         if drive.gaps
     ]

@@ -401,6 +401,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if self.delays:
             self.problem = self.plain = self._with_own_delays(self.plain, fit)
             fit = self.fit(fit.omegas, fit.zetas, fit.clock)
+            if self.bridges is not None:  # which gaps are bridged is decided; there are more parameters now
+                self.bridges = BridgeUncertainty.of(self.plain, fit, self.latency, self.clock_rate, math.inf)
         regression = self.plain
         model = self._model(fit)
         smoothing = None
@@ -587,7 +589,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         n_plain = int(structure.has_offset) + int(structure.has_ramp)
         for own in self._starts(j, fit, regression):
             rigid[own : own + n_plain] = found[own : own + n_plain]
-        for _, place in regression.restart_places(len(fit.omegas), j):
+        for _, place, _ in regression.restart_places(len(fit.omegas), j):
             drifts = slice(place, place + regression.restarts.n_drifts)
             rigid[drifts] = found[drifts]
         return rigid
@@ -677,7 +679,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             friction = FrictionEstimate.of(of_some, some)
             if friction.is_visible:
                 warnings.append(friction.warning())
-        if fit.rank_deficient and self.band.is_excited:
+        # What begins anew where hardly a sample follows is known by the bridge all the same.
+        if fit.rank_deficient and self.band.is_excited and not regression.restarts.count:
             names = ", ".join(regression.output_names[j] for j in fit.rank_deficient)
             warnings.append(f"Some linear terms cannot be told apart at {names}; they were set to zero.")
         if not self.band.is_excited:

@@ -18,6 +18,7 @@ from scipy.integrate import trapezoid
 from scipy.signal import fftconvolve, firwin, kaiserord
 
 from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.gaps import POOR_BRIDGE
 from beam_ident.data.records import InputSignal
 
 _PASS, _STOP = 1.08, 1.4  # edges of the low-pass, in multiples of the excited band's end
@@ -51,13 +52,32 @@ class Smoothing:
         taps = firwin(n_taps, 0.5 * (_PASS + _STOP) * self.high_hz / nyquist, window=("kaiser", beta))
         # A symmetric filter of odd length delays by half of it, which the padding takes back: no phase is
         # added.
-        half = n_taps // 2
-        values = drive.values
-        edge = min(max(half // 4, 1), len(values))
-        before, after = float(np.mean(values[:edge])), float(np.mean(values[-edge:]))
-        padded = np.concatenate([np.full(half, before), values, np.full(half, after)])
-        smooth = fftconvolve(padded, taps, mode="valid")
+        smooth = drive.values.copy()
+        for piece in _trusted_pieces(drive):
+            smooth[piece] = _filtered(drive.values[piece], taps, piece.start == 0, piece.stop == len(smooth))
         return replace(drive, values=smooth)
+
+
+def _trusted_pieces(drive: InputSignal) -> list[slice]:
+    """Return the samples between gaps whose bridges are poor: a filter would carry their errors out of the gaps."""
+    least = POOR_BRIDGE * float(np.std(drive.values))
+    ends = [0, len(drive.values)]
+    for gap in drive.gaps:
+        if not gap.sigma < least:
+            first, last = np.searchsorted(drive.times_s, [gap.start_s, gap.end_s])
+            ends[-1:] = [int(first) + 1, int(last), len(drive.values)]
+    return [slice(*pair) for pair in zip(ends[::2], ends[1::2], strict=True) if pair[1] > pair[0]]
+
+
+def _filtered(values: FloatArray, taps: FloatArray, is_first: bool, is_last: bool) -> FloatArray:
+    """Return a piece behind a filter: at rest before and after all of them, mirrored about its ends elsewhere."""
+    half = len(taps) // 2
+    edge = min(max(half // 4, 1), len(values))
+    # Mirrored about its last sample, a motion goes on with its speed.
+    mirrored = np.pad(values, half, "reflect", reflect_type="odd")
+    before = np.full(half, np.mean(values[:edge])) if is_first else mirrored[:half]
+    after = np.full(half, np.mean(values[-edge:])) if is_last else mirrored[len(mirrored) - half :]
+    return np.asarray(fftconvolve(np.concatenate([before, values, after]), taps, mode="valid"))
 
 
 def input_noise_share(

@@ -7,6 +7,7 @@ import pytest
 
 from beam_ident import InputSignal, RecordError
 from beam_ident.data.gaps import bridged, describe_gaps
+from beam_ident.numerics.piecewise import Hold
 
 PERIOD_S = 1e-3
 TIMES = PERIOD_S * np.arange(6000)
@@ -57,6 +58,43 @@ def test_stamps_that_wander_are_filled_by_a_straight_line() -> None:
     assert max(gap.sigma for gap in gaps) < 1e-12
 
 
+@pytest.mark.parametrize("hold", ["zoh", "linear", "cubic", "band_limited"])
+def test_a_grid_that_lacks_stamps_has_gaps_as_with_nan(hold: Hold) -> None:
+    values = sweep(noise=1e-7)
+    damaged, lost = with_holes(values, 20)
+    lost[np.random.default_rng(2).integers(50, len(values) - 50, 900)] = True
+    damaged[lost] = np.nan
+    bare = InputSignal("hub", "m", TIMES[~lost], values[~lost], hold)
+    marked = InputSignal("hub", "m", TIMES, damaged, hold)
+    assert len(marked.gaps) > 500
+    assert [gap.missing for gap in bare.gaps] == [gap.missing for gap in marked.gaps]
+    np.testing.assert_allclose(bare.times_s, marked.times_s, atol=1e-12)
+    np.testing.assert_allclose(bare.values, marked.values, atol=1e-12)
+
+
+STEPS = {
+    "irregular": 1e-3 * np.random.default_rng(0).exponential(size=400),
+    "two rates": np.repeat([1e-3, 3e-3], [400, 100]),
+    "where it changes": 1e-3 * np.random.default_rng(0).geometric(0.5, size=400),
+}
+
+
+@pytest.mark.parametrize("name", sorted(STEPS))
+def test_stamps_that_are_no_grid_with_holes_have_no_gaps(name: str) -> None:
+    times = np.cumsum(STEPS[name])
+    values = np.random.default_rng(1).standard_normal(len(times))
+    drive = InputSignal("force", "N", times, values, "zoh")
+    assert drive.gaps == ()
+    np.testing.assert_array_equal(drive.times_s, times)
+
+
+def test_a_command_that_ends_at_zero_rests_there_until_its_last_stamp() -> None:
+    times, values = np.append(TIMES[:1000], 4.0), np.append(sweep(1e-7)[:999], [0.0, 0.0])
+    assert InputSignal("hub", "m/s^2", times, values, "zoh").gaps == ()
+    (gap,) = InputSignal("hub", "m", times, values, "cubic").gaps
+    assert (gap.start_s, gap.end_s, gap.missing) == (pytest.approx(0.999), 4.0, 3000)
+
+
 def test_an_input_keeps_its_gaps_when_it_is_cut() -> None:
     drive = InputSignal("hub", "m", (0.0, PERIOD_S), with_holes(sweep(0.0), 20)[0], "cubic")
     assert len(drive.gaps) == 14
@@ -80,4 +118,5 @@ def test_a_sentence_names_the_gaps_and_what_was_done() -> None:
     assert "and 9 more" in said
     assert "280 samples were filled in" in said
     assert "after 2 of them the motion begins anew" in said
+    assert "after 3 of them the constants" in describe_gaps("hub", gaps, "m", (), gaps[:3])
     assert describe_gaps("hub", (), "m") == ""

@@ -75,6 +75,38 @@ def test_gaps_of_any_length_leave_the_poles_where_they_are(quantity: str) -> Non
     assert np.max(np.abs(found.model.residues - RESIDUES) / found.model.residue_sd) < 4.5
 
 
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_modes_are_found_between_many_gaps_of_an_integrated_input(quantity: str) -> None:
+    rng = np.random.default_rng(0)
+    starts = 0.01 * np.sort(rng.choice(np.arange(20, 1350), 50, replace=False))
+    record = damaged(beam_record(3, quantity=quantity), tuple((a, a + 0.021) for a in starts))
+    found = identify(record, quantity)  # type: ignore[arg-type]
+    assert found.converged
+    assert found.model.n_modes == 3
+    assert any("the constants of the input's integration begin anew" in said for said in found.warnings)
+    assert not any("cannot be told apart" in said for said in found.warnings)
+    z = (found.model.natural_frequencies - OMEGAS) / found.model.natural_frequency_sd
+    assert np.max(np.abs(z)) < 4.0
+
+
+def test_a_bridge_that_nobody_believes_excites_nothing_in_the_search() -> None:
+    # What a poor bridge does at its ends would look like a blow, which reaches 500 Hz, and hides modes behind it.
+    record = damaged(beam_record(3), ((3.0, 4.0),))
+    found = identify(record)
+    assert found.band.low_hz < 4.0
+    assert found.band.high_hz < 100.0
+    assert found.model.n_modes == 3
+    z = (found.model.natural_frequencies - OMEGAS) / found.model.natural_frequency_sd
+    assert np.max(np.abs(z)) < 4.0
+
+
+def test_outputs_with_delays_of_their_own_may_have_gaps_of_the_input() -> None:
+    record = damaged(beam_record(3), ((2.0, 2.022), (6.1, 6.13)))
+    late = dataclasses.replace(record.outputs[2], times_s=record.outputs[2].times_s + 2e-3)
+    found = identify(dataclasses.replace(record, outputs=(*record.outputs[:2], late)), n_modes=3)
+    assert found.model.output_delays[2] == pytest.approx(2e-3, abs=2e-4)
+
+
 def test_a_fit_that_fails_names_the_gaps() -> None:
     times = 1e-3 * np.arange(4000)
     rng = np.random.default_rng(0)
