@@ -202,9 +202,11 @@ class RecordNoise:
         white, by Student's t. Coarse rounding weighs by the likelihood of its intervals: the colour that
         rounding errors have of the signal is none of the noise.
         """
-        far = outliers(residuals)
+        far, rounding = outliers(residuals), RoundedNoise.of(values, residuals)
+        if rounding is not None:  # errors of a step stand alone where the signal seldom comes near an edge
+            far = far[np.abs(residuals[far]) > rounding.step]
         if not spoiling(residuals, far):
-            if rounding := RoundedNoise.of(values, residuals):
+            if rounding is not None:
                 return RecordNoise(Whitening(np.ones(1), times_s), rounding=rounding)
             return RecordNoise(colour_of(residuals, times_s, doubt))
         kept = np.ones(len(residuals), dtype=bool)

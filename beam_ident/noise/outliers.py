@@ -72,7 +72,11 @@ def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
     """
     found, treatments = [], []
     for name, records in outputs:
-        seen = [own for own in records if not are_rounding(own.measured, own.residuals)]
+        seen = [
+            own
+            for own in records
+            if not are_rounding(own.measured, own.residuals) and "rounding" not in own.noise
+        ]
         count = sum(len(outliers(own.residuals)) for own in seen)
         if count >= _MIN_COUNT or (count and any(len(outliers(own.residuals, _GROSS)) for own in seen)):
             found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
