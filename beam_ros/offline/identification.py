@@ -212,7 +212,8 @@ def _longest_epoch(samples: HubSamples, notes: list[str]) -> slice:
     if len(borders) > 2:
         notes.append(
             f"{samples.topic}: the device restarted {len(borders) - 2} times; the longest time without a restart was "
-            f"used, {last - first} of {len(samples.epochs)} samples"
+            f"used, {last - first} of {len(samples.epochs)} samples, since each restart begins a clock and a zero of "
+            "its own"
         )
     return slice(first, last)
 

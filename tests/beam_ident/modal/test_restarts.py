@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from beam_ident import EstimationError, InputSignal, ModalStructure, TimeRecord, identify
+from beam_ident import EstimationError, InputSignal, ModalStructure, Prior, TimeRecord, identify
 from beam_ident.data.gaps import InputGap
-from beam_ident.modal.restarts import bridge_effects
+from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.modal.restarts import Restarts, bridge_effects
+from beam_ident.modal_estimation.record_levels import restart_priors
+from beam_ident.modal_estimation.variable_projection import fit_modes
 from tests.beam_ident.truth import OMEGAS, RESIDUES, ZETAS, beam_record
 
 
@@ -98,6 +101,31 @@ def test_a_bridge_that_nobody_believes_excites_nothing_in_the_search() -> None:
     assert found.model.n_modes == 3
     z = (found.model.natural_frequencies - OMEGAS) / found.model.natural_frequency_sd
     assert np.max(np.abs(z)) < 4.0
+
+
+@pytest.mark.parametrize(("hole", "is_known"), [((3.0, 4.0), False), ((3.0, 3.1), True)])
+def test_what_begins_after_a_poor_bridge_is_unknown(hole: tuple[float, float], is_known: bool) -> None:
+    # Errors at a few other places do not say what a bridge that went wrong does at its ends.
+    record = damaged(beam_record(3), (hole,))
+    gaps = record.inputs[0].gaps
+    restarts = Restarts((gaps,), 0, (frozenset(),))
+    regression = ModalRegression([record], ModalStructure("base_motion"), restarts=restarts)
+    fit = fit_modes(regression, OMEGAS, ZETAS, ClockState(), Prior(), Prior())
+    # Two columns for each of three modes at three outputs.
+    assert len(restart_priors(regression, fit)) == (18 if is_known else 0)
+
+
+def test_knowledge_of_a_bridge_yields_to_what_the_fit_finds() -> None:
+    record = damaged(beam_record(3), ((3.0, 3.1),))
+    (gap,) = record.inputs[0].gaps
+    feigned = dataclasses.replace(gap, errors=1e-3 * gap.errors)
+    restarts = Restarts(((feigned,),), 0, (frozenset(),))
+    regression = ModalRegression([record], ModalStructure("base_motion"), restarts=restarts)
+    fit = fit_modes(regression, OMEGAS, ZETAS, ClockState(), Prior(), Prior())
+    amplitudes = np.concatenate([np.zeros(fit.n_theta), *fit.coefficients])
+    for place, sd in restart_priors(regression, fit):
+        # Of 18 numbers none lies beyond four of what is known and of what the fit knows, taken together.
+        assert abs(amplitudes[place]) < 4.0 * np.hypot(sd, np.sqrt(fit.covariance[place, place]))
 
 
 def test_outputs_with_delays_of_their_own_may_have_gaps_of_the_input() -> None:
