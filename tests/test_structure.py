@@ -33,7 +33,6 @@ TESTED_IN = (
     ("beam_ident/modal", "regression", "modal_estimation/test_time_domain"),
     ("beam_ident/modal", "structure", "modal/test_realisation"),
     ("beam_ident/modal_estimation", "record_levels", "modal_estimation/test_several_records"),
-    ("beam_ident/noise", "input_noise", "modal_estimation/test_time_domain"),
     ("beam_ident/noise", "line_weights", "transfer_function_estimation/test_frequency_domain"),
     ("beam_ident/noise", "record_fit", "modal_estimation/test_several_records"),
     ("beam_ident/numerics", "chain_response", "numerics/test_rational_response"),

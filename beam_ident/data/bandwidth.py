@@ -27,7 +27,7 @@ _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
 _STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
 _NOISE_BEYOND = 1e-6  # chance that noise alone has one value as large as makes a blow
-_LEAST_SEGMENT = 256
+_MIN_SEGMENT = 256
 _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
 
 
@@ -75,7 +75,7 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
         step = float(np.median(np.diff(times)))
         grid = np.arange(times[0], times[-1], step)
         values = np.interp(grid, times, values)
-    segment = int(min(len(values), max(_LEAST_SEGMENT, round(min(_SEGMENT_S, length_s / 4.0) / step))))
+    segment = int(min(len(values), max(_MIN_SEGMENT, round(min(_SEGMENT_S, length_s / 4.0) / step))))
     if _is_at_an_end(np.diff(values, differentiations), segment):
         # Continued there, mirrored, so that a force stays without a jump, and a motion (mirrored about its end as
         # well) without a kink.
@@ -133,7 +133,7 @@ def _between_gaps(
             ends[-1:] = [offset + first + 1, offset + last, len(values)]
     pieces = [values[first:last] for first, last in zip(ends[::2], ends[1::2], strict=True)]
     longest = max(len(piece) for piece in pieces)
-    if longest < _LEAST_SEGMENT:
+    if longest < _MIN_SEGMENT:
         return [values], segment
     segment = min(segment, longest)
     pieces = [piece for piece in pieces if len(piece) >= segment]
