@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +25,8 @@ TimesLike = Any  # an array of stamps [s], or the pair (start [s], period [s])
 
 
 def _read_only(values: FloatArray) -> FloatArray:
+    if values.dtype == np.float64 and values.flags.owndata and not values.flags.writeable:
+        return values  # of another signal: long ones are not stored twice
     result = np.array(values, dtype=np.float64, copy=True)
     result.setflags(write=False)
     return result
@@ -137,7 +140,7 @@ class InputSignal:
         object.__setattr__(self, "times_s", _read_only(times))
         object.__setattr__(self, "values", _read_only(values))
 
-    @property
+    @cached_property
     def period_s(self) -> float | None:
         """Sampling period [s] of a regular input, None for an irregular one."""
         return regular_period(self.times_s)
@@ -161,6 +164,7 @@ class InputSignal:
             self.hold if hold is None else hold,
             margin_s,
             lead,  # type: ignore[arg-type]
+            self.period_s,
         )
 
     def between(self, start_s: float, end_s: float) -> InputSignal:

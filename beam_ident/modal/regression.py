@@ -165,7 +165,8 @@ class _Driving:
     def drive(self) -> PiecewisePolynomial:
         """The input, a position above where it begins."""
         signal = self._measured.signal(margin_s=CLOCK_MARGIN_S, from_rest=not self._is_position)
-        return signal.shifted(-self.rest) if self.rest else signal
+        signal.coefficients[:, 0] -= self.rest  # made here, and as long as the record
+        return signal
 
     @cached_property
     def position(self) -> PiecewisePolynomial:

@@ -228,6 +228,7 @@ class WeightedFit:
                     self._take_noise(self._residuals(point))
                     continue
                 return self._finished(point, linear, solution.inverse_gram(), step)
+            del linear  # holds an input of its own, which a long record has no room for twice
         reason = "weighing by the noise did not settle; weights are equal"
         return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
 
@@ -266,7 +267,9 @@ class WeightedFit:
             self._take_noise(self._residuals(point))  # the weights of tails go with the residuals
 
         def whitened() -> Iterator[list[FloatArray]]:
-            return self._whitened(point, driving, filters, residuals)
+            yield from self._whitened(point, driving, filters, residuals)
+            if self._is_long and isinstance(driving, ModalRegression) and driving is not self.regression:
+                driving.release()  # there is room for the signals of one long input, not of two
 
         if self._is_long:
             return self._condensed(whitened, filters, disturbances)

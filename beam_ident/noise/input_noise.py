@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import trapezoid
-from scipy.signal import fftconvolve, firwin, kaiserord
+from scipy.signal import firwin, kaiserord, oaconvolve
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.gaps import POOR_BRIDGE
@@ -77,7 +77,7 @@ def _filtered(values: FloatArray, taps: FloatArray, is_first: bool, is_last: boo
     mirrored = np.pad(values, half, "reflect", reflect_type="odd")
     before = np.full(half, np.mean(values[:edge])) if is_first else mirrored[:half]
     after = np.full(half, np.mean(values[-edge:])) if is_last else mirrored[len(mirrored) - half :]
-    return np.asarray(fftconvolve(np.concatenate([before, values, after]), taps, mode="valid"))
+    return np.asarray(oaconvolve(np.concatenate([before, values, after]), taps, mode="valid"))
 
 
 def input_noise_share(

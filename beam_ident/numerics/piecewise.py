@@ -16,6 +16,7 @@ from math import factorial
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import lapack
 
 from beam_ident.arrays import FloatArray, IndexArray
 
@@ -29,6 +30,8 @@ _SNAP = 1e-6  # of a period: closer to a knot than this counts as after it
 _WHOLE_BLOCKS = (
     96  # knots of a regular grid come in multiples of it: no block of them has to be filled up later
 )
+_LONG_SPLINE = 16  # samples from which on a regular grid's cubic spline is made here
+_AT_ONCE = 1 << 16  # samples whose working arrays stay in the cache
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # of an instant: what adding up periods may lose
 
 
@@ -60,6 +63,7 @@ class PiecewisePolynomial:
         hold: Hold,
         margin_s: float = 0.0,
         lead: Literal["constant", "zero"] = "constant",
+        known_period: float | None = None,
     ) -> PiecewisePolynomial:
         """Build the signal from samples and the hold between them.
 
@@ -75,6 +79,8 @@ class PiecewisePolynomial:
         lead : {"constant", "zero"}
             What stands before the first sample: its value, or zero.  After the
             last sample its value is held.
+        known_period : float or None
+            Spacing of the samples [s] where they are known to form a regular grid; None looks.
 
         Notes
         -----
@@ -86,7 +92,7 @@ class PiecewisePolynomial:
         tenth, 5e-5 and 5e-4 at a quarter of the rate, against 0.04 and 0.3 of a cubic spline.
         The first and last ten samples, where it has neighbours on one side only, are less exact.
         """
-        period = regular_period(times_s)
+        period = regular_period(times_s) if known_period is None else known_period
         if hold == "zoh":
             coefficients = values[:, None]
             knots = np.append(times_s, times_s[-1] + (times_s[-1] - times_s[-2]))
@@ -94,6 +100,8 @@ class PiecewisePolynomial:
             slopes = np.diff(values) / np.diff(times_s)
             coefficients = np.stack([values[:-1], slopes], axis=1)
             knots = times_s
+        elif hold == "cubic" and period is not None and len(values) >= _LONG_SPLINE:
+            return _regular_cubic(float(times_s[0]), period, values, margin_s, lead == "zero")
         elif hold == "cubic" or len(values) <= BAND_LIMITED_DEGREE:
             from scipy.interpolate import CubicSpline  # here: records are made where nothing is fitted
 
@@ -104,14 +112,11 @@ class PiecewisePolynomial:
             coefficients = _high_spline(times_s, values, period)
             knots = times_s
         step = period if period is not None else float(np.median(np.diff(knots)))
-        n_extra = int(np.ceil(margin_s / step)) if margin_s > 0.0 else 0
+        n_extra, n_after = _margins(len(coefficients), step, margin_s, period is not None)
         if n_extra:
             width = coefficients.shape[1]
             before = np.zeros((n_extra, width))
             before[:, 0] = values[0] if lead == "constant" else 0.0
-            n_after = n_extra
-            if period is not None:
-                n_after += -(len(coefficients) + 2 * n_extra) % _WHOLE_BLOCKS
             after = np.zeros((n_after, width))
             after[:, 0] = values[-1]
             counts = np.arange(1, n_after + 1) * step
@@ -149,23 +154,32 @@ class PiecewisePolynomial:
         index, offset = self.locate(times)
         return self.evaluate(index, offset, derivative)
 
-    def evaluate(self, index: IndexArray, offset: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return the signal where ``locate`` has found places; derivative -1 is the integral from the first knot."""
+    def columns(self, index: IndexArray) -> FloatArray:
+        """Return the coefficients of some segments, shape (degree + 1, n)."""
+        return np.ascontiguousarray(np.take(self.coefficients, index, axis=0).T)
+
+    def evaluate(
+        self, index: IndexArray, offset: FloatArray, derivative: int = 0, columns: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the signal where ``locate`` has found places; derivative -1 is the integral from the first knot.
+
+        ``columns`` are those of the index where they are known.
+        """
         if derivative > self.degree:
             return np.zeros_like(offset)
-        rows = self.coefficients[index]
+        columns = self.columns(index) if columns is None else columns
         result = np.zeros_like(offset)
         if derivative == -1:
             for power in range(self.degree, -1, -1):
                 # int a_m h^m = a_m h^(m+1)/(m+1).
-                result = result * offset + rows[:, power] / (power + 1)
+                result = result * offset + columns[power] / (power + 1)
             return np.asarray(result * offset + self._areas[index])
         for power in range(self.degree, derivative - 1, -1):
             factor = 1.0
             for k in range(derivative):
                 factor *= power - k
             # Horner's rule on the derivative's coefficients, power!/(power - derivative)! of each.
-            result = result * offset + factor * rows[:, power]
+            result = result * offset + factor * columns[power]
         return result
 
     @cached_property
@@ -216,6 +230,7 @@ class Instants:
     exposure_s: float
     index: IndexArray
     offset: FloatArray
+    _latest: list[tuple[PiecewisePolynomial, FloatArray]] = field(default_factory=list, repr=False)
 
     @staticmethod
     def on(signal: PiecewisePolynomial, times: FloatArray, exposure_s: float) -> Instants:
@@ -235,13 +250,76 @@ class Instants:
         """
         if self.exposure_s > 0.0:
             return self._difference(signal, derivative - 1), self._difference(signal, derivative)
-        index, offset = self.index, self.offset
-        return signal.evaluate(index, offset, derivative), signal.evaluate(index, offset, derivative + 1)
+        return self.evaluate(signal, derivative), self.evaluate(signal, derivative + 1)
+
+    def columns_of(self, signal: PiecewisePolynomial) -> FloatArray:
+        """Return a signal's coefficients at the instants, shape (degree + 1, n); the latest ones are kept."""
+        if not self._latest or self._latest[0][0] is not signal:
+            self._latest[:] = [(signal, signal.columns(self.index))]
+        return self._latest[0][1]
+
+    def evaluate(self, signal: PiecewisePolynomial, derivative: int = 0) -> FloatArray:
+        """Return a signal, one of its derivatives or its integral (-1) at the instants, or at the exposures' ends."""
+        return signal.evaluate(self.index, self.offset, derivative, self.columns_of(signal))
 
     def _difference(self, signal: PiecewisePolynomial, derivative: int) -> FloatArray:
-        values = signal.evaluate(self.index, self.offset, derivative)
+        values = self.evaluate(signal, derivative)
         n = len(self.times)
         return np.asarray((values[n:] - values[:n]) / self.exposure_s)
+
+
+def _margins(n_segments: int, step: float, margin_s: float, is_regular: bool) -> tuple[int, int]:
+    """Return by how many segments a signal is continued before its first and after its last."""
+    n_extra = int(np.ceil(margin_s / step)) if margin_s > 0.0 else 0
+    filled = -(n_segments + 2 * n_extra) % _WHOLE_BLOCKS if n_extra and is_regular else 0
+    return n_extra, n_extra + filled
+
+
+def _regular_cubic(
+    first: float, period: float, values: FloatArray, margin_s: float, leads_from_zero: bool
+) -> PiecewisePolynomial:
+    """Return the cubic spline (not a knot) of samples on a regular grid.
+
+    Notes
+    -----
+    Slopes s that make the second derivative continuous, ``s_(k-1) + 4 s_k + s_(k+1) = 3 (m_(k-1) + m_k)`` with the
+    differences m over the period h.  Without a knot at the second sample ``s_0 + 2 s_1 = (5 m_0 + m_1) / 2``, and so at
+    the other end; what is left for s_1 .. s_(n-2) is positive definite (de Boor, A Practical Guide to Splines, 2001).
+    Long inputs are where memory goes: nothing is made here twice.
+    """
+    n = len(values)
+    slopes = np.empty(n)
+    inner = slopes[1:-1]
+    np.subtract(values[2:], values[:-2], out=inner)
+    inner *= 3.0 / period
+    begin, end = np.diff(values[:3]) / period, np.diff(values[-3:])[::-1] / period
+    inner[0] = 0.5 * (begin[0] + 5.0 * begin[1])
+    inner[-1] = 0.5 * (end[0] + 5.0 * end[1])
+    diagonal = np.full(n - 2, 4.0)
+    diagonal[0] = diagonal[-1] = 2.0
+    solved = lapack.dptsv(diagonal, np.ones(n - 3), inner, overwrite_d=True, overwrite_e=True, overwrite_b=True)
+    del diagonal
+    inner[:] = solved[2].ravel()
+    slopes[0] = 0.5 * (5.0 * begin[0] + begin[1]) - 2.0 * slopes[1]
+    slopes[-1] = 0.5 * (5.0 * end[0] + end[1]) - 2.0 * slopes[-2]
+    n_before, n_after = _margins(n - 1, period, margin_s, is_regular=True)
+    coefficients = np.zeros((n_before + n - 1 + n_after, 4))
+    coefficients[:n_before, 0] = 0.0 if leads_from_zero else values[0]
+    coefficients[n_before + n - 1 :, 0] = values[-1]
+    for start in range(0, n - 1, _AT_ONCE):
+        stop = min(start + _AT_ONCE, n - 1)
+        own = coefficients[n_before + start : n_before + stop]
+        left, right = slopes[start:stop], slopes[start + 1 : stop + 1]
+        rise = np.diff(values[start : stop + 1]) / period
+        # The cubic of both values and both slopes.
+        bend = left + right - 2.0 * rise
+        own[:, 0], own[:, 1] = values[start:stop], left
+        own[:, 2] = (rise - left - bend) / period
+        own[:, 3] = bend / period**2
+    knots = np.arange(len(coefficients) + 1, dtype=np.float64)
+    knots *= period
+    knots += first - period * n_before
+    return PiecewisePolynomial(knots, coefficients, period)
 
 
 def _high_spline(times_s: FloatArray, values: FloatArray, period: float | None) -> FloatArray:
@@ -265,5 +343,9 @@ def regular_period(times_s: FloatArray) -> float | None:
     if n < 2:
         return None
     period = float(times_s[-1] - times_s[0]) / (n - 1)
-    deviation = np.max(np.abs(times_s - times_s[0] - period * np.arange(n)))
-    return period if deviation <= min(_REGULAR_TOLERANCE, 1e-3 * period) else None
+    allowed = min(_REGULAR_TOLERANCE, 1e-3 * period)
+    for first in range(0, n, _AT_ONCE):
+        some = times_s[first : first + _AT_ONCE]
+        if not np.max(np.abs(some - times_s[0] - period * np.arange(first, first + len(some)))) <= allowed:
+            return None
+    return period

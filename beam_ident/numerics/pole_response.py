@@ -32,6 +32,7 @@ _SERIES_RADIUS = 1.0
 _SERIES_TERMS = 17  # 1 / 17! = 3e-15 of the leading term at the edge of the series' disc
 _TAYLOR_RADIUS = 4.0  # of |p t|: the largest term is 10, one digit is lost
 _BLOCK_WIDTH = 32  # coefficients in a block of knots
+_BLOCKS_AT_ONCE = 1 << 15  # what they add stays in the cache
 _FEW = 12  # poles up to which a filter for each is quicker than steps of all together
 _DENSE = 0.5  # share of the knots above which all states are computed
 
@@ -199,8 +200,9 @@ class PoleResponses:
         else:
             self._knots = _IrregularKnots(self.poles, drive, gradients)
 
-    def _at(self, index: IndexArray, offset: FloatArray, gradients: bool) -> ComplexArray:
+    def _at(self, instants: Instants, gradients: bool) -> ComplexArray:
         """Return the states (and derivatives by the pole) at places inside segments."""
+        index, offset = instants.index, instants.offset
         states = self._knots.states(index, 2 if gradients else 1)
         if not len(self.poles) or not np.any(offset):  # every instant is a knot
             return states
@@ -209,9 +211,8 @@ class PoleResponses:
         result = weights.carry[:, :1] * states
         if gradients:
             result[:, 1] += weights.carry[:, 1] * states[:, 0]
-        rows = self.drive.coefficients[index]
-        for m in range(self.drive.degree + 1):
-            result += weights.gains[:, :, m] * np.ascontiguousarray(rows[:, m])
+        for m, coefficients in enumerate(instants.columns_of(self.drive)):
+            result += weights.gains[:, :, m] * coefficients
         return result
 
     def sample(self, instants: Instants, gradients: bool = True) -> SampledResponses:
@@ -223,16 +224,15 @@ class PoleResponses:
         gradients : bool -- whether derivatives are wanted, where there are any
         """
         gradients = gradients and self.gradients
-        index, offset = instants.index, instants.offset
-        states = self._at(index, offset, gradients)
+        states = self._at(instants, gradients)
         poles = self.poles[:, None]
         if instants.exposure_s <= 0.0:
             if not gradients:
                 return SampledResponses(states[:, 0], None, None)
             # dx/dt from the differential equation (I.1) itself.
-            rate = poles * states[:, 0] + self.drive.evaluate(index, offset)
+            rate = poles * states[:, 0] + instants.evaluate(self.drive)
             return SampledResponses(states[:, 0], states[:, 1], rate)
-        area = self.drive.evaluate(index, offset, -1)
+        area = instants.evaluate(self.drive, -1)
         n = len(instants.times)
         scale = 1.0 / (poles * instants.exposure_s)
         # (I.4), its derivative by the pole, and by time: the difference of x at both ends.
@@ -274,13 +274,16 @@ class _RegularKnots:
         self.kernel = np.moveaxis(kernel, 2, 3).reshape(*carry.shape, length * n_coefficients, length + 1)
         self.first = np.empty((*carry.shape, n_blocks), dtype=np.complex128)
         # What a whole block adds at its end; from block to block a recursion is left.
-        gained = self._product(self.blocks, length)
-        factors = self.powers[:, 0, length]
-        self.first[:, 0] = _recursions(factors, gained[:, 0])
-        if gradients:
-            # (I.3): the state itself forces its derivative.
-            forcing = gained[:, 1] + self.powers[:, 1, length, None] * self.first[:, 0]
-            self.first[:, 1] = _recursions(factors, forcing)
+        factors, states = self.powers[:, 0, length], np.zeros(carry.shape, dtype=np.complex128)
+        for begin in range(0, n_blocks, _BLOCKS_AT_ONCE):
+            here = slice(begin, begin + _BLOCKS_AT_ONCE)
+            gained = self._product(self.blocks[here], length)
+            states[:, 0] = _recursions(factors, gained[:, 0], states[:, 0], self.first[:, 0, here])
+            if gradients:
+                # (I.3): the state itself forces its derivative.
+                forcing = gained[:, 1]
+                forcing += self.powers[:, 1, length, None] * self.first[:, 0, here]
+                states[:, 1] = _recursions(factors, forcing, states[:, 1], self.first[:, 1, here])
 
     def _product(self, blocks: FloatArray, later: int, n_orders: int = 2) -> ComplexArray:
         """Return what the coefficients of blocks have done a number of knots later."""
@@ -323,17 +326,24 @@ class _RegularKnots:
         return np.asarray(states.reshape(n_poles, n_orders, len(self.blocks) * length))
 
 
-def _recursions(factors: ComplexArray, drives: ComplexArray) -> ComplexArray:
-    """Return ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, from ``x[0] = 0``, a row for each factor."""
+def _recursions(
+    factors: ComplexArray, drives: ComplexArray, initial: ComplexArray, states: ComplexArray
+) -> ComplexArray:
+    """Fill in ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, a row for each factor, and return what follows the last."""
     if len(factors) <= _FEW:
-        pairs = zip(factors, drives, strict=True)
-        return np.array([recursion(np.array([f]), d, 0.0)[:-1] for f, d in pairs]).reshape(drives.shape)
-    states = np.zeros(drives.shape[::-1], dtype=np.complex128)
+        last = np.empty(len(factors), dtype=np.complex128)
+        for row, (factor, drive) in enumerate(zip(factors, drives, strict=True)):
+            found = recursion(np.array([factor]), drive, complex(initial[row]))
+            states[row], last[row] = found[:-1], found[-1]
+        return last
     columns = np.ascontiguousarray(drives.T)
-    for k in range(len(states) - 1):
-        np.multiply(factors, states[k], out=states[k + 1])
-        states[k + 1] += columns[k]
-    return np.ascontiguousarray(states.T)
+    found = np.empty((len(columns) + 1, len(factors)), dtype=np.complex128)
+    found[0] = initial
+    for k, column in enumerate(columns):
+        np.multiply(factors, found[k], out=found[k + 1])
+        found[k + 1] += column
+    states[:] = found[:-1].T
+    return found[-1]
 
 
 class _IrregularKnots:
