@@ -2,16 +2,15 @@
 
     python -m benchmarks.long_bag [--seconds 3600] [--interrupt SECONDS] [--folder DIR]
 
-The bag is one that a recorder makes: a hub at 1 kHz whose encoder counts 0.1 um, three markers at 200 frames a second
-with 5 um of noise, clock comparisons every 100 ms.  Reading it and identifying from it run in processes of their own;
-times are processor seconds, memory is the peak of the process.  With --interrupt, SIGINT is sent so many seconds after
-the start, and what the command then says and writes is shown.
+The bag is one that a recorder makes: a hub at 1 kHz whose encoder counts 0.1 um, three markers at 200 frames a
+second with 5 um of noise, clock comparisons every 100 ms.  Reading it and identifying from it run in processes of
+their own; times are processor seconds, memory is the peak of the process.  With --interrupt, SIGINT is sent so many
+seconds after the start, and what the command then says and writes is shown.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import subprocess
@@ -83,7 +82,9 @@ def main() -> None:
         prog="python -m benchmarks.long_bag", description=(__doc__ or "").splitlines()[0]
     )
     parser.add_argument("--seconds", type=float, default=3600.0, help="length of the bag [s]")
-    parser.add_argument("--interrupt", type=float, metavar="SECONDS", help="send SIGINT so long after the start")
+    parser.add_argument(
+        "--interrupt", type=float, metavar="SECONDS", help="send SIGINT so long after the start"
+    )
     parser.add_argument("--folder", type=Path, help="where the bag is made, or stands already")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -98,11 +99,8 @@ def main() -> None:
             interrupt = arguments.interrupt if name == "identify" else None
             seconds, peak_mb, status, said = measured(command, interrupt)
             print(f"{name}: {seconds:.1f} s of processor time, {peak_mb:.0f} MB, exit status {status}")
-            if status:
+            if status or name == "identify":
                 print(said)
-        if (report / "model.json").exists():
-            found = json.loads((report / "model.json").read_text(encoding="utf-8"))
-            print(json.dumps({key: found[key] for key in ("converged", "reason", "warnings") if key in found}, indent=2))
 
 
 if __name__ == "__main__":

@@ -282,10 +282,10 @@ def _regular_cubic(
 
     Notes
     -----
-    Slopes s that make the second derivative continuous, ``s_(k-1) + 4 s_k + s_(k+1) = 3 (m_(k-1) + m_k)`` with the
-    differences m over the period h.  Without a knot at the second sample ``s_0 + 2 s_1 = (5 m_0 + m_1) / 2``, and so at
-    the other end; what is left for s_1 .. s_(n-2) is positive definite (de Boor, A Practical Guide to Splines, 2001).
-    Long inputs are where memory goes: nothing is made here twice.
+    Slopes s that make the second derivative continuous, ``s_(k-1) + 4 s_k + s_(k+1) = 3 (m_(k-1) + m_k)`` with
+    the differences m over the period h.  Without a knot at the second sample ``s_0 + 2 s_1 = (5 m_0 + m_1) / 2``,
+    and so at the other end; what is left for s_1 .. s_(n-2) is positive definite (de Boor, A Practical Guide to
+    Splines, 2001).  Long inputs are where memory goes: nothing is made here twice.
     """
     n = len(values)
     slopes = np.empty(n)
@@ -297,7 +297,9 @@ def _regular_cubic(
     inner[-1] = 0.5 * (end[0] + 5.0 * end[1])
     diagonal = np.full(n - 2, 4.0)
     diagonal[0] = diagonal[-1] = 2.0
-    solved = lapack.dptsv(diagonal, np.ones(n - 3), inner, overwrite_d=True, overwrite_e=True, overwrite_b=True)
+    solved = lapack.dptsv(
+        diagonal, np.ones(n - 3), inner, overwrite_d=True, overwrite_e=True, overwrite_b=True
+    )
     del diagonal
     inner[:] = solved[2].ravel()
     slopes[0] = 0.5 * (5.0 * begin[0] + begin[1]) - 2.0 * slopes[1]

@@ -329,7 +329,7 @@ class _RegularKnots:
 def _recursions(
     factors: ComplexArray, drives: ComplexArray, initial: ComplexArray, states: ComplexArray
 ) -> ComplexArray:
-    """Fill in ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, a row for each factor, and return what follows the last."""
+    """Fill in ``x[k]`` of ``x[k+1] = factor x[k] + drive[k]``, a row for each factor, and return the one after."""
     if len(factors) <= _FEW:
         last = np.empty(len(factors), dtype=np.complex128)
         for row, (factor, drive) in enumerate(zip(factors, drives, strict=True)):
@@ -343,7 +343,7 @@ def _recursions(
         np.multiply(factors, found[k], out=found[k + 1])
         found[k + 1] += column
     states[:] = found[:-1].T
-    return found[-1]
+    return np.asarray(found[-1])
 
 
 class _IrregularKnots:

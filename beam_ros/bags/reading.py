@@ -7,10 +7,12 @@ is left out and counted, never a reason to stop; a bag that cannot be opened is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import math
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from rosbags.rosbag2 import Reader, ReaderError
@@ -41,6 +43,7 @@ from beam_ros.messages import (
 )
 
 _T = TypeVar("_T")
+_Stamped = TypeVar("_Stamped", SampleBatch, Displacement)
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
 
@@ -149,6 +152,29 @@ class Displacements:
     unreadable: Unreadable
 
 
+class _Contents(Generic[_T]):
+    """Decoded messages, one after the other; ``unreadable`` counts what was left out so far."""
+
+    def __init__(self, messages: Iterator[RawMessage], type_name: str, decode: Callable[[bytes], _T]) -> None:
+        self._messages, self._type_name, self._decode = messages, type_name, decode
+        self.unreadable = Unreadable()
+
+    def leave_out(self, reason: str) -> None:
+        """Count a message that is left out."""
+        self.unreadable = Unreadable(self.unreadable.count + 1, self.unreadable.first_reason or reason)
+
+    def __iter__(self) -> Iterator[_T]:
+        for message in self._messages:
+            try:
+                if message.type_name != self._type_name:
+                    raise MessageDecodeError(f"type {message.type_name}: expected {self._type_name}")
+                content = self._decode(message.data)
+            except (MessageDecodeError, MessageContentError) as err:
+                self.leave_out(str(err))
+                continue
+            yield content
+
+
 class Bag:
     """An open bag; a context manager.
 
@@ -247,18 +273,9 @@ class Bag:
                 raise _damaged(self.path, err) from err
             yield RawMessage(connection.topic, connection.msgtype, receive_ns, bytes(data))
 
-    def _read(self, topic: str, type_name: str, decode: Callable[[bytes], _T]) -> tuple[list[_T], Unreadable]:
-        """Decode all messages of a topic; leave out and count what cannot be decoded."""
-        contents = []
-        count, reason = 0, ""
-        for message in self.raw_messages(topic):
-            try:
-                if message.type_name != type_name:
-                    raise MessageDecodeError(f"type {message.type_name}: expected {type_name}")
-                contents.append(decode(message.data))
-            except (MessageDecodeError, MessageContentError) as err:
-                count, reason = count + 1, reason or str(err)
-        return contents, Unreadable(count, reason)
+    def _read(self, topic: str, type_name: str, decode: Callable[[bytes], _T]) -> _Contents[_T]:
+        """Return the decoded messages of a topic, one after the other; what cannot be decoded is left out."""
+        return _Contents(self.raw_messages(topic), type_name, decode)
 
     def _message_decoder(self, type_name: str, read: Callable[[Any], _T]) -> Callable[[bytes], _T]:
         def decode(data: bytes) -> _T:
@@ -284,11 +301,11 @@ class Bag:
             The topic is missing, or none of its messages can be read.
         """
         self.require(topic)
-        batches, unreadable = self._read(topic, graph.JOINT_TRAJECTORY, decode_batch)
-        batches, unreadable = _with_stamps(batches, unreadable, "batch")
-        if not batches:
-            raise self._nothing_readable(topic, unreadable)
-        return join_batches(self.full_name(topic), batches, unreadable)
+        contents = self._read(topic, graph.JOINT_TRAJECTORY, decode_batch)
+        batches = self._stamped(topic, contents, "batch")
+        return replace(
+            join_batches(self.full_name(topic), batches, Unreadable()), unreadable=contents.unreadable
+        )
 
     def displacements(self, topic: str = "beam/displacement") -> Displacements:
         """Return the markers' displacements as one table.
@@ -300,21 +317,19 @@ class Bag:
         """
         self.require(topic)
         decode = self._message_decoder(graph.JOINT_STATE, read_displacement)
-        rows, unreadable = self._read(topic, graph.JOINT_STATE, decode)
-        rows, unreadable = _with_stamps(rows, unreadable, "displacement")
-        if not rows:
-            raise self._nothing_readable(topic, unreadable)
-        return join_displacements(rows, unreadable)
+        contents = self._read(topic, graph.JOINT_STATE, decode)
+        rows = self._stamped(topic, contents, "displacement")
+        return replace(join_displacements(rows, Unreadable()), unreadable=contents.unreadable)
 
     def clock_syncs(self, topic: str = "hub/clock_sync") -> tuple[ClockSync, ...]:
         """Return the comparisons of device and host clock, sorted by host time, if there are any."""
         type_name = graph.TOPICS["hub/clock_sync"].type_name
-        syncs, _ = self._read(topic, type_name, self._message_decoder(type_name, read_clock_sync))
+        syncs = self._read(topic, type_name, self._message_decoder(type_name, read_clock_sync))
         return tuple(sorted(syncs, key=lambda sync: sync.host_ns))
 
     def texts(self, topic: str) -> tuple[dict[str, Any], ...]:
         """Return the JSON objects of a String topic in their order; empty where there are none."""
-        contents, _ = self._read(topic, graph.STRING, self._message_decoder(graph.STRING, read_json))
+        contents = self._read(topic, graph.STRING, self._message_decoder(graph.STRING, read_json))
         return tuple(contents)
 
     def excitation_info(self) -> dict[str, Any] | None:
@@ -326,11 +341,27 @@ class Bag:
         """Return what became of the sequences, in the order in which it was reported."""
         return self.texts("hub/sequence_state")
 
-    def _nothing_readable(self, topic: str, unreadable: Unreadable) -> MissingTopicsError:
-        return MissingTopicsError(
-            f"{self.path}: none of the {unreadable.count} messages on {self.full_name(topic)} can be read "
-            f"({unreadable.first_reason}); expected what the rig's nodes publish there"
-        )
+    def _stamped(self, topic: str, contents: _Contents[_Stamped], what: str) -> Iterator[_Stamped]:
+        """Yield what has a stamp: a receive time never stands in for it.
+
+        Raises
+        ------
+        MissingTopicsError
+            Nothing has one.
+        """
+        is_empty = True
+        for item in contents:
+            if item.stamp_ns > 0:
+                is_empty = False
+                yield item
+            else:
+                contents.leave_out(f"{what} with stamp 0: expected the time of its first sample")
+        if is_empty:
+            unreadable = contents.unreadable
+            raise MissingTopicsError(
+                f"{self.path}: none of the {unreadable.count} messages on {self.full_name(topic)} can be read "
+                f"({unreadable.first_reason}); expected what the rig's nodes publish there"
+            )
 
     # --- its end
 
@@ -451,27 +482,42 @@ def _find_namespace(bag: Bag) -> str:
 OWN_STAMPS_GAP = 5.0
 """Samples that are asked for one by one come unevenly; further apart than so many usual steps, some are missing."""
 
-_Stamped = TypeVar("_Stamped", SampleBatch, Displacement)
+
+class _BatchColumns:
+    """Batches as they come, in a few long columns: an hour of them is no heap of small arrays."""
+
+    def __init__(self) -> None:
+        self.stamps, self.periods, self.epochs, self.lengths = (array("q") for _ in range(4))
+        self.quantities: dict[str, array[float]] = {}
+        self.n_samples = 0
+
+    def add(self, batch: SampleBatch) -> None:
+        """Take in a batch; a quantity that it lacks is NaN where others have it."""
+        n = len(batch)
+        for column, number in (
+            (self.stamps, batch.stamp_ns),
+            (self.periods, batch.period_ns),
+            (self.epochs, batch.epoch),
+            (self.lengths, n),
+        ):
+            column.append(number)
+        for name in BATCH_FIELDS:
+            values = getattr(batch, name)
+            if values is not None:
+                own = self.quantities.setdefault(name, array("d", [math.nan]) * self.n_samples)
+                own.frombytes(np.asarray(values, dtype=np.float64).tobytes())
+            elif name in self.quantities:
+                self.quantities[name].extend([math.nan] * n)
+        self.n_samples += n
 
 
-def _with_stamps(
-    items: list[_Stamped], unreadable: Unreadable, what: str
-) -> tuple[list[_Stamped], Unreadable]:
-    """Leave out what has no stamp: a receive time never stands in for it."""
-    good = [item for item in items if item.stamp_ns > 0]
-    if len(good) == len(items):
-        return items, unreadable
-    reason = unreadable.first_reason or f"{what} with stamp 0: expected the time of its first sample"
-    return good, Unreadable(unreadable.count + len(items) - len(good), reason)
-
-
-def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable) -> HubSamples:
+def join_batches(topic: str, batches: Iterable[SampleBatch], unreadable: Unreadable) -> HubSamples:
     """Put batches together in the order of their stamps.
 
     Parameters
     ----------
     topic : str -- for the result
-    batches : list of SampleBatch -- at least one
+    batches : iterable of SampleBatch -- at least one
     unreadable : Unreadable -- for the result
 
     Returns
@@ -484,31 +530,33 @@ def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable)
     thousand of a period in that time. Loss is a distance of more than one and a half periods. Where every sample has
     a stamp of its own and no period is named, loss is a distance of more than ``OWN_STAMPS_GAP`` usual ones.
     """
-    batches = sorted(batches, key=lambda batch: batch.stamp_ns)
-    lengths = np.array([len(batch) for batch in batches])
-    named = [batch.period_ns for batch in batches if batch.period_ns > 0]
-    period_ns = int(np.median(named)) if named else 0
-    first = np.repeat(np.array([batch.stamp_ns for batch in batches], dtype=np.int64), lengths)
-    periods = np.repeat(np.array([batch.period_ns for batch in batches], dtype=np.int64), lengths)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    stamps = first + within * periods
+    found = _BatchColumns()
+    for batch in batches:
+        found.add(batch)
+    begun, periods, epochs, lengths = (
+        np.frombuffer(column, dtype=np.int64)
+        for column in (found.stamps, found.periods, found.epochs, found.lengths)
+    )
+    order = np.argsort(begun, kind="stable")
+    named = periods[periods > 0]
+    period_ns = int(np.median(named)) if len(named) else 0
+    # Which samples, in the order of the bag, stand where in the order of time.
+    offsets, sizes = (np.cumsum(lengths) - lengths)[order], lengths[order]
+    within = np.arange(found.n_samples) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    sources = np.repeat(offsets, sizes) + within
+    stamps = np.repeat(begun[order], sizes) + within * np.repeat(periods[order], sizes)
+    del within
 
     latest_before = np.maximum.accumulate(stamps)
     keep = np.ones(len(stamps), dtype=bool)
     keep[1:] = stamps[1:] > latest_before[:-1]
     stamps = stamps[keep]
-    epochs = np.repeat(np.array([batch.epoch for batch in batches], dtype=np.int64), lengths)[keep]
-
-    quantities: dict[str, FloatArray | None] = {}
-    for name in BATCH_FIELDS:
-        arrays = [getattr(batch, name) for batch in batches]
-        if all(array is None for array in arrays):
-            quantities[name] = None
-            continue
-        filled = [
-            np.full(n, np.nan) if array is None else array for n, array in zip(lengths, arrays, strict=True)
-        ]
-        quantities[name] = np.concatenate(filled)[keep]
+    epochs = np.repeat(epochs[order], sizes)[keep]
+    sources = sources[keep]
+    quantities: dict[str, FloatArray | None] = {
+        name: np.frombuffer(found.quantities[name])[sources] if name in found.quantities else None
+        for name in BATCH_FIELDS
+    }
 
     steps = np.diff(stamps)
     usual_ns = period_ns or (float(np.median(steps)) if len(steps) else 1.0)
@@ -534,29 +582,29 @@ def join_batches(topic: str, batches: list[SampleBatch], unreadable: Unreadable)
     )
 
 
-def join_displacements(rows: list[Displacement], unreadable: Unreadable) -> Displacements:
+def join_displacements(rows: Iterable[Displacement], unreadable: Unreadable) -> Displacements:
     """Put messages of ``beam/displacement`` together: a row for each distinct time, a column for each marker.
 
     Parameters
     ----------
-    rows : list of Displacement -- at least one
+    rows : iterable of Displacement -- at least one
     unreadable : Unreadable -- for the result
 
     Returns
     -------
     Displacements
     """
-    names = tuple(dict.fromkeys(name for row in rows for name in row.names))
-    column = {name: k for k, name in enumerate(names)}
-    stamps, row_of = np.unique(np.array([row.stamp_ns for row in rows], dtype=np.int64), return_inverse=True)
-    positions = np.full((len(stamps), len(names)), np.nan)
-    is_filled = np.zeros(positions.shape, dtype=bool)
-    duplicates = 0
-    for row, k in zip(rows, row_of, strict=True):
-        for name, value in zip(row.names, row.positions, strict=True):
-            j = column[name]
-            if is_filled[k, j]:
-                duplicates += 1
-            else:
-                positions[k, j], is_filled[k, j] = value, True
-    return Displacements(names, stamps, positions, duplicates, unreadable)
+    column: dict[str, int] = {}
+    stamps, columns, values = array("q"), array("q"), array("d")
+    for row in rows:
+        columns.extend(column.setdefault(name, len(column)) for name in row.names)
+        stamps.extend([row.stamp_ns] * len(row.names))
+        values.frombytes(row.positions.tobytes())
+    distinct, row_of = np.unique(np.frombuffer(stamps, dtype=np.int64), return_inverse=True)
+    # Of several values of a marker at one time the first one stays.
+    places, first = np.unique(
+        row_of * len(column) + np.frombuffer(columns, dtype=np.int64), return_index=True
+    )
+    positions = np.full((len(distinct), len(column)), np.nan)
+    positions.ravel()[places] = np.frombuffer(values)[first]
+    return Displacements(tuple(column), distinct, positions, len(values) - len(places), unreadable)
