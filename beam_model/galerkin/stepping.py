@@ -65,9 +65,13 @@ def discretise(
 def _powers(matrix: FloatArray, highest: int) -> FloatArray:
     """Return powers 0 to a highest one of a matrix, shape (highest + 1, n, n)."""
     result = np.empty((highest + 1, *matrix.shape))
-    result[0] = np.eye(len(matrix))
-    for k in range(highest):
-        result[k + 1] = matrix @ result[k]
+    result[0], result[1] = np.eye(len(matrix)), matrix
+    known = 1
+    while known < highest:
+        # Those known so far, times the highest of them: a handful of products instead of one for each.
+        more = min(known, highest - known)
+        np.matmul(result[known], result[1 : 1 + more], out=result[known + 1 : known + 1 + more])
+        known += more
     return result
 
 
@@ -83,6 +87,9 @@ def _pairs(transition: FloatArray) -> FloatArray | None:
 
 def _independent(transition: FloatArray) -> list[IndexArray]:
     """Return the sets of states that do not depend on each other."""
+    if _pairs(transition) is not None:
+        n_modes = len(transition) // 2
+        return list(np.arange(2 * n_modes).reshape(2, n_modes).T)
     n_sets, which = connected_components(transition != 0.0, directed=False)
     return [np.flatnonzero(which == own) for own in range(n_sets)]
 
@@ -224,14 +231,14 @@ class LinearStepper:
         starts = np.empty((n_groups, n_blocks, size))
         # From block to block, X_0 <- F^n X_0 + (what the block's inputs add): the same recursion with a longer step,
         # for groups of blocks at once and for every set of states that do not know of the others.
-        ends = (inputs @ impulse[::-1]).reshape(n_groups, n_blocks, size)
+        ends = (inputs @ impulse[::-1].copy()).reshape(n_groups, n_blocks, size)
         for own in sets:
             longer = _powers(powers[_BLOCK][np.ix_(own, own)], n_blocks)
             width = len(own)
-            later = np.zeros((n_blocks, width, n_blocks, width))
-            for k in range(n_blocks - 1):
-                # What block k adds is there at the beginning of every following one.
-                later[k, :, k + 1 :] = longer[: n_blocks - 1 - k].transpose(2, 0, 1)
+            # What a block adds is there at the beginning of every following one: (from, state, to, state).
+            lags = np.arange(n_blocks)[None, :] - np.arange(n_blocks)[:, None] - 1
+            reaching = np.concatenate([longer[:n_blocks], np.zeros((1, width, width))])
+            later = reaching[np.where(lags < 0, n_blocks, lags)].transpose(0, 3, 1, 2)
             added = ends[:, :, own]
             found = added.reshape(n_groups, -1) @ later.reshape(n_blocks * width, -1)
             state = self._full_state[own]

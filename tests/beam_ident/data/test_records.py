@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,15 @@ def test_a_sample_lies_within_an_interval_with_all_of_its_exposure():
     np.testing.assert_array_equal(np.flatnonzero(output.is_within(1 / 128, 63 / 64)), np.arange(2, 63))
     at_once = OutputSignal("tip", "m", (0.0, 1 / 64), np.zeros(65))
     assert np.all(at_once.is_within(0.0, 1.0))
+
+
+def test_stamps_of_another_signal_are_not_stored_twice_but_those_that_can_change_are_copied():
+    stamps, values = np.arange(100) * 1e-3, np.ones(100)
+    first = InputSignal("hub", "m", stamps, values)
+    assert first.times_s is not stamps
+    assert dataclasses.replace(first, values=2.0 * values).times_s is first.times_s
+    view = values[:50]
+    view.setflags(write=False)
+    second = InputSignal("hub", "m", stamps[:50], view)
+    values[0] = 9.0  # what the view shows can still change
+    assert second.values[0] == 1.0

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
+from beam_ident.numerics import piecewise
 from beam_ident.numerics.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial, regular_period
 from beam_ident.responses.periodic_averaging import hold_gain
 
@@ -72,3 +74,27 @@ def test_stamps_are_regular_within_a_nanosecond_and_a_thousandth_of_the_period(p
         moved = times.copy()
         moved[50] += share * allowed
         assert (regular_period(moved) is not None) is is_regular
+
+
+@pytest.mark.parametrize("n", [16, 17, 300])
+def test_the_spline_of_a_regular_grid_is_the_one_without_a_knot_at_the_second_sample(n, monkeypatch):
+    monkeypatch.setattr(piecewise, "_AT_ONCE", 7)
+    times = 3.0 + PERIOD_S * np.arange(n)
+    values = 5.0 + np.random.default_rng(n).standard_normal(n)
+    found = PiecewisePolynomial.from_samples(times, values, "cubic")
+    assert found.period == pytest.approx(PERIOD_S)
+    expected = CubicSpline(times, values, bc_type="not-a-knot")
+    inside = np.linspace(times[0] + 1e-6, times[-1] - 1e-6, 2000)
+    for derivative in range(4):
+        truth = expected(inside, derivative)
+        # Rounding of the stamps, which scipy takes one by one.
+        np.testing.assert_allclose(found(inside, derivative), truth, atol=1e-9 * np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize(("lead", "before"), [("constant", 2.0), ("zero", 0.0)])
+def test_the_spline_of_a_regular_grid_is_continued_on_both_sides(lead, before):
+    values = 2.0 + np.sin(0.3 * np.arange(50))
+    signal = PiecewisePolynomial.from_samples(PERIOD_S * np.arange(50), values, "cubic", 0.01, lead)
+    np.testing.assert_allclose(signal(np.array([-0.0095, -1e-6])), before)
+    np.testing.assert_allclose(signal(np.array([0.0491, 0.0585])), values[-1])
+    np.testing.assert_allclose(signal(PERIOD_S * np.arange(1, 50)), values[1:], atol=1e-12)

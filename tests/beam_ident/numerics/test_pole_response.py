@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from beam_ident.numerics import pole_response
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses, phi_functions
 
@@ -112,3 +113,15 @@ def test_the_response_is_smooth_where_instants_cross_a_knot(hold):
     # The imaginary part is a mode's displacement: its slope has no jump, whatever the hold.
     steps = np.diff(sampled.values[0].imag)
     np.testing.assert_allclose(steps, 1e-10 * sampled.time_slopes[0].imag[1:], rtol=1e-2)
+
+
+@pytest.mark.parametrize("n_poles", [2, 13])  # a filter for each, and steps of all together
+def test_a_long_input_is_passed_through_the_poles_piece_by_piece(n_poles, monkeypatch):
+    poles = POLE * np.linspace(0.5, 1.5, n_poles)
+    signal = make_signal("cubic", irregular=False)
+    instants = Instants.on(signal, np.linspace(0.01, 0.39, 57), 2e-3)
+    whole = PoleResponses(poles, signal).sample(instants)
+    monkeypatch.setattr(pole_response, "_BLOCKS_AT_ONCE", 7)
+    parts = PoleResponses(poles, signal).sample(instants)
+    np.testing.assert_allclose(parts.values, whole.values, rtol=1e-12)
+    np.testing.assert_allclose(parts.pole_slopes, whole.pole_slopes, rtol=1e-12)
