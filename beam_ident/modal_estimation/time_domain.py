@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -156,25 +156,64 @@ def identify(
     if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
         terms = replace(terms, has_residual=False)
     records, found = with_found_noise(records, input_names)
-    shares_clock = terms.is_test
-    latency = latency or (Prior() if shares_clock else LATENCY_PRIOR)
-    clock_rate = clock_rate or (Prior() if shares_clock else CLOCK_RATE_PRIOR)
-    clocks, told = (latency, clock_rate), progress or silent
+    latency = latency or (Prior() if terms.is_test else LATENCY_PRIOR)
+    clock_rate = clock_rate or (Prior() if terms.is_test else CLOCK_RATE_PRIOR)
+    task = _Task(
+        terms,
+        may_rest=not isinstance(structure, ModalStructure) and not terms.is_motion,
+        n_modes=n_modes,
+        max_modes=max_modes,
+        latency=latency,
+        clock_rate=clock_rate,
+        input_names=input_names,
+        progress=progress or silent,
+        found_noise=found,
+    )
+    names = list(dict.fromkeys(name for one in records for name in one.output_names))
+    result, said = without_clipped(records, names, task.result, _prediction)
+    return replace(result, warnings=(*result.warnings, said)) if said else result
 
-    def fit(seen: list[TimeRecord]) -> IdentificationResult:
+
+@dataclass(frozen=True)
+class _Task:
+    """What `identify` was asked for.
+
+    Attributes
+    ----------
+    terms : ModalStructure
+    may_rest : bool -- whether motion at the beginning may be left out where a blow is told from it by a test only
+    n_modes, max_modes : int or None, int
+    latency, clock_rate : Prior
+    input_names : tuple of str
+    progress : callable
+    found_noise : mapping -- of the records whose input did not state its own
+    """
+
+    terms: ModalStructure
+    may_rest: bool
+    n_modes: int | None
+    max_modes: int
+    latency: Prior
+    clock_rate: Prior
+    input_names: tuple[str, ...]
+    progress: Progress
+    found_noise: Mapping[int, StillNoise]
+
+    def result(self, records: list[TimeRecord]) -> IdentificationResult:
+        """Return what is found in some records, outputs that are late by themselves among them."""
         delays: dict[str, float] = {}
         known: tuple[_TimeSearch, Weighed[ModalRegression]] | None = None
-        most = _DELAY_TURNS * len(seen[0].outputs)
+        most = _DELAY_TURNS * len(records[0].outputs)
         for turn in range(most):
-            shifted = [_earlier(one, delays) for one in seen]
+            shifted = [_earlier(one, delays) for one in records]
             try:
-                regression = ModalRegression(shifted, terms, input_names)
-                _refuse_hopeless(regression, n_modes)
-                search = begun(shifted, regression, delays=delays)
-                if turn == 0 and (result := untangled(seen, regression, search)) is not None:
+                regression = ModalRegression(shifted, self.terms, self.input_names)
+                _refuse_hopeless(regression, self.n_modes)
+                search = self._begun(shifted, regression, delays=delays)
+                if turn == 0 and (result := self._untangled(records, regression, search)) is not None:
                     return result
                 try:
-                    search, weighed = finished(search, regression)
+                    search, weighed = self._finished(search, regression)
                 except EstimationError as err:
                     gaps = gap_sentences(search.plain)
                     if not gaps:
@@ -194,26 +233,35 @@ def identify(
             if not further:
                 break
             delays = {name: delays.get(name, 0.0) + further.get(name, 0.0) for name in (*delays, *further)}
-        return search.result(weighed, n_modes)
+        return search.result(weighed, self.n_modes)
 
-    def begun(
-        seen: list[TimeRecord],
+    def _begun(
+        self,
+        records: list[TimeRecord],
         regression: ModalRegression,
         highest_hz: float = math.inf,
         delays: Mapping[str, float] = MappingProxyType({}),
     ) -> _TimeSearch:
         is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
         first = regression.thinned(_THINNED) if is_long else regression
-        search = _TimeSearch(seen, first, *clocks, input_names, told, highest_hz, delays)
-        search.found_noise = found
-        return search
+        return _TimeSearch(
+            records,
+            first,
+            self.latency,
+            self.clock_rate,
+            self.input_names,
+            self.progress,
+            highest_hz,
+            delays,
+            found_noise=self.found_noise,
+        )
 
-    def finished(
-        search: _TimeSearch, regression: ModalRegression
+    def _finished(
+        self, search: _TimeSearch, regression: ModalRegression
     ) -> tuple[_TimeSearch, Weighed[ModalRegression]]:
         if search.plain is regression:
-            return search, search.run(n_modes, max_modes)
-        few = search.begun(n_modes, max_modes)
+            return search, search.run(self.n_modes, self.max_modes)
+        few = search.begun(self.n_modes, self.max_modes)
         if search.stopped_by is not None:
             return search, few
         try:
@@ -223,43 +271,38 @@ def identify(
                 raise
             missing = f"the fit to more than {_THINNED} stamps of a record, and the weighing by the noise"
             return search, search.ended_early(search.chosen, stop, missing)
-        return following, following.run(n_modes, max_modes)
+        return following, following.run(self.n_modes, self.max_modes)
 
-    def untangled(
-        seen: list[TimeRecord], regression: ModalRegression, search: _TimeSearch
+    def _untangled(
+        self, records: list[TimeRecord], regression: ModalRegression, search: _TimeSearch
     ) -> IdentificationResult | None:
-        is_left_to_us = not isinstance(structure, ModalStructure)
-        if not is_left_to_us or terms.is_motion or not (search.band.is_excited and search.scan.is_tangled):
+        """Return the result from rest where a blow at the beginning is not told from motion that was there before."""
+        if not (self.may_rest and search.band.is_excited and search.scan.is_tangled):
             return None
         # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
-        still = ModalRegression(seen, replace(terms, has_free_response=False), input_names)
+        still = ModalRegression(records, replace(self.terms, has_free_response=False), self.input_names)
         try:
-            from_rest, weighed = finished(begun(seen, still, 0.5 * regression.rate_hz), still)
-            result = from_rest.result(weighed, n_modes)
+            from_rest, weighed = self._finished(self._begun(records, still, 0.5 * regression.rate_hz), still)
+            result = from_rest.result(weighed, self.n_modes)
         except EstimationError:
             return None  # a record that begins in motion may not fit at all
+        clocks = self.latency, self.clock_rate
         return None if _begins_in_motion(regression, still, result.model, clocks) else result
 
-    def predict(result: IdentificationResult, one: TimeRecord, name: str) -> FloatArray:
-        return _prediction(result.model, one, name)
 
-    names = list(dict.fromkeys(name for one in records for name in one.output_names))
-    result, said = without_clipped(records, names, fit, predict)
-    return replace(result, warnings=(*result.warnings, said)) if said else result
-
-
-def _prediction(model: ModalModel, record: TimeRecord, name: str) -> FloatArray:
+def _prediction(result: IdentificationResult, record: TimeRecord, name: str) -> FloatArray:
     """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
+    model = result.model
     drives, output = chosen_inputs(record, model.input_names), record.output(name)
     first, last = max(drive.span_s[0] for drive in drives), min(drive.span_s[1] for drive in drives)
     late = model.latency + float(model.output_delays[model.output_names.index(name)])
     inside = output.is_within(first + max(late, 0.0), last + min(late, 0.0))
-    result = np.full(len(inside), np.nan)
+    said = np.full(len(inside), np.nan)
     if np.any(inside):
         simulated = model.simulate(drives, output.times_s[inside] - late, output.exposure_s)
-        result[inside] = simulated[:, model.output_names.index(name)]
-        result += float(np.nanmedian(output.values - result))
-    return result
+        said[inside] = simulated[:, model.output_names.index(name)]
+        said += float(np.nanmedian(output.values - said))
+    return said
 
 
 def _earlier(record: TimeRecord, delays: Mapping[str, float]) -> TimeRecord:
@@ -289,7 +332,6 @@ def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
 class _TimeSearch(ModeSearch[ModalRegression]):
     """The search in records of an input and outputs."""
 
-    found_noise: Mapping[int, StillNoise] = {}  # of the records whose input did not state its own
     trial_iterations = 20  # each takes its time, and a mode that is really there needs about six
 
     def __init__(
@@ -304,8 +346,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         delays: Mapping[str, float] = MappingProxyType({}),
         scan: ModalScan | None = None,
         start: ModalFit | None = None,
+        found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
     ) -> None:
-        self.delays = delays
+        self.delays, self.found_noise = delays, found_noise
         self.records, self.input_names = records, input_names
         self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
@@ -757,7 +800,7 @@ class _LongSearch(_TimeSearch):
     """
 
     def __init__(self, regression: ModalRegression, before: _TimeSearch) -> None:
-        self.before, self.found_noise = before, before.found_noise
+        self.before = before
         before.progress("fitting to all samples", 0.9)
         super().__init__(
             before.records,
@@ -769,6 +812,7 @@ class _LongSearch(_TimeSearch):
             delays=before.delays,
             scan=before.scan,
             start=before.chosen,
+            found_noise=before.found_noise,
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
 
