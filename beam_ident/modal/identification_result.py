@@ -13,6 +13,7 @@ from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.line_misfit import LineMisfit
 from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.sensing.stamp_jumps import ClockJump
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,7 @@ class IdentificationResult(OverOutputs):
     iterations : int
     warnings : tuple of str -- what a reader must know before trusting the numbers
     doubts : tuple of str -- of every mode why it cannot be trusted; empty where it can
+    clock_jumps : tuple of ClockJump -- steps of the stamps' clocks; the stamps of the outputs are those without
         Beside these, everything that ``OverOutputs`` lists.
     """
 
@@ -108,6 +110,7 @@ class IdentificationResult(OverOutputs):
     iterations: int
     warnings: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    clock_jumps: tuple[ClockJump, ...] = ()
 
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""

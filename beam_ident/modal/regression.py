@@ -476,11 +476,11 @@ class ModalRegression:
         self.block_of: tuple[int, ...] = tuple(self._block_keys.index(key) for key in keys)
 
     def with_own_columns(self, columns: Mapping[int, FloatArray]) -> ModalRegression:
-        """Return the regression with one more linear parameter at some outputs.
+        """Return the regression with more linear parameters at some outputs.
 
         Parameters
         ----------
-        columns : mapping -- from the number of an output to a column of its own, shape (n_rows,), unweighed
+        columns : mapping -- from the number of an output to columns of its own, shape (n_rows, n), unweighed
         """
         result = self._like()
         result.own_columns = dict(columns)
@@ -762,12 +762,12 @@ class ModalRegression:
         ]
 
     def _extended(self, block: ColumnBlock, output: int) -> ColumnBlock:
-        """Return a block with the column that its output has for itself, where there is one."""
+        """Return a block with the columns that its output has for itself, where there are any."""
         if output not in self.own_columns:
             return block
-        column = (self.own_columns[output] / self.row_levels(output))[:, None]
-        by_time = None if block.by_time is None else np.hstack([block.by_time, np.zeros_like(column)])
-        return replace(block, matrix=np.hstack([block.matrix, column]), by_time=by_time)
+        columns = self.own_columns[output] / self.row_levels(output)[:, None]
+        by_time = None if block.by_time is None else np.hstack([block.by_time, np.zeros_like(columns)])
+        return replace(block, matrix=np.hstack([block.matrix, columns]), by_time=by_time)
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
         """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows).

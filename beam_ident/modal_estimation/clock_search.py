@@ -15,7 +15,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,7 +220,11 @@ def out_of_phase(regression: ModalRegression, fit: ModalFit, latency: Prior, clo
 
 
 def own_delays(
-    regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior
+    regression: ModalRegression,
+    fit: ModalFit,
+    latency: Prior,
+    clock_rate: Prior,
+    known: Collection[int] = (),
 ) -> dict[int, float]:
     """Return which output has a delay of its own beside the clock that all share, and about how long [s]; or none.
 
@@ -229,6 +233,7 @@ def own_delays(
     regression : ModalRegression
     fit : ModalFit -- of it, with one clock for all outputs
     latency, clock_rate : Prior -- of that clock
+    known : collection of int -- outputs whose own delay is estimated already
 
     Notes
     -----
@@ -263,7 +268,7 @@ def own_delays(
     information = np.diag(spread) - cross.T @ inverse @ cross
     scores = scores - cross.T @ inverse @ score_of_theta
     # A latency that is free takes the common part: one output fewer than there are can have a delay of its own.
-    rest = [j for j in range(n_outputs) if j not in regression.own_columns]
+    rest = [j for j in range(n_outputs) if j not in known]
     if len(rest) <= int(latency.is_free):
         return {}
     needed = float(chi_squared_isf(1, _OWN_DELAY_LEVEL / n_outputs))

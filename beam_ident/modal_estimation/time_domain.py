@@ -28,7 +28,7 @@ from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
-from beam_ident.errors import EstimationError
+from beam_ident.errors import EstimationError, IdentificationError
 from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult, OutputFit
@@ -71,6 +71,7 @@ from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
+from beam_ident.sensing.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -87,6 +88,9 @@ _GLANCE = 2  # iterations that sort them
 _AS_GOOD = 10.0  # in log-likelihood: less than BIC charges for a mode
 _BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to be
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
+_JUMP_LEVEL = 1e-3  # how often a steady clock is taken to jump
+_BEFORE = 1e-3  # of a stretch
+_FEW = 1500  # stamps that tell a jump from lost samples
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
 _WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _IDLE_LEVEL = 1e-3  # an input that is less likely to do nothing is not said to
@@ -200,17 +204,100 @@ class _Task:
     found_noise: Mapping[int, StillNoise]
 
     def result(self, records: list[TimeRecord]) -> IdentificationResult:
-        """Return what is found in some records, outputs that are late by themselves among them."""
+        """Return what is found in some records, clocks that jump among them."""
+        # Of several inputs one that is late moves a share of the outputs only.
+        inputs = self.input_names if len(self.input_names) == 1 else ()
+        places = [
+            place for number, record in enumerate(records) for place in possible_jumps(record, number, inputs)
+        ]
+        jumps = self._jumps(records, places) if places else ()
+        if jumps:
+            with contextlib.suppress(EstimationError):
+                found = self._outcome(records, jumps)
+                needed = math.sqrt(chi_squared_isf(1, _JUMP_LEVEL))
+                if all(abs(jump.size_s) > needed * jump.size_sd for jump in found.clock_jumps):
+                    return found
+        return self._outcome(records, ())
+
+    def _jumps(
+        self, records: list[TimeRecord], places: list[list[ClockJump]]
+    ) -> tuple[ClockJump, ...]:
+        """Return by how much clocks jump at some of the places where they may.
+
+        The longest stretch of every record in which none can jump shows the model.  From there the likelihood of the
+        whole says for each place how many samples were lost, and what is left for a jump.
+        """
+        stretches = []
+        for number, record in enumerate(records):
+            ends = [place[0].at_s for place in places if place[0].record == number]
+            borders = np.sort([*ends, record.input(self.input_names[0]).times_s[0], math.inf])
+            last = max(own.times_s[-1] for own in record.outputs)
+            longest = int(np.argmax(np.diff(np.minimum(borders, last))))
+            stretches.append((float(borders[longest]), float(borders[longest + 1])))
+        try:
+            # Nothing of the interval itself, at whose other end the clock still is as it was before.
+            pieces = [
+                own.between(first, last - _BEFORE * (last - first) if math.isfinite(last) else last)
+                for own, (first, last) in zip(records, stretches, strict=True)
+            ]
+            model = self._outcome(pieces, ()).model
+        except IdentificationError:
+            return ()
+        known: tuple[ClockJump, ...] = ()
+        places = list(places)
+        while places:
+            tried = [known, *((*known, jump) for place in places for jump in place)]
+            costs = np.array([self._cost(records, jumps, model, stretches[0][0]) for jumps in tried])
+            best = int(np.argmin(costs))
+            if not 2.0 * (costs[0] - costs[best]) > chi_squared_isf(1, _JUMP_LEVEL / len(tried)):
+                break
+            known = tried[best]
+            places = [place for place in places if known[-1] not in place]
+        return known
+
+    def _cost(
+        self, records: list[TimeRecord], jumps: tuple[ClockJump, ...], model: ModalModel, seen_s: float
+    ) -> float:
+        """Return what a model of a stretch that begins at ``seen_s`` costs where clocks jump, refined a little."""
+        steady = [without_jumps(own, number, jumps) for number, own in enumerate(records)]
+        regression = ModalRegression(steady, self.terms, self.input_names).thinned(_FEW)
+        # The stretch may be late by the jumps before it.
+        late = [
+            jump.size_s * (-1.0 if model.input_names[0] in jump.signals else 1.0)
+            for jump in jumps
+            if jump.record == 0 and jump.at_s <= seen_s
+        ]
+        clock = replace(model.clock, latency=model.clock.latency - sum(late))
+        fit = fit_modes(
+            regression,
+            model.natural_frequencies,
+            model.damping_ratios,
+            clock,
+            self.latency,
+            self.clock_rate,
+            SHORT,
+        )
+        # A few stamps more or fewer may be within the input's span.
+        powers = [max(float(np.mean(np.square(left))), 1e-300) for left in fit.residuals]
+        sizes = [
+            sum(len(own.output(name).times_s) for own in records if name in own.output_names)
+            for name in regression.output_names
+        ]
+        return 0.5 * float(np.minimum(sizes, _FEW * len(records)) @ np.log(powers))
+
+    def _outcome(self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]) -> IdentificationResult:
+        """Return what is found in some records with the jumps of their clocks, and outputs late by themselves."""
+        measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
         delays: dict[str, float] = {}
         known: tuple[_TimeSearch, Weighed[ModalRegression]] | None = None
         most = _DELAY_TURNS * len(records[0].outputs)
         for turn in range(most):
-            shifted = [_earlier(one, delays) for one in records]
+            shifted = [_earlier(one, delays) for one in measured]
             try:
                 regression = ModalRegression(shifted, self.terms, self.input_names)
                 _refuse_hopeless(regression, self.n_modes)
-                search = self._begun(shifted, regression, delays=delays)
-                if turn == 0 and (result := self._untangled(records, regression, search)) is not None:
+                search = self._begun(shifted, regression, delays=delays, jumps=jumps)
+                if turn == 0 and (result := self._untangled(shifted, regression, search, jumps)) is not None:
                     return result
                 try:
                     search, weighed = self._finished(search, regression)
@@ -241,6 +328,7 @@ class _Task:
         regression: ModalRegression,
         highest_hz: float = math.inf,
         delays: Mapping[str, float] = MappingProxyType({}),
+        jumps: Sequence[ClockJump] = (),
     ) -> _TimeSearch:
         is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
         first = regression.thinned(_THINNED) if is_long else regression
@@ -254,6 +342,7 @@ class _Task:
             highest_hz,
             delays,
             found_noise=self.found_noise,
+            jumps=jumps,
         )
 
     def _finished(
@@ -274,7 +363,11 @@ class _Task:
         return following, following.run(self.n_modes, self.max_modes)
 
     def _untangled(
-        self, records: list[TimeRecord], regression: ModalRegression, search: _TimeSearch
+        self,
+        records: list[TimeRecord],
+        regression: ModalRegression,
+        search: _TimeSearch,
+        jumps: Sequence[ClockJump],
     ) -> IdentificationResult | None:
         """Return the result from rest where a blow at the beginning is not told from motion that was there before."""
         if not (self.may_rest and search.band.is_excited and search.scan.is_tangled):
@@ -282,7 +375,8 @@ class _Task:
         # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
         still = ModalRegression(records, replace(self.terms, has_free_response=False), self.input_names)
         try:
-            from_rest, weighed = self._finished(self._begun(records, still, 0.5 * regression.rate_hz), still)
+            begun = self._begun(records, still, 0.5 * regression.rate_hz, jumps=jumps)
+            from_rest, weighed = self._finished(begun, still)
             result = from_rest.result(weighed, self.n_modes)
         except EstimationError:
             return None  # a record that begins in motion may not fit at all
@@ -347,8 +441,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         scan: ModalScan | None = None,
         start: ModalFit | None = None,
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
+        jumps: Sequence[ClockJump] = (),
     ) -> None:
-        self.delays, self.found_noise = delays, found_noise
+        self.delays, self.found_noise, self.jumps = delays, found_noise, tuple(jumps)
         self.records, self.input_names = records, input_names
         self.bridges: BridgeUncertainty | None = None
         structure = regression.structure
@@ -441,8 +536,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return a fit with equal weights, weighed by the colour of the outputs' noise or by that of the input."""
         fit, self.problem = unweighed(self.problem, fit), self.plain
         fit = self._restarted(fit)
-        if self.delays:
-            self.problem = self.plain = self._with_own_delays(self.plain, fit)
+        if self.delays or self.jumps:
+            self.problem = self.plain = self._with_own_clocks(self.plain, fit)
             fit = self.fit(fit.omegas, fit.zetas, fit.clock)
             if self.bridges is not None:  # which gaps are bridged is decided; there are more parameters now
                 self.bridges = BridgeUncertainty.of(self.plain, fit, self.latency, self.clock_rate, math.inf)
@@ -456,8 +551,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             regression = ModalRegression(
                 self.records, regression.structure, self.input_names, smoothing, regression.restarts
             )
-            if self.delays:
-                regression = self._with_own_delays(regression, fit)
+            if self.delays or self.jumps:
+                regression = self._with_own_clocks(regression, fit)
             fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
         by_record = regression
         if smoothing is None:
@@ -474,22 +569,75 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if not self.band.is_excited:
             return {}
         fit, regression = weighed.fit, weighed.problem
-        found = own_delays(*_some_samples(regression, fit), self.latency, self.clock_rate)
-        place = fit.n_theta
-        for j, coefficients in enumerate(fit.coefficients):
-            place += len(coefficients)
-            sd = math.sqrt(max(float(fit.covariance[place - 1, place - 1]), 0.0))
-            if j in regression.own_columns and abs(coefficients[-1]) > _DELAY_SETTLED * sd:
-                found[j] = float(coefficients[-1])
+        late = [j for j, name in enumerate(regression.output_names) if name in self.delays]
+        found = own_delays(*_some_samples(regression, fit), self.latency, self.clock_rate, late)
+        for j in late:
+            value, sd = self._own_delay(j, fit)
+            if abs(value) > _DELAY_SETTLED * sd:
+                found[j] = value
         return {regression.output_names[j]: delay for j, delay in found.items()}
 
-    def _with_own_delays(self, regression: ModalRegression, fit: ModalFit) -> ModalRegression:
-        """Return a regression that knows the delays of some outputs to be estimates."""
-        columns = own_delay_columns(regression, fit)
-        names = regression.output_names
-        return regression.with_own_columns(
-            {j: columns[j] for j in range(len(names)) if names[j] in self.delays}
-        )
+    def _with_own_clocks(self, regression: ModalRegression, fit: ModalFit) -> ModalRegression:
+        """Return a regression that knows delays of some outputs, and jumps of clocks, to be estimates."""
+        slopes, columns = own_delay_columns(regression, fit), {}
+        for j, name in enumerate(regression.output_names):
+            own = [slopes[j]] if name in self.delays else []
+            own += [slopes[j] * after for after in self._after_jumps(j, regression)]
+            if own:
+                columns[j] = np.stack(own, axis=1)
+        return regression.with_own_columns(columns)
+
+    def _after_jumps(self, output: int, regression: ModalRegression) -> list[FloatArray]:
+        """Return where the stamps of an output are late for each jump that it sees; -1 where they are early."""
+        name, times = regression.output_names[output], regression.times[output]
+        found = []
+        for jump in self._jumps_of(name):
+            after = is_after(jump, self.jumps, times + self.delays.get(name, 0.0))
+            record = np.zeros_like(after)
+            for number, part in regression.segments[output]:
+                record[part] = float(number == jump.record)
+            found.append(after * record * (1.0 if name in jump.signals else -1.0))
+        return found
+
+    def _jumps_of(self, name: str) -> list[ClockJump]:
+        """Return the jumps that an output sees: of its own stamps, and of the input's."""
+        inputs = {drive.name for drive in self.plain.drives}
+        return [jump for jump in self.jumps if name in jump.signals or inputs.intersection(jump.signals)]
+
+    def _own_places(self, output: int, fit: ModalFit) -> list[int]:
+        """Return where among all parameters those of an output's own clock are: delay, then jumps."""
+        name = self.plain.output_names[output]
+        count = int(name in self.delays) + len(self._jumps_of(name))
+        end = fit.n_theta + sum(len(found) for found in fit.coefficients[: output + 1])
+        return list(range(end - count, end))
+
+    def _own_delay(self, output: int, fit: ModalFit) -> tuple[float, float]:
+        """Return by how much the delay of an output's own differs from that taken off its stamps, and its sd [s]."""
+        places = self._own_places(output, fit)
+        value = float(fit.coefficients[output][-len(places)])
+        return value, math.sqrt(max(float(fit.covariance[places[0], places[0]]), 0.0))
+
+    def _estimated_jumps(self, fit: ModalFit) -> tuple[ClockJump, ...]:
+        """Return the jumps as what the outputs that see them say together."""
+        found = []
+        names = self.plain.output_names
+        for jump in self.jumps:
+            places, values = [], []
+            for j, name in enumerate(names):
+                seen = self._jumps_of(name)
+                if jump not in seen:
+                    continue
+                own = self._own_places(j, fit)[-len(seen) :]
+                places.append(own[seen.index(jump)])
+                values.append(float(fit.coefficients[j][seen.index(jump) - len(seen)]))
+            covariance = fit.covariance[np.ix_(places, places)]
+            scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+            weights = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-9, hermitian=True)
+            weights = weights / np.outer(scale, scale)
+            total = max(float(np.sum(weights)), 1e-300)
+            further = float(np.sum(weights @ np.array(values))) / total
+            found.append(replace(jump, size_s=jump.size_s + further, size_sd=total**-0.5))
+        return tuple(found)
 
     def _restarted(self, fit: ModalFit) -> ModalFit:
         """Return the fit with the modes beginning anew at those gaps of the inputs where that is needed.
@@ -523,12 +671,11 @@ class _TimeSearch(ModeSearch[ModalRegression]):
 
     def _delayed(self, model: ModalModel, fit: ModalFit) -> ModalModel:
         """Return the model with the delays that outputs have of their own."""
-        values, sds, place = np.zeros(len(fit.coefficients)), np.zeros(len(fit.coefficients)), fit.n_theta
-        for j, found in enumerate(fit.coefficients):
-            place += len(found)
-            if model.output_names[j] in self.delays:
-                values[j] = self.delays[model.output_names[j]] + found[-1]
-                sds[j] = math.sqrt(max(float(fit.covariance[place - 1, place - 1]), 0.0))
+        values, sds = np.zeros(len(fit.coefficients)), np.zeros(len(fit.coefficients))
+        for j, name in enumerate(model.output_names):
+            if name in self.delays:
+                further, sds[j] = self._own_delay(j, fit)
+                values[j] = self.delays[name] + further
         return replace(model, output_delays=values, output_delay_sd=sds)
 
     def result(self, weighed: Weighed[ModalRegression], n_modes: int | None) -> IdentificationResult:
@@ -540,7 +687,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 f"{unrelated}. Check that input and outputs belong together and share a clock, excite more, or ask "
                 "for a number of modes to see the best candidates"
             )
-        model = self._delayed(self._model(fit), fit)
+        model, jumps = self._delayed(self._model(fit), fit), self._estimated_jumps(fit)
         with contextlib.suppress(TimeoutError):  # what is found is returned, however late
             self.progress("done", 1.0)
         rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
@@ -560,11 +707,13 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             iterations=fit.iterations,
             warnings=tuple(
                 [f"{unrelated}."] * bool(unrelated)
+                + [jump.sentence for jump in jumps]
                 + self._gain_warnings(model)
                 + self._input_warnings(model)
                 + self._warnings(fit, regression, outputs)
             ),
             doubts=tuple(mode_complaint(fit, regression, mode, self.band) for mode in range(len(fit.omegas))),
+            clock_jumps=jumps,
         )
 
     def _gain_warnings(self, model: ModalModel) -> list[str]:
@@ -813,6 +962,7 @@ class _LongSearch(_TimeSearch):
             scan=before.scan,
             start=before.chosen,
             found_noise=before.found_noise,
+            jumps=before.jumps,
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
 

@@ -19,6 +19,7 @@ from beam_ident import (
     estimate_transfer_function,
     identify,
 )
+from beam_ident.modal.identification_result import IdentificationResult
 from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN, ForcedBeam
 from benchmarks.ident.study import AgainstBound, Outcome, Study
 
@@ -177,7 +178,95 @@ class LateOutput(LateBeam):
         return values, sds
 
 
+def _steps(n: int) -> np.ndarray:
+    """Return a binary sequence of n samples, every step held for two."""
+    return (2.0 * max_len_seq(13)[0][: n // 2] - 1.0).repeat(2)
+
+
+class JumpingClock(LateBeam):
+    """A clock that jumps at some instant by 1 to 100 ms, either way as far as stamps still rise; or does not jump.
+
+    The camera's and, in every fourth run, the input's.  The bound is that of stamps without a jump at a latency on
+    each side.
+    """
+
+    start_s, end_s = 10.0, 40.0  # of where a jump may be
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.beam.drive = replace(self.beam.drive, values=_steps(self.beam.n))
+        self.truth = self.beam.truth
+
+    @functools.cached_property
+    def bound(self) -> np.ndarray:
+        """Standard deviations at the limit."""
+        return self.flat(self.found(10**6 + 1, _QUIET, 3).model)[1] / _QUIET
+
+    def jump(self, seed: int) -> tuple[float, float, bool]:
+        """Return when and by how much [s] a clock jumps, not at all in every other run, and if it is the input's."""
+        rng = np.random.default_rng([seed, 9])
+        size = float(np.exp(rng.uniform(np.log(1e-3), np.log(0.1))))
+        if size < 0.8 * self.beam.period and rng.random() < 0.5:
+            size = -size
+        return float(rng.uniform(self.start_s, self.end_s)), size * (seed % 2), seed % 4 == 3
+
+    def record(self, seed: int, quiet: float = 1.0) -> TimeRecord:
+        """Return a record whose stamps are 7.3 ms late, and scatter by 20 us, and jump."""
+        at_s, size, is_input = self.jump(seed)
+        scatter = 2e-5 * np.random.default_rng([seed, 5]).standard_normal(len(self.times))
+        stamps = self.times + self.delay + scatter
+        late = stamps + size * (stamps >= at_s) * (not is_input)
+        record = self.beam.record(seed, 20.0, late, self.times + scatter, quiet=quiet)
+        if not (is_input and size):
+            return record
+        (drive,) = record.inputs
+        times = drive.times_s + size * (drive.times_s >= at_s)
+        return TimeRecord((replace(drive, times_s=times),), record.outputs)
+
+    def found(self, seed: int, quiet: float = 1.0, n_modes: int | None = None) -> IdentificationResult:
+        """Identify one record, the clock's rate known."""
+        return identify(self.record(seed, quiet), PLAIN, n_modes, FREE, FIXED)
+
+    @staticmethod
+    def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies and damping ratios, and their standard deviations."""
+        values, sds = LateBeam.flat(model)
+        return values[:-1], sds[:-1]
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; another number of modes is a failure, and so is a jump that is missed or feigned."""
+        at_s, size, _ = self.jump(seed)
+        start = time.perf_counter()
+        result = self.found(seed)
+        seconds = time.perf_counter() - start
+        jumps = result.clock_jumps
+        figures = {"jumps": float(len(jumps)), "really": float(size != 0.0)}
+        if len(jumps) == 1 and size:
+            figures["samples apart"] = abs(jumps[0].at_s - at_s - max(size, 0.0)) / self.beam.period
+            figures["z"] = (jumps[0].size_s - size) / jumps[0].size_sd
+        is_right = len(jumps) == int(size != 0.0) and result.model.n_modes == 3
+        estimate, sd = self.flat(result.model) if is_right else (None, None)
+        return Outcome(seconds, estimate, sd, figures)
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Add how many jumps were found where there was one, and where there was none."""
+        seen = [o.figures for o in outcomes]
+        z = np.abs([own["z"] for own in seen if "z" in own])
+        apart = [own["samples apart"] for own in seen if "samples apart" in own]
+        return super().summarise(outcomes) | {
+            "jumps": int(sum(own["really"] for own in seen)),
+            "found": len(z),
+            "false alarms": int(sum(own["jumps"] > 0 for own in seen if not own["really"])),
+            "samples apart at most": round(max(apart, default=0.0), 1),
+            "jump's size: coverage, max |z|": [
+                round(float(np.mean(z < 1.96)), 3),
+                round(float(np.max(z)), 2),
+            ],
+        }
+
+
 STUDIES = {
+    "clock-jump": Study("beam at two points whose clock jumps by 1 to 100 ms, 20 dB", 200, JumpingClock),
     "output-delays": Study(
         "beam at two points, one of them 3 ms late by itself, modal, 20 dB", 200, LateOutput
     ),
