@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.bandwidth import Band
 from beam_ident.data.frequency_record import FrequencyRecord
+from beam_ident.data.stamp_jumps import ClockJump
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.line_misfit import LineMisfit
 from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
-from beam_ident.sensing.stamp_jumps import ClockJump
 
 
 @dataclass(frozen=True)

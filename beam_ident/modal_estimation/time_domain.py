@@ -28,6 +28,7 @@ from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from beam_ident.errors import EstimationError, IdentificationError
 from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit, fitted_model
@@ -71,7 +72,6 @@ from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
-from beam_ident.sensing.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -180,7 +180,7 @@ def identify(
 
 @dataclass(frozen=True)
 class _Task:
-    """What `identify` was asked for.
+    """What ``identify`` was asked for.
 
     Attributes
     ----------

@@ -16,13 +16,13 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import TimeRecord
 
-_FEWEST = 60  # stamps that show whether a rate is steady
+_MIN_STAMPS = 60  # stamps that show whether a rate is steady
 _STANDS_OUT = 8.0  # deviations of the intervals from their period
-_WHOLE = 1e-3  # of a period: rounded stamps differ by less
+_WHOLE = 0.02  # of a period: rounded and mapped stamps differ by less
 _MOST = (
     8  # suspicious intervals of a signal: where there are more, samples are lost, or it has no steady rate
 )
-_LARGEST_S = 0.2
+_MAX_JUMP_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def possible_jumps(record: TimeRecord, number: int, input_names: Sequence[str]) 
 
 def _suspicious(times_s: FloatArray) -> list[tuple[float, list[float]]]:
     """Return the stamps behind intervals that are not the period, and by how much their clock may have jumped [s]."""
-    if len(times_s) < _FEWEST:
+    if len(times_s) < _MIN_STAMPS:
         return []
     intervals = np.diff(times_s)
     period = float(np.median(intervals))
@@ -90,7 +90,7 @@ def _suspicious(times_s: FloatArray) -> list[tuple[float, list[float]]]:
     for place in places:
         # Each sample that was lost there takes a period.
         passed = period * np.arange(1, int(intervals[place] / period + 0.5) + 2)
-        sizes = [float(size) for size in intervals[place] - passed if least < abs(size) < _LARGEST_S]
+        sizes = [float(size) for size in intervals[place] - passed if least < abs(size) < _MAX_JUMP_S]
         found.append((float(times_s[place + 1]), sizes))
     return [(at_s, sizes) for at_s, sizes in found if sizes]
 

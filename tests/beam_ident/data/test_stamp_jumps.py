@@ -1,0 +1,85 @@
+"""Clocks that jump in the middle of a record."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import InputSignal, OutputSignal, TimeRecord, identify
+from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
+from benchmarks.ident.delay import JumpingClock
+from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN
+
+PERIOD = 0.01
+
+
+def record(stamps: np.ndarray) -> TimeRecord:
+    drive = InputSignal("u", "N", 1e-3 * np.arange(5000), np.zeros(5000))
+    return TimeRecord((drive,), (OutputSignal("y", "m", stamps, np.zeros(len(stamps))),))
+
+
+def test_every_number_of_lost_samples_leaves_another_size_to_a_jump() -> None:
+    stamps = PERIOD * np.arange(300) + 0.024 * (np.arange(300) >= 100)
+    (sizes,) = possible_jumps(record(stamps), 0, "u")
+    assert {jump.at_s for jump in sizes} == {stamps[100]}
+    np.testing.assert_allclose([jump.size_s for jump in sizes], [0.024, 0.014, 0.004, -0.006], atol=1e-12)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 1e-4])
+def test_steady_and_scattered_stamps_are_not_suspected(scatter: float) -> None:
+    stamps = PERIOD * np.arange(300) + scatter * np.random.default_rng(1).standard_normal(300)
+    assert possible_jumps(record(stamps), 0, "u") == []
+
+
+def test_where_many_samples_are_lost_no_interval_says_anything() -> None:
+    kept = np.random.default_rng(1).random(1000) > 0.1
+    assert possible_jumps(record(PERIOD * np.arange(1000)[kept]), 0, "u") == []
+
+
+def test_stamps_are_corrected_from_each_jump_on() -> None:
+    steady = PERIOD * np.arange(300)
+    stamps = steady + 0.024 * (np.arange(300) >= 100) - 0.004 * (np.arange(300) >= 200)
+    jumps = [
+        ClockJump(0, ("y",), float(stamps[100]), 0.024),
+        ClockJump(0, ("y",), float(stamps[200]), -0.004),
+    ]
+    corrected = without_jumps(record(stamps), 0, jumps).outputs[0].times_s
+    np.testing.assert_allclose(corrected, steady, atol=1e-12)
+    assert without_jumps(record(stamps), 1, jumps).outputs[0].times_s[-1] == stamps[-1]
+    for jump, first in zip(jumps, (100, 200), strict=True):
+        np.testing.assert_array_equal(is_after(jump, jumps, corrected), np.arange(300) >= first)
+
+
+@pytest.fixture(scope="module")
+def case() -> JumpingClock:
+    return JumpingClock()
+
+
+@pytest.mark.parametrize("seed", [1, 7])  # the camera's clock, the input's
+def test_a_jump_is_found_at_its_place_and_size_and_does_not_move_the_poles(
+    case: JumpingClock, seed: int
+) -> None:
+    at_s, size, is_input = case.jump(seed)
+    result = case.found(seed)
+    (jump,) = result.clock_jumps
+    assert jump.signals == (("force",) if is_input else ("tip", "root"))
+    assert abs(jump.at_s - at_s - size) < 2.0 * case.beam.period
+    assert abs(jump.size_s - size) < 4.0 * jump.size_sd < 1e-4
+    values, sds = case.flat(result.model)
+    assert np.max(np.abs(values - case.truth) / sds) < 4.0
+    assert any("jumps by" in said for said in result.warnings)
+
+
+def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
+    whole = case.record(0)
+    outputs = [
+        dataclasses.replace(
+            own, times_s=np.delete(own.times_s, [4000, 4001]), values=np.delete(own.values, [4000, 4001])
+        )
+        for own in whole.outputs
+    ]
+    lost = TimeRecord(whole.inputs, tuple(outputs))
+    assert possible_jumps(lost, 0, "force")
+    assert identify(lost, PLAIN, None, FREE, FIXED).clock_jumps == ()
