@@ -9,6 +9,7 @@ denominators that the outputs give alone is where the joint iteration starts.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,12 +52,13 @@ from beam_ident.transfer_function_estimation.estimation import (
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import LOOKS, MAX_TRAVEL
-from beam_ident.transfer_function_estimation.srivc import estimate_denominator
+from beam_ident.transfer_function_estimation.srivc import are_known, estimate_denominator, widened
 
 _ITERATIONS = 50
 _TURNS = 25  # of poles and noise
 _SETTLED = 0.02  # standard deviations that a turn may still move the poles
 _MAX_POLES = 20
+_MOST_INSIDE = 30  # structures inside one, at most: a bound on time
 
 
 Model = TypeVar("Model", TransferFunctionModel, MultiInputModel)
@@ -137,6 +139,11 @@ class _JointProblem:
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         return np.asarray(theta + step)
 
+    def scale_to(self, state: _JointState) -> None:
+        """Take the unit of frequency of a state."""
+        for problem in self.problems:
+            problem.scale = state.states[0].scale
+
     def reweighed(self, state: _JointState, as_it_is: bool, stays: bool = False) -> _JointProblem:
         """Return the problem under the noise that every output has in every record, or its level alone.
 
@@ -180,6 +187,9 @@ class _JointProblem:
             for problem, own, others in owned
         ]
         return np.asarray(np.sqrt(np.maximum(np.max(shares, axis=0), 1e-300)))
+
+
+_Found = tuple[_JointProblem, Minimum[_JointState], int]
 
 
 @overload
@@ -295,21 +305,21 @@ def estimate_common_poles(
     records, gaps = split_at_gaps(records, 3 * (n_poles + 2))
 
     def fit(seen: list[TimeRecord]) -> CommonPoleResult | MultiInputCommonPoleResult:
-        def attempt(is_moving: bool) -> tuple[_JointProblem, Minimum[_JointState], int]:
+        still: list[OutputErrorState] = []
+
+        def attempt(is_moving: bool) -> _Found:
             nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
-            problems, starts = [], []
+            problems = []
             priors, blocks = [Prior(late) for late in delays], [0] * len(drives)
             for name, own in zip(first.output_names, zeros, strict=True):
                 experiments = [
                     RecordShare.of(one, name, drives, own, blocks, priors, n_integrators, is_moving)
                     for one in seen
                 ]
-                problem, optimum = estimate_denominator(
-                    OutputErrorProblem(experiments, (n_poles,), nuisances), "auto"
-                )
-                problems.append(problem)
-                starts.append(optimum.state)
-            return _joint_minimum(problems, starts)
+                problems.append(OutputErrorProblem(experiments, (n_poles,), nuisances))
+            found = _beyond(_joint_minimum(problems, still), {})
+            still.append(found[1].state.states[0])
+            return found
 
         (joint, minimum, iterations), motion = with_initial_motion(attempt, _tested, has_free_response)
         joint, minimum, more = _under_noise_as_it_is(joint, minimum)
@@ -323,17 +333,50 @@ def estimate_common_poles(
     return replace(result, warnings=told)
 
 
-def _tested(found: tuple[_JointProblem, Minimum[_JointState], int]) -> list[Tested]:
+def _tested(found: _Found) -> list[Tested]:
     """Return what every output gives to the test for initial motion."""
     joint, minimum, _ = found
     pairs = zip(joint.problems, minimum.state.states, strict=True)
     return [problem.initial_motion(own) for problem, own in pairs]
 
 
-def _joint_minimum(
-    problems: list[OutputErrorProblem], starts: list[OutputErrorState]
-) -> tuple[_JointProblem, Minimum[_JointState], int]:
-    """Return problem, optimum and iterations of one denominator, from the best of what the outputs give alone."""
+def _beyond(found: _Found, known: dict[tuple[object, ...], OutputErrorState | None]) -> _Found:
+    """Return an optimum, or a better one from where a structure inside it ended better (as ``srivc`` does)."""
+    joint, minimum, iterations = found
+    theta = minimum.state.theta
+    joint.scale_to(minimum.state)
+    if minimum.converged and are_known(joint.problems[0], theta, joint.slope(minimum.state)[0]):
+        return found
+    insides = [problem.inside() for problem in joint.problems]
+    for name in insides[0]:
+        if not all(name in own for own in insides):
+            continue
+        smaller = [own[name] for own in insides]
+        key = tuple(own.degrees for own in smaller)
+        if key not in known and len(known) < _MOST_INSIDE:
+            known[key] = None
+            with contextlib.suppress(EstimationError):
+                known[key] = _beyond(_joint_minimum(smaller), known)[1].state.states[0]
+        state = known.get(key)
+        if state is not None:
+            again = _JointProblem(joint.problems, state.scale)
+            points = [again.state(own) for own in widened(again.problems[0], state)]
+            start = min(points, key=lambda own: own.cost)
+            if start.cost < minimum.state.cost:
+                joint, minimum = again, minimise(again, start, _ITERATIONS)
+                iterations += minimum.iterations
+            joint.scale_to(minimum.state)
+    return joint, minimum, iterations
+
+
+def _joint_minimum(problems: list[OutputErrorProblem], inside: Sequence[OutputErrorState] = ()) -> _Found:
+    """Return problem, optimum and iterations of one denominator, from the best of what the outputs give alone.
+
+    ``inside`` are optima of the same outputs with fewer nuisances.
+    """
+    alone = [estimate_denominator(problem, "auto", looks_inside=False) for problem in problems]
+    problems = [problem for problem, _ in alone]
+    starts = [optimum.state for _, optimum in alone] + list(inside)
     joints = [_JointProblem(problems, own.scale).state(own.theta) for own in starts]
     chosen = int(np.argmin([joint.cost for joint in joints]))
     if not math.isfinite(joints[chosen].cost):
@@ -347,9 +390,7 @@ def _joint_minimum(
     return joint, minimum, iterations
 
 
-def _under_noise_as_it_is(
-    joint: _JointProblem, minimum: Minimum[_JointState]
-) -> tuple[_JointProblem, Minimum[_JointState], int]:
+def _under_noise_as_it_is(joint: _JointProblem, minimum: Minimum[_JointState]) -> _Found:
     """Return problem and optimum under the noise that the residuals show, and how many iterations that took."""
     if joint.reweighed(minimum.state, as_it_is=True).is_plain:
         return joint, minimum, 0

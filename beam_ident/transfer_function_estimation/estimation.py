@@ -275,7 +275,10 @@ def estimate_transfer_function(
         constant (and for two a ramp) is estimated too.
     n_starts : int
         Starts at most, tried in turn until the residuals look like noise; 1 is the quickest, for
-        comparing many structures.  Inputs with denominators of their own have starts of their own.
+        comparing many structures.  With all of them, where the optimum did not converge or a pole is hardly known,
+        the structures inside this one (without a nuisance, the delay, a zero or a pole) are estimated, too, because
+        it must not end in a worse optimum than they do.  Inputs with denominators of their own have starts of their
+        own.
 
     Returns
     -------
@@ -357,6 +360,8 @@ def estimate_transfer_function(
             for name in drives:
                 require_excitation(seen, name)
 
+        still: list[OutputErrorState] = []
+
         def attempt(is_moving: bool) -> tuple[OutputErrorProblem, Optimum]:
             experiments = [
                 RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, is_moving)
@@ -364,9 +369,13 @@ def estimate_transfer_function(
             ]
             nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
             problem = OutputErrorProblem(experiments, orders, nuisances)
-            if len(orders) == 1:
-                return estimate_denominator(problem, method, cutoff, n_starts - 1)
-            return estimate_additive(problem, method, cutoff)
+            if len(orders) > 1:
+                return estimate_additive(problem, method, cutoff)
+            solved, found = estimate_denominator(
+                problem, method, cutoff, n_starts - 1, still, looks_inside=n_starts > FINALISTS
+            )
+            still.append(found.state)
+            return solved, found
 
         (problem, optimum), motion = with_initial_motion(
             attempt, lambda found: [found[0].initial_motion(found[1].state)], has_free_response

@@ -194,8 +194,12 @@ def _all(
     """Return the estimates of all structures, or why there is none."""
     jobs = [(records, n, m, {"n_starts": 1} | options) for n, m in structures]
     results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
-    suspects = [] if "n_starts" in options else _suspects(structures, results)
-    jobs = [(records, *structures[k], {"n_starts": _STARTS} | options) for k in suspects]
+    suspects = {} if "n_starts" in options else _suspects(structures, results)
+    # One that a structure inside it surpasses looks at those itself.
+    starts: list[dict[str, Any]] = [
+        {} if surpassed else {"n_starts": _STARTS} for surpassed in suspects.values()
+    ]
+    jobs = [(records, *structures[k], few | options) for k, few in zip(suspects, starts, strict=True)]
     again = (
         map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
     )
@@ -226,14 +230,16 @@ def _part(progress: Progress | None, start: float, end: float) -> Progress | Non
     return lambda phrase, share: progress(phrase, start + (end - start) * share)
 
 
-def _suspects(structures: list[tuple[int, int]], results: list[TransferFunctionResult | str]) -> list[int]:
-    """Return which structures may have ended in a local optimum, and matter.
+def _suspects(
+    structures: list[tuple[int, int]], results: list[TransferFunctionResult | str]
+) -> dict[int, bool]:
+    """Return which structures may have ended in a local optimum, and matter, and which are surpassed.
 
     Those without any estimate; those that a structure inside them surpasses; and, where residuals
     do not look like noise, those not larger than the best by BIC and not much smaller.
     """
     found = [(k, r) for k, r in enumerate(results) if not isinstance(r, str)]
-    suspects = [k for k, r in enumerate(results) if isinstance(r, str)]
+    suspects = {k: False for k, r in enumerate(results) if isinstance(r, str)}
     if not found:
         return suspects
     n_best, m_best = structures[min(found, key=lambda item: item[1].bic)[0]]
@@ -245,7 +251,7 @@ def _suspects(structures: list[tuple[int, int]], results: list[TransferFunctionR
         is_noise = r.converged and r.whiteness.p_value > WHITE
         is_near = n_best + m_best - _NEAR <= n + m <= n_best + m_best and (n, m) != (n_best, m_best)
         if is_surpassed or (is_near and not is_noise):
-            suspects.append(k)
+            suspects[k] = is_surpassed
     return suspects
 
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.prior import Prior
 from beam_ident.errors import EstimationError
 from beam_ident.noise.noise_model import NoiseModel, RecordNoise, Whitening, colour_of
 from beam_ident.noise.record_fit import in_units_of_level
@@ -269,6 +270,51 @@ class OutputErrorProblem:
         ]
         order = (self.orders[self.paths[paths[0]].block],)
         return OutputErrorProblem(experiments, order, self.nuisances)
+
+    @property
+    def degrees(self) -> tuple[object, ...]:
+        """What tells this problem from others of the same records: degrees, nuisances, and which delays are known."""
+        zeros = tuple(path.n_zeros for path in self.paths)
+        return self.orders, zeros, self.nuisances, tuple(self.free_delays)
+
+    def inside(self) -> dict[str, OutputErrorProblem]:
+        """Return the problems of one denominator inside this one, by what each of them lacks.
+
+        That is a nuisance, the delays, a zero, a pole, or one of each.
+        """
+        (order,) = self.orders
+        zeros = [path.n_zeros for path in self.paths]
+        own = self.nuisances
+        smaller = {
+            name: (order, 0, replace(own, **{name: False}))
+            for name, is_there in vars(own).items()
+            if is_there
+        }
+        if self.free_delays:
+            smaller["delay"] = order, 0, own
+        if min(zeros) > 0:
+            smaller["zero"] = order, 1, own
+        if min(zeros) > 0 and order > 1:
+            smaller["pole and zero"] = order - 1, 1, own
+        if 1 < order > max(zeros):
+            smaller["pole"] = order - 1, 0, own
+        result = {}
+        for name, (n_poles, fewer, nuisances) in smaller.items():
+            paths = [replace(path, n_zeros=path.n_zeros - fewer) for path in self.paths]
+            if name == "delay":
+                paths = [replace(path, delay=Prior(path.delay.mean)) for path in paths]
+            shares = [
+                replace(
+                    share,
+                    paths=tuple(
+                        replace(path, n_zeros=new.n_zeros, delay=new.delay)
+                        for path, new in zip(share.paths, paths, strict=True)
+                    ),
+                )
+                for share in self.experiments
+            ]
+            result[name] = OutputErrorProblem(shares, (n_poles,), nuisances, self.noise)
+        return result
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Return the delay of every path [s]."""

@@ -5,7 +5,8 @@ state-variable-filter least squares (LSSVF) over a portfolio of cut-offs with in
 variables behind the best of them (IVSVF); then the simplified refined instrumental variable
 (SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt on the output error with the same exact
 gradients to finish.  Residuals that look like anything but noise may mean a local optimum:
-then the other starts have their turn, and the lowest cost wins.
+then the other starts have their turn, and the lowest cost wins.  A structure that holds another must not end in a
+worse optimum: where it has not converged, or a pole is hardly known, the structures inside it are estimated, too.
 
 Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
 that SRIVC's fixed point is the stationary point of the output-error cost; the
@@ -16,8 +17,9 @@ Equation numbers are those of docs/transfer-functions.md.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,6 +30,8 @@ from beam_ident.arrays import FloatArray
 from beam_ident.errors import EstimationError
 from beam_ident.noise.scores import Whiteness
 from beam_ident.numerics.levenberg_marquardt import minimise
+from beam_ident.numerics.rational_response import full_roots
+from beam_ident.numerics.root_uncertainty import root_covariances
 from beam_ident.subspace.po_moesp import Stretch, subspace_poles
 from beam_ident.transfer_function_estimation.delay_search import delay_candidates
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
@@ -52,6 +56,10 @@ WHITE = 0.01  # level of the whiteness test below which residuals do not look li
 _SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
 _MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
+_MOST_INSIDE = 30  # structures inside one, at most: a bound on time
+_EXTRA_POLES = 9  # places tried for a pole that a smaller denominator lacks
+_BEYOND = 100.0  # of the Nyquist frequency: there a pole hardly shows
+_MAX_POLE_SD = 0.5  # of the pole's modulus
 _WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
 _NO_START = (
     "no state-variable filter gave a stable start; give another cutoff, other degrees, or a longer record"
@@ -84,7 +92,12 @@ def portfolio(problem: OutputErrorProblem) -> list[float]:
 
 
 def estimate_denominator(
-    problem: OutputErrorProblem, method: Method, cutoff: float | None = None, n_finalists: int = FINALISTS
+    problem: OutputErrorProblem,
+    method: Method,
+    cutoff: float | None = None,
+    n_finalists: int = FINALISTS,
+    inside: Sequence[OutputErrorState] = (),
+    looks_inside: bool = True,
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate a problem of one denominator without a start.
 
@@ -95,6 +108,10 @@ def estimate_denominator(
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
     n_finalists : int
         How many starts behind filters are refined while the residuals do not look like noise.
+    inside : sequence of OutputErrorState
+        Where this denominator ended with fewer nuisances, as far as that is known.
+    looks_inside : bool
+        Whether the structures inside this one are estimated, too, where the optimum is not sure to be the best.
 
     Returns
     -------
@@ -120,7 +137,12 @@ def estimate_denominator(
         start = next(_Chain(problem, method, cutoffs, delays, 1).in_turn(), None)
         if start is not None:
             problem = problem.reweighed(start, as_it_is=False)
-    return problem, _Chain(problem, method, cutoffs, delays, n_finalists).run()
+    chain = _Chain(problem, method, cutoffs, delays, n_finalists)
+    found = chain.run()
+    if method in ("auto", "rivc", "white", "output_error"):
+        found = chain.beyond(found, inside)
+        found = chain.beyond_smaller(found, {}) if looks_inside else found
+    return problem, found
 
 
 def refine(problem: OutputErrorProblem, state: OutputErrorState, method: Method) -> Optimum:
@@ -170,6 +192,39 @@ def srivc(problem: OutputErrorProblem, start: OutputErrorState) -> Optimum:
     return Optimum(best, False, f"SRIVC still moved after {iteration} iterations", iteration)
 
 
+def are_known(problem: OutputErrorProblem, theta: FloatArray, information: FloatArray) -> bool:
+    """Return whether all poles of a problem of one denominator are known well enough to mean something.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    theta : ndarray, shape (n_theta,)
+    information : ndarray, shape (n_theta, n_theta) -- on theta
+    """
+    n = problem.n_a
+    spread = np.asarray(np.linalg.pinv(information, rcond=1e-15, hermitian=True)[:n, :n], dtype=np.float64)
+    poles, scatter = root_covariances(problem.polynomial(theta), spread)
+    sd = np.sqrt(np.maximum(np.trace(scatter, axis1=1, axis2=2), 0.0))
+    return bool(np.all(sd < _MAX_POLE_SD * np.abs(poles)))
+
+
+def widened(problem: OutputErrorProblem, state: OutputErrorState) -> list[FloatArray]:
+    """Return what a structure inside a problem says as points of it, in the state's unit of frequency.
+
+    All that the smaller structure lacks leaves it as it was: a pole stands anywhere if a zero may stand beside it, or
+    so far out that it does not show.
+    """
+    n = sum(len(full_roots(upper)) for upper in state.uppers)
+    coefficients, delays = state.theta[:n], state.theta[n:]
+    if len(delays) < len(problem.free_delays):
+        delays = np.array([problem.paths[k].delay.mean for k in problem.free_delays])
+    if n == problem.n_a:
+        return [np.concatenate([coefficients, delays])]
+    places = np.geomspace(2.0 * np.pi / problem.length, _BEYOND * problem.nyquist, _EXTRA_POLES) / state.scale
+    products = [np.polymul(np.append(1.0, coefficients), [1.0, place])[1:] for place in places]
+    return [np.concatenate([own, delays]) for own in products]
+
+
 class _Chain:
     """The chain of estimators, from filters to the optimum."""
 
@@ -195,15 +250,53 @@ class _Chain:
             found = self._refined(start)
             if best is None or found.state.cost < best.state.cost:
                 best = found
-            noise = self.problem.standardised(best.state.residuals)
             # White residuals: the optimum is not only local. Otherwise the next start has its turn.
-            if found.converged and Whiteness.of(noise).p_value > WHITE:
+            if found.converged and self.is_noise(best):
                 break
         if best is None:
             raise EstimationError(_NO_START)
         for place in range(len(self.problem.free_delays)):
             best = self._at_another_delay(best, self.problem.n_a + place)
         return best
+
+    def is_noise(self, found: Optimum) -> bool:
+        """Return whether what an optimum leaves looks like noise."""
+        return Whiteness.of(self.problem.standardised(found.state.residuals)).p_value > WHITE
+
+    def beyond_smaller(
+        self, found: Optimum, known: dict[tuple[object, ...], OutputErrorState | None]
+    ) -> Optimum:
+        """Return an optimum, or a better one from where structures inside this one end by the same chain.
+
+        They are estimated where the optimum may not be the best: it has not converged, or some pole is hardly known.
+        """
+        problem = self.problem
+        problem.scale = found.state.scale
+        if found.converged and are_known(problem, found.state.theta, problem.slope(found.state)[0]):
+            return found
+        for smaller in problem.inside().values():
+            if smaller.degrees not in known and len(known) < _MOST_INSIDE:
+                known[smaller.degrees] = None
+                delays = self.delays if smaller.free_delays else [np.empty(0)]
+                chain = _Chain(smaller, self.method, self.cutoffs, delays, self.n_finalists)
+                with contextlib.suppress(EstimationError):
+                    known[smaller.degrees] = chain.beyond_smaller(chain.run(), known).state
+            state = known.get(smaller.degrees)
+            found = self.beyond(found, [state] if state is not None else [])
+        return found
+
+    def beyond(self, found: Optimum, inside: Iterable[OutputErrorState]) -> Optimum:
+        """Return an optimum, or a better one from where a structure inside this one ended better than it.
+
+        A structure that holds another can do whatever that one does: it must not end in a worse optimum.
+        """
+        for state in inside:
+            self.problem.scale = state.scale
+            points = [self.problem.state(theta) for theta in widened(self.problem, state)]
+            start = min(points, key=lambda own: own.cost)
+            if start.cost < found.state.cost:
+                found = min(found, self._refined(start), key=lambda own: own.state.cost)
+        return found
 
     def _at_another_delay(self, found: Optimum, place: int) -> Optimum:
         """Return an optimum, or the better one that lies at another delay beside it.
