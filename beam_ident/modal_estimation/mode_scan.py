@@ -33,7 +33,9 @@ Family = tuple[FloatArray, FloatArray]  # frequencies [rad/s] and damping ratios
 
 _BESIDE = 2.5 * SCAN_DAMPING  # of a frequency: where one has been tried in vain
 _RIVAL = 0.5  # of the best candidate's gain: a scan with all else held does not decide between families
-_MAX_STAMPS = 1500
+_MAX_STAMPS = 1500  # of a record
+_FEW_STAMPS = 200  # of each of many records, which share twice as many
+_OTHER_LEVELS = 0.1  # by which levels differ so much that the scan is made anew
 _MAX_POINTS = 900
 _CHUNK = 160
 _STATES = 8_000_000  # of all candidates of a chunk, at the knots of the input
@@ -134,16 +136,22 @@ class ModalScan:
             if structure.has_direct:
                 kind: StructureKind = "base_motion" if structure.is_motion else "accelerance"
                 structure = dataclasses.replace(structure, kind=kind)
-        thinned = [_thinned_record(r, d, seed) for r, d in zip(records, inputs, strict=True)]
+        most = min(_MAX_STAMPS, max(2 * _MAX_STAMPS // len(records), _FEW_STAMPS))
+        thinned = [_thinned_record(r, d, seed, most) for r, d in zip(records, inputs, strict=True)]
         self._plain = self.regression = ModalRegression(thinned, structure, restarts=restarts)
         step = min(SCAN_DAMPING, np.log(band.high_hz / band.low_hz) / 8.0)
         n_points = int(min(_MAX_POINTS, np.ceil(np.log(band.high_hz / band.low_hz) / step) + 1))
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
         self._candidates: list[_Candidates] | None = None
+        self._levels: list[FloatArray] = []
         self._clock = ClockState()
 
     def weigh(self, levels: Sequence[FloatArray]) -> None:
         """Divide the rows of every output by a level in each of its records (``ModalRegression.weighed``)."""
+        known = self._levels
+        if known and all(np.allclose(a, b, rtol=_OTHER_LEVELS) for a, b in zip(known, levels, strict=True)):
+            return
+        self._levels = list(levels)
         self.regression = self._plain.weighed(levels)
         self._candidates = None
 
@@ -292,8 +300,8 @@ def _thinned_input(drive: InputSignal, structure: ModalStructure, longest: float
     return InputSignal(drive.name, drive.unit, grid, values, "cubic", gaps=drive.gaps)
 
 
-def _thinned_record(record: TimeRecord, drives: tuple[InputSignal, ...], seed: int) -> TimeRecord:
-    """Return a record with other inputs and not too many stamps."""
+def _thinned_record(record: TimeRecord, drives: tuple[InputSignal, ...], seed: int, most: int) -> TimeRecord:
+    """Return a record with other inputs and at most so many stamps."""
     rng = np.random.default_rng(seed)
     outputs = []
     chosen: dict[bytes, IndexArray] = {}
@@ -301,12 +309,10 @@ def _thinned_record(record: TimeRecord, drives: tuple[InputSignal, ...], seed: i
         key = output.times_s.tobytes()
         if key not in chosen:
             n = len(output.times_s)
-            chosen[key] = (
-                np.arange(n) if n <= _MAX_STAMPS else np.sort(rng.choice(n, _MAX_STAMPS, replace=False))
-            )
+            chosen[key] = np.arange(n) if n <= most else np.sort(rng.choice(n, most, replace=False))
         keep = chosen[key]
         if np.count_nonzero(output.is_valid[keep]) < 20:
-            keep = np.flatnonzero(output.is_valid)[:_MAX_STAMPS]
+            keep = np.flatnonzero(output.is_valid)[:most]
         outputs.append(
             OutputSignal(
                 output.name,

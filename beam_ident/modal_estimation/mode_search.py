@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -155,6 +155,11 @@ class ModeSearch(ABC, Generic[ProblemT]):
         del fit
         return []
 
+    def is_promising(self, fit: ModalFit) -> bool:
+        """Return whether a fit that is not believed may lead to one that is."""
+        del fit
+        return True
+
     def reweigh(self) -> None:
         """Let what the present model leaves decide how the data weigh against each other."""
 
@@ -226,12 +231,19 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self._is_unsettled or len(self.chosen.omegas) > len(self._believed[0].omegas)
         ):
             try:
-                self._settle(limit)
-                ended = self._extend(None, limit)
+                if self._settle(limit):
+                    ended = self._extend(None, limit)
                 self.chosen, self.chosen_entry = self._believed
             except Stopped as stop:
                 return self._stopped(
                     stop, "a second look at orders that were not believed, and the weighing by the noise"
+                )
+        if n_modes is not None:
+            try:
+                self._look_inside()
+            except Stopped as stop:
+                return self._stopped(
+                    stop, "a look at what simpler structures find, and the weighing by the noise"
                 )
         if not len(self.chosen.omegas):
             raise EstimationError(
@@ -282,6 +294,19 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 break
             fit = self.fit(np.delete(fit.omegas, doubtful), np.delete(fit.zetas, doubtful), fit.clock)
         return fit
+
+    def inside(self, n_modes: int) -> Iterator[ModalFit]:
+        """Yield as many modes as structures inside this one find, where the present fit may not be the best."""
+        del n_modes
+        return iter(())
+
+    def _look_inside(self) -> None:
+        """Go on from where a structure inside this one ended better: one that can do more must not end worse."""
+        for smaller in self.inside(len(self.chosen.omegas)):
+            fit = self.fit(smaller.omegas, smaller.zetas, smaller.clock, _ITERATIONS)
+            if fit.cost < self.chosen.cost:
+                self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
+                self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""
@@ -342,8 +367,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True
 
-    def _settle(self, limit: int) -> None:
-        """Return from orders that are not believed to one that is.
+    def _settle(self, limit: int) -> bool:
+        """Go back from orders that are not believed to one that is; False where nothing promises that there is one.
 
         Where fits did not converge, modes that were placed with hardly any refinement between them are a second
         start: they cannot run into each other while others are missing.
@@ -354,11 +379,14 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.max_iterations = 2 * _ITERATIONS
         found = [(believed, entry)]
         starts = [self.chosen, self._pursued(limit)] if self._is_unsettled else [self.chosen]
+        if not len(believed.omegas) and self._is_unsettled and not any(map(self.is_promising, starts)):
+            return False
         for start in sorted(starts, key=self._bic):
             self._sound(start, found)
             if len(found) > 1:
                 break
         self.chosen, self.chosen_entry = self._believed = min(found, key=lambda own: self._bic(own[0]))
+        return True
 
     def _sound(self, start: ModalFit, found: list[tuple[ModalFit, int]]) -> None:
         """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found."""

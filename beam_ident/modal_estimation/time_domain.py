@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -511,6 +511,36 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         near = [start for start in starts if start.cost < least + _AS_GOOD]
         again = [self.fit(start.omegas, start.zetas, start.clock) for start in near]
         return [own for own in again if own.cost < fit.cost]
+
+    def is_promising(self, fit: ModalFit) -> bool:
+        """Return whether modes that are still to be refined explain more than noise without an input would."""
+        return len(self.plain.pieces) > 1 or not self._unrelated(unweighed(self.problem, fit))
+
+    def inside(self, n_modes: int) -> Iterator[ModalFit]:
+        """Yield what is found without initial motion, ramp or offset, where the fit or a mode of it is in doubt.
+
+        A long record is not searched again: a start of some of its stamps has served it already.
+        """
+        regression, fit = self.plain, self.chosen
+        is_long = len(regression.pieces) > 1 or max(map(len, regression.times)) > _THINNED
+        doubts = [mode_complaint(fit, regression, mode, self.band) for mode in range(n_modes)]
+        if is_long or (fit.converged and not any(doubts)):
+            return
+        form = regression.structure
+        simpler = [replace(form, has_free_response=False)] * form.has_free_response
+        simpler += [replace(form, has_ramp=False)] * form.has_ramp
+        simpler += [replace(form, has_offset=False)] * form.has_offset
+        for structure in simpler:
+            smaller = ModalRegression(self.records, structure, self.input_names, restarts=regression.restarts)
+            search = _TimeSearch(
+                self.records, smaller, self.latency, self.clock_rate, self.input_names, self.progress
+            )
+            search.run_plain(n_modes)
+            yield search.chosen
+
+    def run_plain(self, n_modes: int) -> None:
+        """Search for as many modes with equal weights, and nowhere else."""
+        self._extend_anew(n_modes, n_modes, self._extend(n_modes, n_modes))
 
     def begun(self, n_modes: int | None, max_modes: int) -> Weighed[ModalRegression]:
         """Search with equal weights, and return what was found, be it nothing."""
