@@ -26,6 +26,7 @@ from beam_ident.transfer_function.structure_gates import information_criterion
 from beam_ident.transfer_function_estimation.common_poles import CommonPoleResult, estimate_common_poles
 from beam_ident.transfer_function_estimation.estimation import (
     SeparateOutputsResult,
+    TransferFunctionResult,
     estimate_transfer_function,
 )
 from beam_ident.transfer_function_estimation.order_selection import select_transfer_function
@@ -66,6 +67,11 @@ def transfer_function(record: TimeRecord, settings: EstimatorSettings) -> Separa
         "delay": "estimate",
         "n_integrators": _INTEGRATORS.get(settings.structure, 0),
     }
+    if len(record.inputs) > 1:
+        raise EstimationError(
+            f"record {record.name!r} has the inputs {', '.join(own.name for own in record.inputs)}; expected one for "
+            "this estimator. Take the estimator modal, or estimate_common_poles"
+        )
     degrees = _degrees(settings, _MOST_MODES)
     zeros = [n - _fewer_zeros(settings) for n in degrees]
     chosen = []
@@ -76,6 +82,7 @@ def transfer_function(record: TimeRecord, settings: EstimatorSettings) -> Separa
                 chosen.append(estimate_transfer_function(part, degrees[0], zeros[0], **options))
             else:
                 selection = select_transfer_function(part, degrees, zeros, progress=progress, **options)
+                assert isinstance(selection.chosen, TransferFunctionResult)  # of one input
                 chosen.append(selection.chosen)
         except EstimationError as err:
             raise EstimationError(f"output {name!r}: {err}") from err

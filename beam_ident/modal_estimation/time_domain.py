@@ -219,9 +219,7 @@ class _Task:
                     return found
         return self._outcome(records, ())
 
-    def _jumps(
-        self, records: list[TimeRecord], places: list[list[ClockJump]]
-    ) -> tuple[ClockJump, ...]:
+    def _jumps(self, records: list[TimeRecord], places: list[list[ClockJump]]) -> tuple[ClockJump, ...]:
         """Return by how much clocks jump at some of the places where they may.
 
         The longest stretch of every record in which none can jump shows the model.  From there the likelihood of the

@@ -12,7 +12,7 @@ refined to the optimum stands in ``transfer_function_estimation.srivc``, how a d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar, overload
 
@@ -31,7 +31,7 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
-from beam_ident.noise.relation import is_related
+from beam_ident.noise.relation import innovation_criterion, is_related
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.quantisation import without_clipped
@@ -39,6 +39,7 @@ from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
+    structure_complaint,
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.additive_fit import estimate_additive
@@ -272,7 +273,8 @@ def estimate_transfer_function(
         Cut-off of the state-variable filter [rad/s]; None tries a portfolio.
     n_integrators : {0, 1, 2}
         Known poles at zero, beside those that are estimated; with a free response an unknown
-        constant (and for two a ramp) is estimated too.
+        constant (and for two a ramp) is estimated too.  Where a fit leaves doubts and an integrator, an offset
+        or a drift more explains the data better, a warning says which.
     n_starts : int
         Starts at most, tried in turn until the residuals look like noise; 1 is the quickest, for
         comparing many structures.  With all of them, where the optimum did not converge or a pole is hardly known,
@@ -297,6 +299,156 @@ def estimate_transfer_function(
     is the root of the mean square over all samples; each record's own stands in ``records``.  The weights
     of "lssvf" and "ivsvf" are those of a first estimate.
     """
+    options: dict[str, Any] = {
+        "method": method,
+        "has_offset": has_offset,
+        "has_ramp": has_ramp,
+        "has_free_response": has_free_response,
+        "delay": delay,
+        "input_name": input_name,
+        "output_name": output_name,
+        "cutoff": cutoff,
+        "n_integrators": n_integrators,
+        "n_starts": n_starts,
+    }
+    result = estimated(record, n_poles, n_zeros, **options)
+    if not (method in ("auto", "output_error", "rivc") and leaves_doubt(result)):
+        return result
+    best, gain, present = None, STRONG, criterion(result, has_offset, has_ramp)
+    for offer in offers(n_poles, n_zeros, options):
+        try:
+            other = estimated(record, offer.n_poles, n_zeros, **offer.options)
+        except EstimationError:
+            continue
+        lower = present - criterion(other, offer.options["has_offset"], offer.options["has_ramp"])
+        if len(other.measured) == len(result.measured) and other.converged and lower > gain:
+            best, gain = offer, lower
+            if not leaves_doubt(other):
+                break
+    if best is None:
+        return result
+    said = (
+        f"With {best} the data are explained better than with the structure that was asked for (BIC lower by "
+        f"{gain:.3g}): gains and poles of that one may be far off. Ask for {best.arguments}, or let "
+        "select_transfer_function() choose."
+    )
+    return replace(result, warnings=(said, *result.warnings))
+
+
+def criterion(
+    result: TransferFunctionResult | MultiInputResult, has_offset: bool = False, has_ramp: bool = False
+) -> float:
+    """Return BIC with noise of any colour, whatever the fit took it for, up to a constant of the samples."""
+    model = result.model
+    denominators = model.denominators if isinstance(model, MultiInputModel) else (model.denominator,)
+    poles = sum(len(np.trim_zeros(own, "b")) - 1 for own in denominators)
+    shared = poles + sum(len(path.numerator) for path in paths_of(model))
+    own = int(has_offset) + int(has_ramp) + poles * result.initial_motion.is_estimated
+    n_parameters = shared + own * len(result.records)
+    innovations = innovation_criterion([own.residuals for own in result.records])
+    return innovations + n_parameters * math.log(len(result.measured))
+
+
+STRONG = 6.0  # difference of BIC, twice the logarithm of the odds: strong evidence (Kass and Raftery 1995)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A structure with terms that another one lacks.
+
+    Attributes
+    ----------
+    n_poles : int or sequence of int -- beside the integrators
+    options : mapping -- of ``estimate_transfer_function``
+    arguments : str -- what to ask for
+    """
+
+    n_poles: int | Sequence[int]
+    options: dict[str, Any]
+    arguments: str
+
+    def __str__(self) -> str:
+        """Return the terms in words."""
+        words = ["no integrator", "an integrator", "two integrators"]
+        terms = [words[self.options["n_integrators"]]] if self.options["n_integrators"] else []
+        terms += ["an offset"] * bool(self.options["has_offset"])
+        terms += ["a drift"] * bool(self.options["has_ramp"])
+        count = f"{self.n_poles} pole{'s' if self.n_poles != 1 else ''}"
+        *most, last = [count, *terms]
+        return f"{', '.join(most)} and {last}" if most else last
+
+
+def leaves_doubt(result: TransferFunctionResult | MultiInputResult) -> bool:
+    """Return whether a fit has anything that a missing integrator, offset or drift may be the cause of."""
+    paths = paths_of(result.model)
+    return (
+        not result.converged
+        or not result.whiteness.is_white
+        or any(structure_complaint(path) for path in paths)
+    )
+
+
+def offers(
+    n_poles: int | Sequence[int], n_zeros: int | Sequence[int], options: Mapping[str, Any]
+) -> list[Offer]:
+    """Return structures with an integrator, an offset or a drift more; integrators instead of a pole, too.
+
+    Parameters
+    ----------
+    n_poles, n_zeros : int or sequence of int
+    options : mapping -- of ``estimate_transfer_function``
+    """
+    given = {"n_integrators": 0, "has_offset": False, "has_ramp": False, **options}
+    moves = options.get("has_free_response")
+    degrees = [n_zeros] if isinstance(n_zeros, int) else list(n_zeros)
+    few = [n_poles]
+    if isinstance(n_poles, int) and n_poles > 1:
+        few.append(n_poles - 1)
+    found = []
+    for more in range(min(2, _MAX_INTEGRATORS - given["n_integrators"]) + 1):
+        for n in few[::-1] if more else few[:1]:  # an integrator instead of a pole before one beside all
+            for offset, ramp in ((False, False), (True, False), (True, True)):
+                terms = {
+                    "n_integrators": given["n_integrators"] + more,
+                    "has_offset": given["has_offset"] or offset,
+                    "has_ramp": given["has_ramp"] or ramp,
+                }
+                is_new = any(terms[name] != given[name] for name in terms) or n != n_poles
+                most = min([n] if isinstance(n, int) else n) + terms["n_integrators"]
+                asked = [f"n_poles={n}"] * (n != n_poles)
+                asked += [f"{name}={value}" for name, value in terms.items() if value != given[name]]
+                # One quick fit each; what such a record had of motion at first matters less than a term that lacks.
+                quick = {"n_starts": 1, "method": "white", "has_free_response": bool(moves)}
+                offer = Offer(n, {**options, **terms, **quick}, ", ".join(asked))
+                if is_new and max(degrees) <= most and offer not in found:
+                    found.append(offer)
+    return found
+
+
+def paths_of(model: TransferFunctionModel | MultiInputModel) -> list[TransferFunctionModel]:
+    """Return the transfer function of every input."""
+    if isinstance(model, TransferFunctionModel):
+        return [model]
+    return [model.path(k) for k in range(len(model.input_names))]
+
+
+@on_one_thread
+def estimated(
+    record: TimeRecord | Sequence[TimeRecord],
+    n_poles: int | Sequence[int],
+    n_zeros: int | Sequence[int],
+    method: Method = "auto",
+    has_offset: bool = False,
+    has_ramp: bool = False,
+    has_free_response: bool | None = None,
+    delay: DelayLike | Sequence[DelayLike] = 0.0,
+    input_name: str | None = None,
+    output_name: str | None = None,
+    cutoff: float | None = None,
+    n_integrators: int = 0,
+    n_starts: int = FINALISTS + 1,
+) -> TransferFunctionResult | MultiInputResult:
+    """Estimate as ``estimate_transfer_function`` does, without a look for terms that the structure lacks."""
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     records = require_records(record)

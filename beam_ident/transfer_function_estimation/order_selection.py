@@ -7,6 +7,9 @@ gates: the fit converged, every pole is known well enough to mean something, and
 cancelled by a zero within their uncertainty.  Where what the best one leaves has a colour or outliers, all are
 estimated and compared under the noise as it is.  YIC is shown because it is customary; for lightly
 damped modes it picks orders that are too low, and decides nothing here.
+
+Of several inputs all have numerators of one degree at first; around the best structure each is then given its own.
+Where the best one leaves doubts, structures with integrators, an offset or a drift more are tried beside it.
 """
 
 from __future__ import annotations
@@ -25,15 +28,23 @@ from beam_ident.noise.scores import are_rounding
 from beam_ident.transfer_function.structure_gates import UNRELATED, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import (
     InitialMotion,
+    MultiInputResult,
     TransferFunctionResult,
-    estimate_transfer_function,
+    estimated,
+    leaves_doubt,
+    offers,
+    paths_of,
 )
 from beam_ident.transfer_function_estimation.srivc import WHITE
 
 _FIRST_PART = 0.7  # of the progress: one start for every structure
 _VISIBLE = 1.0  # of -2 log-likelihood
 _NEAR = 2  # parameters
+_TERMS = ("n_integrators", "has_offset", "has_ramp")
 _STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
+
+Degrees = tuple[int, int | tuple[int, ...]]  # of the denominator, and of the numerators
+Outcome = TransferFunctionResult | MultiInputResult | str  # why there is no result
 
 
 @dataclass(frozen=True)
@@ -42,15 +53,18 @@ class StructureEntry:
 
     Attributes
     ----------
-    n_poles, n_zeros : int
+    n_poles : int -- beside integrators
+    n_zeros : int, or tuple of int with one for each of several inputs
     r_squared, fit_percent, yic, aic, bic, condition : float -- NaN where the estimation failed
     converged : bool
     refused_because : str -- empty when the structure passed all gates
     is_chosen : bool
+    n_integrators : int
+    has_offset, has_ramp : bool
     """
 
     n_poles: int
-    n_zeros: int
+    n_zeros: int | tuple[int, ...]
     r_squared: float
     fit_percent: float
     yic: float
@@ -60,6 +74,9 @@ class StructureEntry:
     converged: bool
     refused_because: str
     is_chosen: bool = False
+    n_integrators: int = 0
+    has_offset: bool = False
+    has_ramp: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,20 +86,20 @@ class OrderSelection:
     Attributes
     ----------
     table : tuple of StructureEntry -- best BIC first
-    chosen : TransferFunctionResult
+    chosen : TransferFunctionResult, or MultiInputResult of several inputs
     """
 
     table: tuple[StructureEntry, ...]
-    chosen: TransferFunctionResult
+    chosen: TransferFunctionResult | MultiInputResult
 
     def __str__(self) -> str:
         """Return the table as text, a line for every structure, the chosen one marked by an arrow."""
-        heads = ("poles", "zeros", "R_T^2", "YIC", "FIT %", "AIC", "BIC", "condition", "converged")
+        heads = ("poles", "zeros", "R_T^2", "YIC", "FIT %", "AIC", "BIC", "condition", "converged", "also")
         lines = ["   " + " ".join(f"{head:>10}" for head in heads) + "  refused because"]
         for e in self.table:
             figures = (
                 f"{e.n_poles:d}",
-                f"{e.n_zeros:d}",
+                f"{e.n_zeros:d}" if isinstance(e.n_zeros, int) else ",".join(map(str, e.n_zeros)),
                 f"{e.r_squared:.5f}",
                 f"{e.yic:.2f}",
                 f"{e.fit_percent:.2f}",
@@ -90,6 +107,9 @@ class OrderSelection:
                 f"{e.bic:.1f}",
                 f"{e.condition:.1e}",
                 "yes" if e.converged else "no",
+                # Integrators, offset and drift, as 1/s, c and t.
+                "".join(["1/s "] * e.n_integrators + ["c "] * e.has_offset + ["t"] * e.has_ramp).strip()
+                or "-",
             )
             mark = "-> " if e.is_chosen else "   "
             lines.append(mark + " ".join(f"{f:>10}" for f in figures) + f"  {e.refused_because}".rstrip())
@@ -113,13 +133,15 @@ def select_transfer_function(
         One experiment, or several that share the structure and the model.
     n_poles : iterable of int -- degrees of the denominator
     n_zeros : iterable of int or None
-        Degrees of the numerator; None takes all below the denominator's.
+        Degrees of the numerator, or of that of every input; None takes all below the denominator's.
     n_workers : int -- processes to spread the estimates over; 1 stays in this one
     progress : callable or None -- called with a phrase and the share done
     scheduler : str or None -- address of a Dask cluster that does the work instead; see ``map_records``
     **options
         Handed to ``estimate_transfer_function``, such as ``has_offset``.  Where ``has_free_response`` is left
-        out, the best structure without initial motion tells whether all are estimated with it.
+        out, the best structure without initial motion tells whether all are estimated with it.  Where
+        ``n_integrators`` is left out, integrators, an offset and a drift are tried where the best structure without
+        leaves doubts; what is chosen for them stands in the table and in a warning.
 
     Raises
     ------
@@ -137,12 +159,19 @@ def select_transfer_function(
     for name, degrees in (("n_poles", poles), ("n_zeros", zeros or [])):
         for degree in degrees:
             require_whole_number(f"a degree in {name}", degree, 0)
-    structures = [(n, m) for n in poles for m in (range(n) if zeros is None else zeros) if 0 <= m <= n]
+    n_inputs = 1 if options.get("input_name") is not None else len(records[0].inputs)
+    structures: list[Degrees] = [
+        (n, m if n_inputs == 1 else (m,) * n_inputs)
+        for n in poles
+        for m in (range(n) if zeros is None else zeros)
+        if 0 <= m <= n
+    ]
     if not structures:
         raise EstimationError(
             "no structure to try; give at least one number of poles with no more zeros than poles"
         )
     is_automatic = options.get("method", "auto") == "auto"
+    may_offer = "n_integrators" not in options
     asks = options.get("has_free_response") is None
     if asks:
         for drive in records[0].inputs:
@@ -160,7 +189,12 @@ def select_transfer_function(
         if _has_noise_of_its_own(results):
             # Under white noise BIC would pay for poles that only follow the noise: every structure has it as it is.
             results = _all(records, structures, options, n_workers, scheduler, progress)
-    entries = [_entry(n, m, outcome) for (n, m), outcome in zip(structures, results, strict=True)]
+    if n_inputs > 1:
+        structures, results = _with_own_degrees(records, structures, results, options, zeros)
+    entries = [_entry(n, m, outcome, options) for (n, m), outcome in zip(structures, results, strict=True)]
+    offered = False
+    if may_offer:
+        entries, results, offered = _with_offers(records, structures, results, entries, options)
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
     if not passed:
         reasons = "; ".join(f"{e.n_poles}/{e.n_zeros}: {e.refused_because}" for e in entries[:4])
@@ -170,14 +204,89 @@ def select_transfer_function(
     best = min(passed, key=lambda k: entries[k].bic)
     entries[best] = replace(entries[best], is_chosen=True)
     chosen = results[best]
-    assert isinstance(chosen, TransferFunctionResult)
-    if motion.is_estimated:
+    assert not isinstance(chosen, str)
+    if offered and (said := _terms(entries[best], options)):
+        chosen = replace(chosen, warnings=(f"Chosen with {said}, which BIC prefers.", *chosen.warnings))
+    if motion.is_estimated and chosen.initial_motion.is_estimated:
         chosen = replace(chosen, initial_motion=motion, warnings=(*motion.warnings, *chosen.warnings))
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
 
 
-def _initial_motion(results: Sequence[TransferFunctionResult | str]) -> InitialMotion:
+def _with_own_degrees(
+    records: Sequence[TimeRecord],
+    structures: list[Degrees],
+    results: list[Outcome],
+    options: dict[str, Any],
+    zeros: list[int] | None,
+) -> tuple[list[Degrees], list[Outcome]]:
+    """Return structures and estimates with those in which single inputs have other degrees than the best one's."""
+    structures, results = list(structures), list(results)
+    while True:
+        found = [k for k, outcome in enumerate(results) if not isinstance(outcome, str)]
+        if not found:
+            return structures, results
+        best = min(found, key=lambda k: _figure_of_merit(structures[k], results[k], options))
+        n, degrees = structures[best]
+        assert isinstance(degrees, tuple)
+        further: list[Degrees] = [
+            (n, (*degrees[:k], m, *degrees[k + 1 :]))
+            for k in range(len(degrees))
+            for m in (range(n) if zeros is None else zeros)
+            if 0 <= m <= n
+        ]
+        further = [own for own in further if own not in structures]
+        if not further:
+            return structures, results
+        structures += further
+        results += [_attempt((records, *own, {"n_starts": _STARTS} | options)) for own in further]
+
+
+def _figure_of_merit(structure: Degrees, outcome: Outcome, options: dict[str, Any]) -> float:
+    """Return BIC of a structure that passes the gates, else infinity."""
+    entry = _entry(*structure, outcome, options)
+    return math.inf if entry.refused_because else entry.bic
+
+
+def _with_offers(
+    records: Sequence[TimeRecord],
+    structures: list[Degrees],
+    results: list[Outcome],
+    entries: list[StructureEntry],
+    options: dict[str, Any],
+) -> tuple[list[StructureEntry], list[Outcome], bool]:
+    """Return entries and estimates with those of integrators, offset and drift, and whether they were looked at."""
+    found = [(k, outcome) for k, outcome in enumerate(results) if not isinstance(outcome, str)]
+    passed = [(k, outcome) for k, outcome in found if not entries[k].refused_because]
+    if not found:
+        return entries, results, False
+    place, best = min(passed or found, key=lambda own: own[1].bic)
+    if passed and not leaves_doubt(best):
+        return entries, results, False
+    entries, results = list(entries), list(results)
+    for offer in offers(*structures[place], options):
+        own = {**options, **{name: offer.options[name] for name in _TERMS}, "n_starts": 1}
+        if not isinstance(offer.n_poles, int):
+            continue
+        if options["has_free_response"] is True and entries[place].refused_because:
+            own["has_free_response"] = False  # what seemed to be initial motion may be a term that is offered
+        outcome = _attempt((records, offer.n_poles, structures[place][1], own))
+        entries.append(_entry(offer.n_poles, structures[place][1], outcome, own))
+        results.append(outcome)
+        if not (isinstance(outcome, str) or entries[-1].refused_because or leaves_doubt(outcome)):
+            break
+    return entries, results, True
+
+
+def _terms(entry: StructureEntry, options: dict[str, Any]) -> str:
+    """Return which terms a structure has that nobody asked for."""
+    said = ["an integrator", "two integrators"][entry.n_integrators - 1 : entry.n_integrators]
+    said += ["an offset"] * (entry.has_offset and not options.get("has_offset"))
+    said += ["a drift"] * (entry.has_ramp and not options.get("has_ramp"))
+    return " and ".join(said)
+
+
+def _initial_motion(results: Sequence[Outcome]) -> InitialMotion:
     """Return whether the best structure without initial motion, if there is one, says that there is some."""
     found = [r for r in results if not isinstance(r, str)]
     return InitialMotion.found(min(found, key=lambda r: r.bic).initial_motion.p_value if found else 0.0)
@@ -185,12 +294,12 @@ def _initial_motion(results: Sequence[TransferFunctionResult | str]) -> InitialM
 
 def _all(
     records: Sequence[TimeRecord],
-    structures: list[tuple[int, int]],
+    structures: list[Degrees],
     options: dict[str, Any],
     n_workers: int,
     scheduler: str | None,
     progress: Progress | None,
-) -> list[TransferFunctionResult | str]:
+) -> list[Outcome]:
     """Return the estimates of all structures, or why there is none."""
     jobs = [(records, n, m, {"n_starts": 1} | options) for n, m in structures]
     results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
@@ -210,7 +319,7 @@ def _all(
     return results
 
 
-def _has_noise_of_its_own(results: Sequence[TransferFunctionResult | str]) -> bool:
+def _has_noise_of_its_own(results: Sequence[Outcome]) -> bool:
     """Return whether what the best structure leaves under white noise has a colour, by BIC, or outliers."""
     found = [r for r in results if not isinstance(r, str)]
     if not found:
@@ -230,9 +339,7 @@ def _part(progress: Progress | None, start: float, end: float) -> Progress | Non
     return lambda phrase, share: progress(phrase, start + (end - start) * share)
 
 
-def _suspects(
-    structures: list[tuple[int, int]], results: list[TransferFunctionResult | str]
-) -> dict[int, bool]:
+def _suspects(structures: list[Degrees], results: list[Outcome]) -> dict[int, bool]:
     """Return which structures may have ended in a local optimum, and matter, and which are surpassed.
 
     Those without any estimate; those that a structure inside them surpasses; and, where residuals
@@ -242,42 +349,51 @@ def _suspects(
     suspects = {k: False for k, r in enumerate(results) if isinstance(r, str)}
     if not found:
         return suspects
-    n_best, m_best = structures[min(found, key=lambda item: item[1].bic)[0]]
-    misfits = {k: r.bic - sum(structures[k]) * math.log(len(r.measured)) for k, r in found}
+    sizes = [n + sum(_each(m)) for n, m in structures]
+    best = min(found, key=lambda item: item[1].bic)[0]
+    misfits = {k: r.bic - sizes[k] * math.log(len(r.measured)) for k, r in found}
     for k, r in found:
-        n, m = structures[k]
-        inside = [j for j, _ in found if j != k and structures[j][0] <= n and structures[j][1] <= m]
+        inside = [j for j, _ in found if j != k and _is_within(structures[j], structures[k])]
         is_surpassed = any(misfits[j] < misfits[k] - _VISIBLE for j in inside)
         is_noise = r.converged and r.whiteness.p_value > WHITE
-        is_near = n_best + m_best - _NEAR <= n + m <= n_best + m_best and (n, m) != (n_best, m_best)
+        is_near = sizes[best] - _NEAR <= sizes[k] <= sizes[best] and k != best
         if is_surpassed or (is_near and not is_noise):
             suspects[k] = is_surpassed
     return suspects
 
 
-def _better(
-    first: TransferFunctionResult | str, second: TransferFunctionResult | str
-) -> TransferFunctionResult | str:
+def _each(n_zeros: int | tuple[int, ...]) -> tuple[int, ...]:
+    return (n_zeros,) if isinstance(n_zeros, int) else n_zeros
+
+
+def _is_within(one: Degrees, other: Degrees) -> bool:
+    """Return whether a structure is a special case of another one."""
+    pairs = zip(_each(one[1]), _each(other[1]), strict=True)
+    return one[0] <= other[0] and all(m <= most for m, most in pairs)
+
+
+def _better(first: Outcome, second: Outcome) -> Outcome:
     """Return the estimate of lower cost."""
     if isinstance(second, str):
         return first
     return second if isinstance(first, str) or second.bic <= first.bic else first
 
 
-def _attempt(job: tuple[Sequence[TimeRecord], int, int, dict[str, Any]]) -> TransferFunctionResult | str:
+def _attempt(job: tuple[Sequence[TimeRecord], int, int | tuple[int, ...], dict[str, Any]]) -> Outcome:
     records, n, m, options = job
     try:
-        return estimate_transfer_function(records, n, m, **options)
+        return estimated(records, n, m, **options)
     except EstimationError as err:
         return str(err)
 
 
-def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEntry:
+def _entry(n: int, m: int | tuple[int, ...], outcome: Outcome, options: dict[str, Any]) -> StructureEntry:
+    terms = {name: options[name] for name in _TERMS if name in options}
     if isinstance(outcome, str):
         nan = math.nan
-        return StructureEntry(n, m, nan, nan, nan, nan, nan, nan, False, outcome)
+        return StructureEntry(n, m, nan, nan, nan, nan, nan, nan, False, outcome, **terms)
     n_samples = len(outcome.measured)
-    n_parameters = n + m + 1
+    n_parameters = n + sum(own + 1 for own in _each(m))
     refusal = "" if outcome.converged else outcome.reason
     if not refusal and UNRELATED in outcome.warnings:
         refusal = "it explains no more than noise of any colour would"
@@ -291,5 +407,7 @@ def _entry(n: int, m: int, outcome: TransferFunctionResult | str) -> StructureEn
         outcome.bic,
         outcome.condition,
         outcome.converged,
-        refusal or structure_complaint(outcome.model),
+        refusal
+        or next((said for path in paths_of(outcome.model) if (said := structure_complaint(path))), ""),
+        **terms,
     )

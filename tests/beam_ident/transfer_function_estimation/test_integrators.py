@@ -11,6 +11,7 @@ from beam_ident import (
     OutputSignal,
     TimeRecord,
     estimate_transfer_function,
+    select_transfer_function,
     validate,
 )
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -161,3 +162,49 @@ def test_what_the_refusal_advises_finds_an_integrators_gain():
     assert abs(model.denominator[1]) < 4.0 * pole_sd
     assert abs(model.numerator[0] - 2.0) < 4.0 * gain_sd
     assert np.polyfit(integral, axis.outputs[0].values, 1)[0] == pytest.approx(2.0, rel=0.01)
+
+
+def axis(offset: float) -> TimeRecord:
+    """Return what a force does to an axis of 0.8 kg with a friction of 0.3 N s/m, seen from an origin of its own."""
+    rng = np.random.default_rng(1)
+    force = np.repeat(rng.choice([-1.0, 1.0], 251), 8)[:2000]
+    drive = InputSignal("force", "N", (0.0, PERIOD_S), force - np.mean(force))
+    model = TransferFunctionModel(
+        np.array([1.0 / 0.8]), np.array([1.0, 0.3 / 0.8, 0.0]), 0.0, np.zeros((4, 4)), 0.0
+    )
+    stamps = PERIOD_S * np.arange(1, 1990)
+    seen = model.simulate(drive, stamps) + offset + 1e-4 * rng.standard_normal(1989)
+    return TimeRecord((drive,), (OutputSignal("x", "m", stamps, seen),))
+
+
+@pytest.mark.parametrize(("offset", "advice"), [(0.0, ""), (0.1, ", has_offset=True")])
+def test_an_axis_without_its_integrator_is_named_and_the_advice_gives_its_mass(offset, advice):
+    record = axis(offset)
+    blind = estimate_transfer_function(record, 1, 0)
+    assert any(f"Ask for n_integrators=1{advice}, or let" in said for said in blind.warnings)
+    assert abs(1.0 / blind.model.numerator[0] - 0.8) > 0.2  # why it must be named
+    found = estimate_transfer_function(record, 1, 0, n_integrators=1, has_offset=offset > 0.0)
+    assert abs(found.model.numerator[0] - 1.25) < 4.0 * found.model.standard_deviations[2]
+    assert not any("Ask for" in said for said in found.warnings)
+
+
+def test_a_pole_near_zero_is_offered_as_an_integrator():
+    said = " ".join(estimate_transfer_function(axis(0.0), 2, 0).warnings)
+    assert "Ask for n_poles=1, n_integrators=1" in said
+
+
+def test_the_search_for_degrees_offers_integrators_and_an_offset():
+    selection = select_transfer_function(axis(0.1), [1, 2], [0])
+    chosen = next(entry for entry in selection.table if entry.is_chosen)
+    assert (chosen.n_poles, chosen.n_integrators, chosen.has_offset) == (1, 1, True)
+    assert selection.chosen.warnings == ("Chosen with an integrator and an offset, which BIC prefers.",)
+    assert abs(1.0 / selection.chosen.model.numerator[0] - 0.8) < 1e-3
+    assert "1/s c" in str(selection)
+
+
+def test_no_integrator_is_offered_where_none_is_missing():
+    plain = record(1)
+    found = estimate_transfer_function(plain, 2, 1, n_integrators=1)
+    assert not any("Ask for" in said for said in found.warnings)
+    given = select_transfer_function(plain, [2], [1], n_integrators=1)
+    assert [entry.n_integrators for entry in given.table] == [1]

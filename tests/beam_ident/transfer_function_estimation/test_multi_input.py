@@ -5,7 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError, ModelFormatError, TimeRecord, estimate_transfer_function, validate
+from beam_ident import (
+    EstimationError,
+    ModelFormatError,
+    TimeRecord,
+    estimate_transfer_function,
+    select_transfer_function,
+    validate,
+)
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from benchmarks.ident.multi_input import MultiInput
 
@@ -154,3 +161,13 @@ def test_the_path_of_an_input_has_the_uncertainty_of_its_own_parameters(has_comm
     )
     for name, places in zip(("hub", "force"), own, strict=True):
         assert np.array_equal(model.path(name).covariance, model.covariance[np.ix_(places, places)])
+
+
+def test_the_search_gives_every_input_its_own_degree():
+    common = MultiInput(has_common_poles=True)
+    selection = select_transfer_function(common.record(0), [4], [2, 3])
+    chosen = next(entry for entry in selection.table if entry.is_chosen)
+    assert (chosen.n_poles, chosen.n_zeros) == (4, (2, 3))
+    assert {entry.n_zeros for entry in selection.table} == {(2, 2), (2, 3), (3, 2), (3, 3)}
+    assert selection.chosen.model.input_names == ("force", "base")
+    assert "2,3" in str(selection)
