@@ -22,7 +22,7 @@ def record(stamps: np.ndarray) -> TimeRecord:
 
 def test_every_number_of_lost_samples_leaves_another_size_to_a_jump() -> None:
     stamps = PERIOD * np.arange(300) + 0.024 * (np.arange(300) >= 100)
-    (sizes,) = possible_jumps(record(stamps), 0, "u")
+    (sizes,) = possible_jumps(record(stamps), 0, ["u"])
     assert {jump.at_s for jump in sizes} == {stamps[100]}
     np.testing.assert_allclose([jump.size_s for jump in sizes], [0.024, 0.014, 0.004, -0.006], atol=1e-12)
 
@@ -30,12 +30,12 @@ def test_every_number_of_lost_samples_leaves_another_size_to_a_jump() -> None:
 @pytest.mark.parametrize("scatter", [0.0, 1e-4])
 def test_steady_and_scattered_stamps_are_not_suspected(scatter: float) -> None:
     stamps = PERIOD * np.arange(300) + scatter * np.random.default_rng(1).standard_normal(300)
-    assert possible_jumps(record(stamps), 0, "u") == []
+    assert possible_jumps(record(stamps), 0, ["u"]) == []
 
 
 def test_where_many_samples_are_lost_no_interval_says_anything() -> None:
     kept = np.random.default_rng(1).random(1000) > 0.1
-    assert possible_jumps(record(PERIOD * np.arange(1000)[kept]), 0, "u") == []
+    assert possible_jumps(record(PERIOD * np.arange(1000)[kept]), 0, ["u"]) == []
 
 
 def test_stamps_are_corrected_from_each_jump_on() -> None:
@@ -81,5 +81,5 @@ def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
         for own in whole.outputs
     ]
     lost = TimeRecord(whole.inputs, tuple(outputs))
-    assert possible_jumps(lost, 0, "force")
+    assert possible_jumps(lost, 0, ["force"])
     assert identify(lost, PLAIN, None, FREE, FIXED).clock_jumps == ()
