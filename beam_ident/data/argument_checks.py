@@ -249,13 +249,15 @@ def require_output(name: str, values: FloatArray) -> None:
 
 
 def chosen_input(record: TimeRecord, input_name: str | None) -> InputSignal:
-    """Return the input of a name, or the only one; raise EstimationError where there are several to choose from."""
+    """Return the input of a name, or the only one; raise EstimationError where there are several, or for its size."""
     if input_name is None and len(record.inputs) > 1:
         raise EstimationError(
             f"record {record.name!r} has the inputs {', '.join(s.name for s in record.inputs)}; say which with "
             "input_name"
         )
-    return record.inputs[0] if input_name is None else record.input(input_name)
+    drive = record.inputs[0] if input_name is None else record.input(input_name)
+    require_input(drive, is_needed=False)
+    return drive
 
 
 def chosen_inputs(record: TimeRecord, names: str | Sequence[str] | None) -> tuple[InputSignal, ...]:

@@ -33,8 +33,10 @@ def _read_only(values: FloatArray) -> FloatArray:
 
 
 def _numbers(name: str, what: str, values: Any) -> FloatArray:
-    """Return real numbers as an array, or raise RecordError."""
+    """Return real numbers as an array, NaN where they are masked, or raise RecordError."""
     try:
+        if isinstance(values, np.ma.MaskedArray) and not np.iscomplexobj(values):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         found = np.asarray(values)
         if not np.iscomplexobj(found):
             return np.asarray(found, dtype=np.float64)

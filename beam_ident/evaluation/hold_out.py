@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import require_output, require_records, split_at_gaps
+from beam_ident.data.argument_checks import require_input, require_output, require_records, split_at_gaps
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
@@ -157,6 +157,8 @@ def _predict(
             f"outputs {', '.join(record.output_names)}; the model goes from {', '.join(inputs)} to "
             f"{', '.join(names)}"
         )
+    for name in inputs:
+        require_input(record.input(name), is_needed=False)
     part = record.select(present)
     if isinstance(model, ModalModel):
         return _predict_modal(model, part)

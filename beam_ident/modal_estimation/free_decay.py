@@ -36,6 +36,8 @@ from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.free_motion import free_motions
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import misfit_warnings
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
@@ -251,7 +253,10 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         whiteness = tuple(Whiteness.of(e) for e in residuals)
         coefficients, sizes = np.array(fit.coefficients), np.array(self.sizes)
         warnings = mode_warnings(fit, weighed.problem, self.band)
+        for own, y, e in zip(signals, measured, residuals, strict=True):
+            warnings += misfit_warnings([(own.name, [(own.times_s, y - e, e)])])
         warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
+        warnings += damage_warnings(signals)
         return FreeDecay(
             natural_frequencies=fit.omegas,
             natural_frequency_sd=sd[:n],

@@ -71,6 +71,8 @@ from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_sco
 from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
 
@@ -97,6 +99,7 @@ _IDLE_LEVEL = 1e-3  # an input that is less likely to do nothing is not said to
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 _MANY_STAMPS = 100_000  # of an output: from here on the search begins with some of them
 _THINNED = 25_000  # of a record: so many
+_CONTRADICTION = 4.0  # standard deviations: once in 16 000 records whose clock is as stated
 _HOPE = 5.0  # times what a mode promises with all other poles held, it may gain at most
 
 
@@ -159,6 +162,9 @@ def identify(
             )
     if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
         terms = replace(terms, has_residual=False)
+    for one in records:
+        for drive in chosen_inputs(one, input_names):
+            require_input(drive, is_needed=False)
     records, found = with_found_noise(records, input_names)
     latency = latency or (Prior() if terms.is_test else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if terms.is_test else CLOCK_RATE_PRIOR)
@@ -175,7 +181,9 @@ def identify(
     )
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
     result, said = without_clipped(records, names, task.result, _prediction)
-    return replace(result, warnings=(*result.warnings, said)) if said else result
+    doubts = [said] if said else []
+    doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
+    return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
 
 
 @dataclass(frozen=True)
@@ -911,6 +919,13 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             warnings.append(said)
         if said := rounding_warning([(output.name, output.records) for output in outputs]):
             warnings.append(said)
+        warnings += misfit_warnings(
+            [
+                (output.name, [(own.times_s, own.modelled, own.residuals) for own in output.records])
+                for output in outputs
+            ]
+        )
+        warnings += _rate_warnings(fit.clock.rate, self.clock_rate)
         shares = fit.input_noise_shares
         if self.found_noise and np.max(shares) > 0.0:
             index = max(self.found_noise, key=lambda k: self.found_noise[k].sigma)
@@ -931,6 +946,17 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 *zip(*((o.whiteness, o.measured, o.residuals) for o in outputs), strict=True),
             )
         return warnings
+
+
+def _rate_warnings(found: float, known: Prior) -> list[str]:
+    """Return what is to be said of a clock rate that contradicts what was known of it."""
+    if not 0.0 < known.sd < math.inf or abs(found - known.mean) <= _CONTRADICTION * known.sd:
+        return []
+    return [
+        f"The outputs' clock runs {1e6 * found:+.4g} ppm fast, {abs(found - known.mean) / known.sd:.2g} standard "
+        f"deviations of clock_rate from what it states ({1e6 * known.mean:.4g} +- {1e6 * known.sd:.4g} ppm): are the "
+        "stamps of both clocks seconds? Poles are biased, unless a wider clock_rate is given."
+    ]
 
 
 def _some_samples(regression: ModalRegression, fit: ModalFit) -> tuple[ModalRegression, ModalFit]:

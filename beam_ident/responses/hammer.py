@@ -30,6 +30,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import regular_period
+from beam_ident.responses.doubts import with_doubts
 
 _BY_CHANCE = 1e-6  # chance that noise alone makes a contact anywhere in a record
 _MIN_CONTACT = 0.01  # of the highest blow: a sensor's own ringing may be as large
@@ -171,7 +172,7 @@ def hammer_response(
     turned = -math.log(share)
     # The noise is loudest where the window begins: by so much more than on average a mode may gain there by chance.
     loudest = 2.0 * turned / (1.0 - share**2) if share < 1.0 else 1.0
-    return FrequencyRecord(
+    made = FrequencyRecord(
         found.lines,
         found.response.T,
         None if found.variance is None else found.variance.T,
@@ -187,6 +188,9 @@ def hammer_response(
         warnings=said,
         decay_rate=turned / (length * period),
     )
+    for group, drive in zip(outputs, drives, strict=True):
+        made = with_doubts(made, group, drive)
+    return made
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ from beam_ident.data.frequency_record import TAIL_POWERS, Folding, FrequencyReco
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
+from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.steady_periods import drift_of_periods, input_changes, unsteady_warnings
 
 _MAX_MISSING = 0.02
@@ -346,7 +347,7 @@ def periodic_response(
     folded = np.minimum(folded, n_bins - folded)
     is_excited[folded[(folded > 0) & (folded <= len(bins))] - 1] = True
     return PeriodicResponse(
-        response=found,
+        response=with_doubts(found, outputs, drive),
         n_periods=n_periods,
         line_period_s=line_period_s,
         bins=bins,

@@ -21,6 +21,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import Instants, regular_period
+from beam_ident.responses.doubts import with_doubts
 
 _MAX_MISSING = 0.02
 
@@ -99,7 +100,7 @@ def for_every_output(
                 "estimate them one at a time, with output_names"
             )
     coherences = [one.coherence for one in found if one.coherence is not None]
-    return FrequencyRecord(
+    made = FrequencyRecord(
         omegas=found[0].omegas,
         response=np.stack([one.response for one in found], axis=1),
         variance=np.stack([one.variance for one in found], axis=1),
@@ -113,3 +114,4 @@ def for_every_output(
         name=record.name,
         shared_lines=max(one.shared_lines for one in found),
     )
+    return with_doubts(made, outputs, drive)

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import chosen_input, finite_row, require_record, require_size
+from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_record
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.periodic_averaging import exposure_gain, hold_gain
 
 _ITERATIONS = 30
@@ -90,6 +91,7 @@ def fit_sine(
         )
     seen = np.isfinite(data)
     times, data = times[seen], data[seen]
+    require_output("values", data)
     if len(data) < _MIN_SAMPLES:
         raise EstimationError(f"{len(data)} samples for a sine; expected at least {_MIN_SAMPLES}")
     if not (math.isfinite(omega) and omega > 0.0):
@@ -207,7 +209,7 @@ def stepped_sine_response(
         relative = of_input.amplitude_variance / abs(of_input.amplitude) ** 2
         for j, output in enumerate(outputs):
             within = (output.times_s >= starts[k]) & (output.times_s <= ends[k])
-            require_size(f"output {output.name!r}", output.values[within & output.is_valid])
+            require_output(output.name, output.values[within & output.is_valid])
             fit = _segment(output.name, output.times_s[within] - origin, output.values[within], omega)
             gain = float(exposure_gain(np.array([omega]), output.exposure_s)[0]) * moved
             response[k, j] = fit.amplitude / gain
@@ -215,7 +217,7 @@ def stepped_sine_response(
             fewest = min(fewest, 0.5 * (fit.n_samples - 3))
         covariance[k] += relative * np.outer(response[k], np.conj(response[k]))
     order = np.argsort(hertz, kind="stable")
-    return FrequencyRecord(
+    made = FrequencyRecord(
         omegas=2.0 * np.pi * hertz[order],
         response=response[order],
         covariance=covariance[order],
@@ -227,6 +229,7 @@ def stepped_sine_response(
         method=f"sine fits of {len(hertz)} steps",
         name=record.name,
     )
+    return with_doubts(made, outputs, drive)
 
 
 def _segment(name: str, times: FloatArray, values: FloatArray, omega: float) -> SineFit:

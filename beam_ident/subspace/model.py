@@ -32,6 +32,8 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.piecewise import Instants
 from beam_ident.numerics.rational_response import RationalResponse, upper_roots
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.subspace.po_moesp import N_BLOCK_ROWS, Stretch, Window, subspace_windows
 from beam_ident.transfer_function.structure_gates import UNRELATED
 
@@ -190,7 +192,8 @@ def subspace_model(
             "lower the order"
         )
     model = _model(records, stretches, *best)
-    return replace(model, warnings=(*gaps, *model.warnings))
+    damage = [said for one in records for said in damage_warnings(one.outputs, one.inputs)]
+    return replace(model, warnings=(*gaps, *model.warnings, *damage))
 
 
 def _model(
@@ -215,6 +218,9 @@ def _model(
         whiteness.append(Whiteness.of(in_units_of_level(parts)))
         if not is_related(signals, parts, n_parameters, True, True):
             warnings.append(f"Output {output.name}: {UNRELATED}")
+        warnings += misfit_warnings(
+            [(output.name, [(t, y - e, e) for (t, y), e in zip(signals, parts, strict=True)])]
+        )
         if is_coloured(whiteness[-1], measured[-1], residuals[j]):
             warnings.append(
                 f"Output {output.name}: the residuals are not white: use the poles as a start, or ask for more."

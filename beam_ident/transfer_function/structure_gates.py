@@ -16,10 +16,14 @@ from beam_ident.arrays import FloatArray
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.scores import Whiteness, is_coloured
+from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import rounding_warning
 from beam_ident.transfer_function.model import TransferFunctionModel
 
-UNRELATED = "The model explains no more than chance would: BIC prefers noise without an input."
+UNRELATED = (
+    "The model explains no more than chance would: BIC prefers noise without an input. Is it the right input, on the "
+    "same clock?"
+)
 
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _CANCELLATION = 3.0  # standard deviations between a pole and the nearest zero
@@ -68,6 +72,9 @@ def transfer_function_warnings(
         warnings.append(said)
     if said := rounding_warning([(models[0].output_name, records)]):
         warnings.append(said)
+    warnings += misfit_warnings(
+        [(models[0].output_name, [(own.times_s, own.modelled, own.residuals) for own in records])]
+    )
     white = ("Student", "white noise")
     weighed = [own.noise for own in records if own.noise and not own.noise.startswith(white)]
     if weighed:

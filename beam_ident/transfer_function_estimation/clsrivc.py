@@ -38,6 +38,7 @@ from beam_ident.noise.scores import Scores, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
+from beam_ident.sensing.damage import damage_warnings
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
 from beam_ident.transfer_function.structure_gates import (
@@ -428,7 +429,10 @@ class _Loop:
             converged=converged,
             reason=reason,
             iterations=iterations,
-            warnings=transfer_function_warnings([model], fits, whiteness, is_worth_it, converged, reason),
+            warnings=(
+                *transfer_function_warnings([model], fits, whiteness, is_worth_it, converged, reason),
+                *(said for own in self.records for said in damage_warnings([own.output], [own.drive])),
+            ),
         )
 
     def _record_fits(

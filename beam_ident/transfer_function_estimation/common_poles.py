@@ -28,13 +28,15 @@ from beam_ident.data.argument_checks import (
     split_at_gaps,
 )
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
@@ -329,7 +331,21 @@ def estimate_common_poles(
     result, said = without_clipped(
         records, first.output_names, fit, lambda found, one, name: found.model(name).predict(one)
     )
-    told = (*gaps, *result.warnings, *((said,) if said else ()))
+    damage = [text for one in records for text in damage_warnings(one.outputs, [one.input(drive.name)])]
+    for model, fits in zip(result.models, result.records, strict=True):
+        for one, own in zip(records, fits, strict=True):
+
+            def respond(
+                source: InputSignal,
+                found: TransferFunctionModel = model,
+                times: FloatArray = own.times_s,
+                exposure_s: float = one.output(model.output_name).exposure_s,
+            ) -> FloatArray:
+                return found.simulate(source, times, exposure_s)
+
+            part = (own.times_s, own.modelled, own.residuals)
+            damage += input_misfit_warnings(model.output_name, one.input(drive.name), part, respond)
+    told = (*gaps, *result.warnings, *((said,) if said else ()), *damage)
     return replace(result, warnings=told)
 
 

@@ -27,13 +27,15 @@ from beam_ident.data.argument_checks import (
     split_at_gaps,
 )
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, is_related
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -542,6 +544,10 @@ def estimated(
     records, gaps = split_at_gaps(records, 3 * (sum(poles) + 2))
     result, clipped = without_clipped(records, [output_name], fit, _prediction)
     said = ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
+    for one in records:
+        said += damage_warnings([one.output(output_name)], [one.input(name) for name in drives])
+    if len(drives) == 1:
+        said += tuple(_input_misfits(records, drives[0], result))
     return replace(result, warnings=gaps + result.warnings + said) if gaps or said else result
 
 
@@ -579,6 +585,23 @@ def _input_noise_warnings(
                 else:
                     yield found_noise_warning(drive, found, what)
                 break
+
+
+def _input_misfits(
+    records: Sequence[TimeRecord], name: str, result: TransferFunctionResult | MultiInputResult
+) -> Iterator[str]:
+    """Yield what the residuals say of the only input."""
+    model = result.model.path(0) if isinstance(result.model, MultiInputModel) else result.model
+    for one, own in zip(records, result.records, strict=True):
+        output = one.output(model.output_name)
+
+        def respond(
+            drive: InputSignal, times: FloatArray = own.times_s, exposure_s: float = output.exposure_s
+        ) -> FloatArray:
+            return model.simulate(drive, times, exposure_s)
+
+        part = (own.times_s, own.modelled, own.residuals)
+        yield from input_misfit_warnings(model.output_name, one.input(name), part, respond)
 
 
 Fit = TypeVar("Fit")

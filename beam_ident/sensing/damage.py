@@ -1,0 +1,91 @@
+"""Channels that cannot be what they seem, told from their samples alone: stuck, repeated, or one another's copy.
+
+None of these needs a model, and each biases one in silence.  A signal that is measured never has the same value twice
+while it moves, but for rounding: so a value that stays where its neighbours differ by many steps is no measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal, OutputSignal
+from beam_ident.sensing.quantisation import quantum
+
+_STUCK = 20  # samples in a row
+_BY_CHANCE = 1e-6  # that rounding alone keeps a value for so long
+_BEFORE = 5  # samples before a channel is stuck, which show that it was moving
+_STEPS = 5.0  # of rounding, which a moving signal makes between samples
+_MOVES = 0.1  # of the usual difference between samples, the same
+_FEW, _SHARE = 5, 0.02  # repeated samples that are reported, and of all that move
+
+
+def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
+    """Return what must be known of outputs that are stuck, repeated or copied.
+
+    Parameters
+    ----------
+    outputs : sequence of OutputSignal -- of one record
+    drives : sequence of InputSignal -- of which an output may be a copy
+    """
+    said: list[str] = []
+    seen = [(own.times_s[own.is_valid], own.values[own.is_valid]) for own in outputs]
+    for k, output in enumerate(outputs):
+        said += _of_channel(output.name, *seen[k])
+        others = [(f"Outputs {own.name}", seen[j]) for j, own in enumerate(outputs[:k])]
+        times = seen[k][0]
+        others += [
+            (f"Input {own.name}", (times, np.interp(times, own.times_s, own.values))) for own in drives
+        ]
+        said += [
+            f"{other} and {output.name} hold the same samples: one is the other's copy. Check the channels."
+            for other, samples in others
+            if _are_same(samples, seen[k])
+        ]
+    return tuple(said)
+
+
+def _are_same(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
+    """Return whether two channels hold the same moving values at the same stamps."""
+    return bool(
+        np.array_equal(one[0], other[0])
+        and np.array_equal(one[1], other[1])
+        and len(np.unique(one[1])) > _STUCK
+    )
+
+
+def _of_channel(name: str, times: FloatArray, values: FloatArray) -> list[str]:
+    """Return what is wrong with one channel."""
+    n = len(values)
+    if n < 2 * _STUCK:
+        return []
+    steps = np.abs(np.diff(values))
+    still = steps == 0.0
+    if not np.any(still) or np.all(still):
+        return []
+    usual = float(np.sqrt(np.mean(np.square(steps))))
+    moves = steps > max(_STEPS * quantum(values), _MOVES * usual)
+    # Runs of equal samples: where they begin and end among the differences.
+    edges = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    longest = int(np.argmax(ends - starts))
+    start, end = int(starts[longest]), int(ends[longest])
+    length = end - start
+    others = (np.count_nonzero(still) - length + 1.0) / (n - length)
+    was_moving = bool(np.any(moves[max(start - _BEFORE, 0) : start]))
+    if length >= _STUCK and was_moving and length * math.log(min(others, 1.0)) < math.log(_BY_CHANCE):
+        return [
+            f"Output {name} is stuck at {values[start]:.4g} from {times[start]:.4g} s to {times[end]:.4g} s "
+            f"({length + 1} samples), in the middle of a motion: set them to NaN (not seen), and check the sensor."
+        ]
+    inner = np.flatnonzero(still[1:-1]) + 1
+    at_speed = inner[moves[inner - 1] & moves[inner + 1]]
+    if len(at_speed) >= _FEW and len(at_speed) > _SHARE * np.count_nonzero(moves):
+        return [
+            f"Output {name}: {len(at_speed)} samples repeat the one before in the middle of a motion, as of a camera "
+            "that shows a frame twice. Leave repeated samples out, or set them to NaN (not seen)."
+        ]
+    return []

@@ -1,0 +1,325 @@
+"""What the residuals of a fit look like: the likeliest cause of a misfit, named with its size and its instant.
+
+Residuals that are not noise say more than that.  Stamps that are late leave a multiple of the model's own slope, a
+wrong clock the slope times time, a sensor that came loose the model itself from some instant on.  Each cause is a
+few columns; it is named where these columns explain more of the residuals than noise of the residuals' colour would.
+
+How often it is wrong: noise of any stationary colour is given a cause in one output of a thousand (``_LEVEL`` for
+each of nine kinds, divided by the instants or frequencies at which a kind was looked for).  A column that the model
+could explain by other parameters makes the test careful, never bold: residuals are at right angles to those parts.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import chdtrc as chi_squared_sf
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.records import InputSignal
+from beam_ident.noise.autoregression import autoregression
+from beam_ident.noise.outliers import outliers
+from beam_ident.noise.scores import ScoreTest, are_rounding
+from beam_ident.numerics.linear_least_squares import LinearSolution
+
+Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
+
+_LEVEL = 1e-4  # chance of a false alarm for each kind of cause
+_MIN_SAMPLES = 60
+_MOST_CAUSES = 3
+_MARGIN = 0.05  # of the record, at either end: a change there cannot be told from an end of the motion
+_AROUND = 16  # lines on either side that say how loud the noise beside a line is
+_BESIDE = 3  # of them next to the line, which belong to it
+_FINER = 8  # steps between two lines
+_BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
+_MAINS_HZ = (50.0, 60.0)
+_NOTHING = 1e-9  # of a column's length: what remains of it then is rounding
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """A kind of cause, its columns where it explains most, and how it is said."""
+
+    kind: str
+    columns: FloatArray  # (n, k)
+    beside: FloatArray  # (n, m), what other values of the fit's own parameters may leave
+    looks: float  # at how many places it was looked for
+    said: Callable[[FloatArray], str]  # of the coefficients
+
+
+def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part]]]) -> list[str]:
+    """Return what the residuals of outputs look like, one sentence for each output that has more than noise.
+
+    Parameters
+    ----------
+    outputs : sequence of (name, records)
+        Of every output, record by record: stamps [s], what the model says there and what it leaves, each (n,).
+    """
+    warnings = []
+    for name, parts in outputs:
+        found = dict.fromkeys(said for part in parts for said in _causes(*part))
+        if found:
+            warnings.append(
+                f"Misfit of {name}: the residuals look {'; and '.join(found)}. If that is so, poles are biased."
+            )
+    return warnings
+
+
+def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> list[str]:
+    """Return the causes in one record, the one that explains most first."""
+    n, size = len(times), float(np.std(modelled))
+    if n < _MIN_SAMPLES or not size > 0.0 or are_rounding(modelled + residuals, residuals):
+        return []
+    left = residuals.copy()
+    left[outliers(left)] = 0.0  # they are named by themselves
+    model = (modelled - np.mean(modelled)) / size
+    slope = np.gradient(model, times)
+    found: list[str] = []
+    kinds: set[str] = set()
+    for _ in range(_MOST_CAUSES):
+        whitened = _Whitened.of(left)
+        best, best_gain = None, 0.0
+        for cause in _candidates(times, model, slope, left, whitened, size):
+            gain = 0.0 if cause.kind in kinds else whitened.gain(cause.columns, cause.beside, cause.looks)
+            if gain > best_gain and _stands_without_weights(cause, left, modelled):
+                best, best_gain = cause, gain
+        if best is None:
+            break
+        kinds.add(best.kind)
+        columns = np.column_stack([best.columns, best.beside])
+        coefficients = LinearSolution.of(columns).coefficients(left)
+        found.append(best.said(coefficients))
+        left = left - columns @ coefficients
+    return found
+
+
+def _stands_without_weights(cause: _Cause, left: FloatArray, values: FloatArray) -> bool:
+    """Return whether a cause that a fit could take up itself stands out of residuals without weights as well.
+
+    A fit that does not weigh by the colour of its noise errs by more than one that does, and along these columns.
+    """
+    if cause.kind not in ("late", "exposure"):
+        return True
+    return ScoreTest.of([(cause.columns, cause.beside, left, values)]).p_value < _LEVEL
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """Residuals as their autoregression leaves them.
+
+    The colour is that of the residuals with everything in them: what columns explain beyond it is the score of a
+    Lagrange multiplier test, whose level holds for noise of any stationary colour.
+    """
+
+    colour: FloatArray
+    left: FloatArray
+
+    @staticmethod
+    def of(left: FloatArray) -> _Whitened:
+        """Whiten residuals."""
+        colour = autoregression(left)
+        return _Whitened(colour, lfilter(colour, [1.0], left)[len(colour) - 1 :])
+
+    def columns(self, columns: FloatArray) -> FloatArray:
+        """Whiten columns, shape (n, k)."""
+        return np.asarray(lfilter(self.colour, [1.0], columns, axis=0)[len(self.colour) - 1 :])
+
+    def gain(self, columns: FloatArray, beside: FloatArray, looks: float) -> float:
+        """Return the gain in log-likelihood less what it costs, 0 where noise would gain as much."""
+        white = self.columns(columns)
+        size = np.linalg.norm(white, axis=0)
+        white = white / np.where(size > 0.0, size, 1.0)
+        known = LinearSolution.of(self.columns(beside)).basis
+        white = white - known @ (known.T @ white)
+        white = white[:, np.linalg.norm(white, axis=0) > _NOTHING]
+        n, k = white.shape
+        left = self.left - known @ (known.T @ self.left)
+        power = float(left @ left)
+        if not k or not power > 0.0:
+            return 0.0
+        scores = LinearSolution.of(white).basis.T @ left
+        left_over = max(power - float(scores @ scores), 1e-12 * power)
+        if chi_squared_sf(k, (n - k) * (1.0 - left_over / power)) > _LEVEL / looks:
+            return 0.0
+        return float(0.5 * n * math.log(power / left_over) - 0.5 * k * math.log(n) - math.log(looks))
+
+
+def _candidates(
+    times: FloatArray,
+    model: FloatArray,
+    slope: FloatArray,
+    left: FloatArray,
+    whitened: _Whitened,
+    size: float,
+) -> list[_Cause]:
+    """Return every kind of cause, with its columns at the instant or the frequency where it explains most."""
+    middle = 0.5 * float(times[0] + times[-1])
+    share = (times - middle) / (0.5 * float(times[-1] - times[0]))
+    curvature = np.gradient(slope, times)
+    own = np.column_stack([model, slope])
+    causes = [
+        _Cause(
+            "late",
+            slope[:, None],
+            model[:, None],
+            1.0,
+            lambda c: (
+                f"as if its stamps were {-1e3 * c[0] / size:.3g} ms late (its delay or latency, the input's hold or "
+                "the clocks are not as stated)"
+            ),
+        ),
+        _Cause(
+            "clock",
+            ((times - middle) * slope)[:, None],
+            own,
+            1.0,
+            lambda c: f"as if its clock ran {-100.0 * c[0] / size:+.2g} % fast",
+        ),
+        _Cause(
+            "exposure",
+            curvature[:, None],
+            own,
+            1.0,
+            lambda c: (
+                "as if its exposure, or the input's hold, were not as stated: too "
+                f"{'long' if c[0] < 0.0 else 'short'}, by {1e3 * math.sqrt(24.0 * abs(c[0]) / size):.2g} ms in "
+                "the square"
+            ),
+        ),
+        _Cause(
+            "nonlinear",
+            np.column_stack([model * np.abs(model), np.square(model), model**3]),
+            own,
+            1.0,
+            lambda c: (
+                "nonlinear: they follow squares and cubes of the output (dead band, saturation, bent scale)"
+            ),
+        ),
+        _Cause(
+            "drift",
+            np.column_stack([np.ones_like(share), share, share**2, share**3]),
+            own,
+            1.0,
+            lambda c: "like an offset or a drift that the model does not have (has_offset, has_ramp)",
+        ),
+    ]
+    changes: list[tuple[str, FloatArray, Callable[..., str]]] = [
+        ("gain", model, lambda c, at: (
+            f"as if its gain changed by {c[0] / size:+.0%} at {at:.4g} s (a loose sensor, a channel dead or swapped)"
+        )),
+        ("jump", np.ones_like(model), lambda c, at: f"as if its offset jumped by {c[0]:+.3g} at {at:.4g} s"),
+        ("clock jump", slope, lambda c, at: (
+            f"as if its stamps were {-1e3 * c[0] / size:.3g} ms late from {at:.4g} s on (a clock that jumped)"
+        )),
+    ]  # fmt: skip
+    for kind, column, said in changes:
+        white = whitened.columns(column[:, None])[:, 0]
+        place = len(column) - len(white) + _change(white, whitened.left)
+        at = float(times[place])
+        after = np.where(np.arange(len(times)) >= place, column, 0.0)
+        beside = np.column_stack([own, column])
+        causes.append(_Cause(kind, after[:, None], beside, float(len(times)), functools.partial(said, at=at)))
+    line = _line(times, left, own)
+    if line is not None:
+        causes.append(line)
+    return causes
+
+
+def _change(column: FloatArray, left: FloatArray) -> int:
+    """Return the sample from which on a column, freed of its whole, explains most of what is left."""
+    n = len(column)
+    total, power = float(column @ left), float(column @ column)
+    product = np.cumsum((column * left)[::-1])[::-1]
+    squares = np.cumsum(np.square(column)[::-1])[::-1]
+    # The column from an instant on, at right angles to the whole column.
+    inner = squares * (1.0 - squares / power)
+    gain = np.square(product - squares / power * total) / np.maximum(inner, _NOTHING * power)
+    margin = max(int(_MARGIN * n), 1)
+    return margin + int(np.argmax(gain[margin : n - margin]))
+
+
+def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None:
+    """Return the line that stands highest above the noise beside it, None where stamps show no lines."""
+    period = float(np.median(np.diff(times)))
+    places = np.round((times - times[0]) / period).astype(np.intp)
+    length = int(places[-1]) + 1
+    if length > 4 * len(times) or length < 4 * _AROUND:
+        return None
+    even = np.zeros(length)
+    even[places] = left
+    power = np.square(np.abs(np.fft.rfft(even * np.hanning(length))))
+    width = 2 * _AROUND + 1
+    beside = np.ones(width, dtype=bool)
+    beside[_AROUND - _BESIDE : _AROUND + _BESIDE + 1] = False
+    if len(power) <= width:
+        return None
+    around = np.lib.stride_tricks.sliding_window_view(power, width)
+    level = np.median(around[:, beside], axis=1)
+    place = _AROUND + int(np.argmax(power[_AROUND : len(power) - _AROUND] / np.maximum(level, 1e-300)))
+    finer = (place + np.linspace(-1.0, 1.0, 2 * _FINER + 1)) / (length * period)
+    turning = np.exp(-2j * np.pi * np.outer(finer, times - times[0]))
+    hertz = float(finer[int(np.argmax(np.abs(turning @ left)))])
+    phase = 2.0 * np.pi * hertz * times
+    seen = ", ".join(
+        f"{mains:g} Hz at {abs(mains - round(mains * period) / period):.4g} Hz" for mains in _MAINS_HZ
+    )
+    return _Cause(
+        "line",
+        np.column_stack([np.cos(phase), np.sin(phase)]),
+        own,
+        0.5 * length,
+        lambda c: (
+            f"like a line at {hertz:.4g} Hz with an amplitude of {math.hypot(c[0], c[1]):.3g}: hum (at these stamps "
+            f"mains show {seen}), or a mode that the model lacks"
+        ),
+    )
+
+
+def input_misfit_warnings(
+    name: str,
+    drive: InputSignal,
+    part: Part,
+    respond: Callable[[InputSignal], FloatArray],
+) -> list[str]:
+    """Return what the residuals of an output to one input say of that input: bent, or later than its effect.
+
+    Parameters
+    ----------
+    name : str -- of the output
+    drive : InputSignal
+    part : tuple -- stamps [s], what the model says there and what it leaves
+    respond : callable -- of an input: what the model says of it at these stamps
+
+    Notes
+    -----
+    What the input does later, freed of what it did before, has no share in an output that it causes.
+    """
+    times, modelled, residuals = part
+    n, size, moves = len(times), float(np.std(modelled)), float(np.std(drive.values))
+    if n < _MIN_SAMPLES or not size > 0.0 or not moves > 0.0 or are_rounding(modelled + residuals, residuals):
+        return []
+    model = (modelled - np.mean(modelled)) / size
+    left = residuals.copy()
+    left[outliers(left)] = 0.0
+    own = np.column_stack([model, np.gradient(model, times)])
+    bent = respond(replace(drive, values=(drive.values / moves) ** 3, sigma=0.0, gaps=()))
+    period = float(np.median(np.diff(times)))
+    lags = period * np.arange(-_BEFORE, _AFTER + 1)
+    around = np.interp(times[:, None] + lags, drive.times_s, drive.values)
+    whitened = _Whitened.of(left)
+    before = LinearSolution.of(around[:, : _BEFORE + 1]).basis
+    later = around[:, _BEFORE + 1 :] - before @ (before.T @ around[:, _BEFORE + 1 :])
+    looks = {
+        f"as if {drive.name} were not what acted: they hold the answer to its cube (a saturating actuator)": (
+            bent[:, None]
+        ),
+        f"like what {drive.name} does later: input and output are swapped, or a loop is closed around them": later,
+    }
+    gains = {said: whitened.gain(columns, own, 1.0) for said, columns in looks.items()}
+    best = max(gains, key=lambda said: gains[said])
+    return [f"Misfit of {name}: the residuals look {best}."] if gains[best] > 0.0 else []
