@@ -12,7 +12,7 @@ import time
 from collections import Counter
 
 from tests.beam_ident.bad_input.estimators import ESTIMATORS
-from tests.beam_ident.bad_input.faults import FAULTS
+from tests.beam_ident.bad_input.faults import cases
 from tests.beam_ident.bad_input.judgement import judge
 
 
@@ -26,15 +26,14 @@ def main() -> int:
     asked = parser.parse_args()
     counts: Counter[str] = Counter()
     start, slowest = time.perf_counter(), (0.0, "")
-    for fault in FAULTS:
-        for estimator in ESTIMATORS:
-            if asked.estimators not in estimator or asked.faults not in fault:
-                continue
-            verdict = judge(estimator, fault)
-            counts[verdict.kind] += 1
-            slowest = max(slowest, (verdict.seconds, f"{estimator}, {fault}"))
-            if verdict.is_failure or not asked.failures:
-                print(f"{fault} | {estimator} | {verdict.kind} | {verdict.text[: asked.width]}", flush=True)
+    for estimator, fault in cases(ESTIMATORS):
+        if asked.estimators not in estimator or asked.faults not in fault:
+            continue
+        verdict = judge(estimator, fault)
+        counts[verdict.kind] += 1
+        slowest = max(slowest, (verdict.seconds, f"{estimator}, {fault}"))
+        if verdict.is_failure or not asked.failures:
+            print(f"{fault} | {estimator} | {verdict.kind} | {verdict.text[: asked.width]}", flush=True)
     failures = sum(counts[kind] for kind in ("silent", "crash", "too slow"))
     print(
         f"{counts.total()} cases in {time.perf_counter() - start:.0f} s (slowest {slowest[0]:.1f} s: {slowest[1]}): "

@@ -38,6 +38,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.free_motion import free_motions
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
+from beam_ident.sensing.quantisation import clipped_warnings
 
 _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
@@ -256,6 +257,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         for own, y, e in zip(signals, measured, residuals, strict=True):
             warnings += misfit_warnings([(own.name, [(own.times_s, y - e, e)])])
         warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
+        warnings += clipped_warnings(signals)
         warnings += damage_warnings(signals)
         return FreeDecay(
             natural_frequencies=fit.omegas,

@@ -11,6 +11,7 @@ import numpy as np
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.quantisation import clipped_warnings
 
 _LEVEL = 1e-3  # chance that an output that has nothing to do with the input is not named
 _LEAST_FREEDOM = 2.0
@@ -27,7 +28,7 @@ def with_doubts(
     outputs : sequence of OutputSignal -- from which it was made
     drive : InputSignal
     """
-    said = (*damage_warnings(outputs, [drive]), *_unrelated(record))
+    said = (*clipped_warnings(outputs), *damage_warnings(outputs, [drive]), *_unrelated(record))
     return replace(record, warnings=(*record.warnings, *said)) if said else record
 
 

@@ -19,7 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_record
+from beam_ident.data.argument_checks import (
+    chosen_input,
+    finite_row,
+    require_output,
+    require_record,
+    require_size,
+)
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
@@ -91,7 +97,9 @@ def fit_sine(
         )
     seen = np.isfinite(data)
     times, data = times[seen], data[seen]
-    require_output("values", data)
+    require_size("the signal", data)
+    if is_frequency_free:
+        require_output("values", data)
     if len(data) < _MIN_SAMPLES:
         raise EstimationError(f"{len(data)} samples for a sine; expected at least {_MIN_SAMPLES}")
     if not (math.isfinite(omega) and omega > 0.0):

@@ -13,7 +13,7 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal, OutputSignal
-from beam_ident.sensing.quantisation import quantum
+from beam_ident.noise.rounding import quantum
 
 _STUCK = 20  # samples in a row
 _BY_CHANCE = 1e-6  # that rounding alone keeps a value for so long

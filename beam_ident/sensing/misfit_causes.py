@@ -30,6 +30,8 @@ from beam_ident.numerics.linear_least_squares import LinearSolution
 Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
 
 _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
+_LIKE_COLOUR = ("line", "jump", "drift")  # which an autoregression would take for its own
+_CAREFUL = 100.0  # times rarer these must be: the colour without them is one that they chose
 _MIN_SAMPLES = 60
 _MOST_CAUSES = 3
 _MARGIN = 0.05  # of the record, at either end: a change there cannot be told from an end of the motion
@@ -85,7 +87,11 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> l
         whitened = _Whitened.of(left)
         best, best_gain = None, 0.0
         for cause in _candidates(times, model, slope, left, whitened, size):
-            gain = 0.0 if cause.kind in kinds else whitened.gain(cause.columns, cause.beside, cause.looks)
+            if cause.kind in kinds:
+                continue
+            own = _without(cause, left) if cause.kind in _LIKE_COLOUR else whitened
+            looks = cause.looks * (_CAREFUL if cause.kind in _LIKE_COLOUR else 1.0)
+            gain = own.gain(cause.columns, cause.beside, looks)
             if gain > best_gain and _stands_without_weights(cause, left, modelled):
                 best, best_gain = cause, gain
         if best is None:
@@ -96,6 +102,17 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> l
         found.append(best.said(coefficients))
         left = left - columns @ coefficients
     return found
+
+
+def _without(cause: _Cause, left: FloatArray) -> _Whitened:
+    """Return residuals whitened by the colour that they have without a cause.
+
+    A line or a step is itself the limit of a colour, an autoregression with a pole on the unit circle, which would
+    leave nothing of it.
+    """
+    size = np.linalg.norm(cause.columns, axis=0)
+    basis = LinearSolution.of(cause.columns / np.where(size > 0.0, size, 1.0)).basis
+    return _Whitened.of(left, left - basis @ (basis.T @ left))
 
 
 def _stands_without_weights(cause: _Cause, left: FloatArray, values: FloatArray) -> bool:
@@ -112,7 +129,7 @@ def _stands_without_weights(cause: _Cause, left: FloatArray, values: FloatArray)
 class _Whitened:
     """Residuals as their autoregression leaves them.
 
-    The colour is that of the residuals with everything in them: what columns explain beyond it is the score of a
+    With the colour of the residuals with everything in them, what columns explain beyond it is the score of a
     Lagrange multiplier test, whose level holds for noise of any stationary colour.
     """
 
@@ -120,9 +137,9 @@ class _Whitened:
     left: FloatArray
 
     @staticmethod
-    def of(left: FloatArray) -> _Whitened:
-        """Whiten residuals."""
-        colour = autoregression(left)
+    def of(left: FloatArray, noise: FloatArray | None = None) -> _Whitened:
+        """Whiten residuals by the colour of their own, or of what is known to be noise."""
+        colour = autoregression(left if noise is None else noise)
         return _Whitened(colour, lfilter(colour, [1.0], left)[len(colour) - 1 :])
 
     def columns(self, columns: FloatArray) -> FloatArray:
@@ -219,7 +236,11 @@ def _candidates(
     ]  # fmt: skip
     for kind, column, said in changes:
         white = whitened.columns(column[:, None])[:, 0]
-        place = len(column) - len(white) + _change(white, whitened.left)
+        place = (
+            _change(column, left)
+            if kind in _LIKE_COLOUR
+            else len(column) - len(white) + _change(white, whitened.left)
+        )
         at = float(times[place])
         after = np.where(np.arange(len(times)) >= place, column, 0.0)
         beside = np.column_stack([own, column])
@@ -286,7 +307,7 @@ def input_misfit_warnings(
     part: Part,
     respond: Callable[[InputSignal], FloatArray],
 ) -> list[str]:
-    """Return what the residuals of an output to one input say of that input: bent, or later than its effect.
+    """Return what the residuals of an output to one input say of that input: bent, late, or later than its effect.
 
     Parameters
     ----------
@@ -312,13 +333,17 @@ def input_misfit_warnings(
     lags = period * np.arange(-_BEFORE, _AFTER + 1)
     around = np.interp(times[:, None] + lags, drive.times_s, drive.values)
     whitened = _Whitened.of(left)
-    before = LinearSolution.of(around[:, : _BEFORE + 1]).basis
+    lately = around[:, : _BEFORE + 1]
+    before = LinearSolution.of(lately).basis
     later = around[:, _BEFORE + 1 :] - before @ (before.T @ around[:, _BEFORE + 1 :])
+    acted = drive.name
     looks = {
-        f"as if {drive.name} were not what acted: they hold the answer to its cube (a saturating actuator)": (
-            bent[:, None]
-        ),
-        f"like what {drive.name} does later: input and output are swapped, or a loop is closed around them": later,
+        f"as if {acted} were not what acted: they hold the answer to its cube (a saturating actuator)": bent[
+            :, None
+        ],
+        f"like what {acted} does later: input and output are swapped, or a loop is closed around them": later,
+        f"like what {acted} did just before: its delay, hold or clock or the output's exposure is not as stated, "
+        "or the degrees are too low": lately,
     }
     gains = {said: whitened.gain(columns, own, 1.0) for said, columns in looks.items()}
     best = max(gains, key=lambda said: gains[said])

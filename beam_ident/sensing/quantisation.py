@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.rounding import DITHER, dither, quantum
@@ -133,13 +133,32 @@ def without_clipped(
     return fit(_left_out(records, clipped)), said
 
 
+def clipped_warnings(outputs: Sequence[OutputSignal]) -> list[str]:
+    """Return which outputs stand at an end of their range as if clipped, for fits that do not leave such samples out.
+
+    Parameters
+    ----------
+    outputs : sequence of OutputSignal
+    """
+    return [
+        f"Clipped: {np.count_nonzero(output.values == limit)} samples of {output.name} stand at {limit:.4g}, as at "
+        "the end of the sensor's range. Set them to NaN (not seen), and take a wider range."
+        for output in outputs
+        for limit, _ in _limits(output.values)
+    ]
+
+
 def _ends(record: TimeRecord, index: int, name: str) -> list[_End]:
     """Return at which ends of its range an output may be clipped."""
     if name not in record.output_names:
         return []
-    values = record.output(name).values
+    return [_End(index, name, limit, side) for limit, side in _limits(record.output(name).values)]
+
+
+def _limits(values: FloatArray) -> list[tuple[float, float]]:
+    """Return the limits at which samples pile up, and the side of each: 1 above, -1 below."""
     seen = values[np.isfinite(values)]
-    found = []
+    found: list[tuple[float, float]] = []
     for side in (1.0, -1.0):
         limit = side * float(np.max(side * seen))
         at_end = seen == limit
@@ -149,7 +168,7 @@ def _ends(record: TimeRecord, index: int, name: str) -> list[_End]:
             continue
         inner = side * float(np.max(side * seen[~at_end], initial=-math.inf))
         if math.isfinite(inner) and np.count_nonzero(at_end) > _PILE * np.count_nonzero(seen == inner):
-            found.append(_End(index, name, limit, side))
+            found.append((limit, side))
     return found
 
 

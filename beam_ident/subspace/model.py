@@ -34,6 +34,7 @@ from beam_ident.numerics.piecewise import Instants
 from beam_ident.numerics.rational_response import RationalResponse, upper_roots
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
+from beam_ident.sensing.quantisation import clipped_warnings
 from beam_ident.subspace.po_moesp import N_BLOCK_ROWS, Stretch, Window, subspace_windows
 from beam_ident.transfer_function.structure_gates import UNRELATED
 
@@ -192,7 +193,8 @@ def subspace_model(
             "lower the order"
         )
     model = _model(records, stretches, *best)
-    damage = [said for one in records for said in damage_warnings(one.outputs, one.inputs)]
+    damage = [said for one in records for said in clipped_warnings(one.outputs)]
+    damage += [said for one in records for said in damage_warnings(one.outputs, one.inputs)]
     return replace(model, warnings=(*gaps, *model.warnings, *damage))
 
 

@@ -331,22 +331,32 @@ def estimate_common_poles(
     result, said = without_clipped(
         records, first.output_names, fit, lambda found, one, name: found.model(name).predict(one)
     )
-    damage = [text for one in records for text in damage_warnings(one.outputs, [one.input(drive.name)])]
+    damage = [
+        text for one in records for text in damage_warnings(one.outputs, [one.input(own) for own in drives])
+    ]
+    if isinstance(result, CommonPoleResult):
+        damage += _input_misfits(records, drives[0], result)
+    told = (*gaps, *result.warnings, *((said,) if said else ()), *damage)
+    return replace(result, warnings=told)
+
+
+def _input_misfits(records: Sequence[TimeRecord], name: str, result: CommonPoleResult) -> list[str]:
+    """Return what the residuals say of the only input."""
+    said: list[str] = []
     for model, fits in zip(result.models, result.records, strict=True):
         for one, own in zip(records, fits, strict=True):
 
             def respond(
-                source: InputSignal,
+                drive: InputSignal,
                 found: TransferFunctionModel = model,
                 times: FloatArray = own.times_s,
                 exposure_s: float = one.output(model.output_name).exposure_s,
             ) -> FloatArray:
-                return found.simulate(source, times, exposure_s)
+                return found.simulate(drive, times, exposure_s)
 
             part = (own.times_s, own.modelled, own.residuals)
-            damage += input_misfit_warnings(model.output_name, one.input(drive.name), part, respond)
-    told = (*gaps, *result.warnings, *((said,) if said else ()), *damage)
-    return replace(result, warnings=told)
+            said += input_misfit_warnings(model.output_name, one.input(name), part, respond)
+    return said
 
 
 def _tested(found: _Found) -> list[Tested]:

@@ -107,7 +107,7 @@ def sparse_lines() -> Raw:
 def stepped() -> Raw:
     """Return the plant under two sines, one after the other."""
     times = PERIOD_S * np.arange(1400)
-    hertz, starts, _ = STEPS
+    hertz = STEPS[0]
     values = np.where(
         times < 7.0, np.sin(2.0 * np.pi * hertz[0] * times), np.sin(2.0 * np.pi * hertz[1] * times)
     )

@@ -6,7 +6,7 @@ multiplies the true quantities where the data cannot tell that anything is wrong
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -158,10 +158,6 @@ def _dead_band(values: np.ndarray) -> np.ndarray:
     return np.sign(values) * np.maximum(np.abs(values) - width, 0.0)
 
 
-def _in_the_loop(raw: Raw, change: Change) -> Raw:
-    return _seen(change)(raw)
-
-
 def _short(raw: Raw, n: int) -> Raw:
     last = next(iter(raw.stamps.values()))[:n][-1]
     kept = max(int(np.searchsorted(raw.drive_times, last)) + 1, 2)
@@ -205,6 +201,19 @@ def _times(factor: float) -> dict[str, float]:
     return dict.fromkeys(("gain of y", "size of y", "size of z", "turn of y", "turn of z"), factor)
 
 
+def _noisy(size: float, declared: float = 0.0) -> Callable[[Raw], Raw]:
+    """Return a fault by noise on the input, in units of its own deviation, and what is declared of it."""
+    return lambda raw: replace(
+        raw,
+        drive=raw.drive + size * np.std(raw.drive) * _random(raw.drive),
+        sigma=declared * np.std(raw.drive),
+    )
+
+
+def _bent(values: np.ndarray) -> np.ndarray:
+    return values * (1.0 + 0.3 * np.square(values / (np.std(values) or 1.0)))
+
+
 def _offset(size: float) -> Change:
     return lambda y: y + size * np.std(y)
 
@@ -229,7 +238,7 @@ FAULTS: Mapping[str, Fault] = {
     "one sample": Fault(lambda raw: _short(raw, 1), "short|samples"),
     "less than a period": Fault(lambda raw: _short(raw, 20), "short|samples"),
     "complex outputs": Fault(_seen(lambda y: y + 0j), NUMBERS),
-    "words for values": Fault(_seen(lambda y: y.astype(str)[:-1].tolist() + ["overrun"]), NUMBERS),
+    "words for values": Fault(_seen(lambda y: [*y.astype(str)[:-1].tolist(), "overrun"]), NUMBERS),
     "a table for a row": Fault(_seen(lambda y: y[:, None]), NUMBERS),
     "one value too few": Fault(_seen(lambda y: y[:-1]), NUMBERS),
     # The same in other clothes: nothing may change.
@@ -286,15 +295,9 @@ FAULTS: Mapping[str, Fault] = {
         lambda raw: replace(raw, hold="linear" if raw.hold == "zoh" else "zoh"), "hold|late|delay"
     ),
     "a hold that there is not": Fault(lambda raw: replace(raw, hold="spline"), "hold"),
-    "noise on the input, undeclared": Fault(_driven(lambda u: u + 0.05 * np.std(u) * _random(u)), "noise on|input"),
-    "noise on the input, declared ten times too large": Fault(
-        lambda raw: replace(_driven(lambda u: u + 0.003 * np.std(u) * _random(u))(raw), sigma=0.03 * np.std(raw.drive)),
-        "input",
-    ),
-    "noise on the input, declared ten times too small": Fault(
-        lambda raw: replace(_driven(lambda u: u + 0.03 * np.std(u) * _random(u))(raw), sigma=0.003 * np.std(raw.drive)),
-        "input",
-    ),
+    "noise on the input, undeclared": Fault(_noisy(0.05), "noise on|input"),
+    "noise on the input, declared ten times too large": Fault(_noisy(0.003, 0.03), "input"),
+    "noise on the input, declared ten times too small": Fault(_noisy(0.03, 0.003), "input"),
     # Sensors.
     "a clipped sensor": Fault(
         _seen(lambda y: np.clip(y, np.quantile(y, 0.08), np.quantile(y, 0.92))), "clipped"
@@ -303,7 +306,9 @@ FAULTS: Mapping[str, Fault] = {
     "a channel that is stuck from some instant on": Fault(
         _seen(lambda y: np.where(_late(y), y[2 * len(y) // 3], y), "y"), "stuck|" + MIDDLE
     ),
-    "a channel that is dead from some instant on": Fault(_seen(lambda y: np.where(_late(y), 0.0, y), "y"), "stuck|" + MIDDLE),
+    "a channel that is dead from some instant on": Fault(
+        _seen(lambda y: np.where(_late(y), 0.0, y), "y"), "stuck|" + MIDDLE
+    ),
     "a camera that shows every frame twice": Fault(
         _seen(lambda y: np.repeat(y[::2], 2)[: len(y)]), "twice|repeat|frozen"
     ),
@@ -327,5 +332,56 @@ FAULTS: Mapping[str, Fault] = {
         _driven(lambda u: np.std(u) * np.sin(2.0 * np.pi * 0.2 * PERIOD_S * np.arange(len(u)))), UNRELATED
     ),
     "a sensor with a dead band": Fault(_seen(_dead_band), "nonlinear|dead band|distortion"),
-    "a saturating actuator": Fault(_driven(lambda u: u * (1.0 + 0.3 * np.square(u / (np.std(u) or 1.0)))), "nonlinear|saturat|distortion"),
+    "a saturating actuator": Fault(_driven(_bent), "nonlinear|saturat|distortion"),
 }  # fmt: skip
+
+OF_THE_OUTPUT_ALONE = ("fit_free_decay", "fit_sine")
+WITHOUT_A_MODEL = (
+    "hammer_response", "periodic_response", "welch_response", "local_polynomial_response", "stepped_sine_response",
+    "half_power_damping", "circle_fit",
+)  # fmt: skip
+BLIND: Mapping[str, tuple[str, ...]] = {
+    # Nothing but another clock can tell how long a second is.
+    "stamps of the outputs in ms": OF_THE_OUTPUT_ALONE,
+    "all stamps in ms": OF_THE_OUTPUT_ALONE,
+    "a clock wrong by 1 %": OF_THE_OUTPUT_ALONE,
+    # A response without a model is right for the signals as they are declared: a delay, a hold, an exposure and
+    # the inverse of a plant are responses as well, and a bent one is best linear.
+    "stamps late by 50 ms": WITHOUT_A_MODEL,
+    "another hold": WITHOUT_A_MODEL,
+    "an exposure ten times too long": WITHOUT_A_MODEL,
+    "input and output swapped": WITHOUT_A_MODEL,
+    "an output wired to the input": WITHOUT_A_MODEL,
+    "a sensor with a dead band": WITHOUT_A_MODEL,
+    "a saturating actuator": WITHOUT_A_MODEL,
+    # Two sines, each seen once, may have two gains.
+    "a gain that falls by a fifth": ("stepped_sine_response",),
+    "channels swapped on the way": ("stepped_sine_response",),
+}
+"""What an estimator cannot know, whatever it does: these cases are no part of the table."""
+
+
+OPEN: Mapping[str, tuple[str, ...]] = {
+    "a clock wrong by 1 %": (
+        "estimate_in_closed_loop", "hammer_response, fit_frequency_modes", "hammer_response", "welch_response",
+        "local_polynomial_response", "stepped_sine_response",
+    ),
+    "a clipped sensor": ("estimate_in_closed_loop",),
+    "a sensor of 3 bits": ("periodic_response", "local_polynomial_response"),
+    "a channel that is dead from some instant on": ("hammer_response",),
+    "a channel that is stuck from some instant on": ("hammer_response",),
+    "a gain that falls by a fifth": (
+        "fit_frequency_transfer_function", "hammer_response", "periodic_response", "local_polynomial_response",
+    ),
+    "channels swapped on the way": ("welch_response", "local_polynomial_response"),
+    "a record that begins in motion": ("welch_response", "local_polynomial_response"),
+    "a sensor with a dead band": ("fit_free_decay",),
+    "a saturating actuator": ("estimate_in_closed_loop", "subspace_model", "identify, receptance"),
+    "an exposure ten times too long": ("identify, receptance", "identify, base_motion"),
+}  # fmt: skip
+"""Faults that change an answer in silence: the benchmark counts them as failures, and no test asks for them."""
+
+
+def cases(estimators: Iterable[str]) -> list[tuple[str, str]]:
+    """Return every pair of estimator and fault that the table has."""
+    return [(name, fault) for fault in FAULTS for name in estimators if name not in BLIND.get(fault, ())]

@@ -7,7 +7,7 @@ import re
 import signal
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -36,7 +36,8 @@ class Verdict:
 
     Attributes
     ----------
-    kind : str -- "error", "named", "refused", "not converged", "right"; or "silent", "crash", "too slow", which are failures
+    kind : str
+        "error", "named", "refused", "not converged", "right"; or "silent", "crash", "too slow", which are failures.
     text : str -- the message, the warning, or how far off the answer is
     seconds : float
     """
@@ -87,7 +88,16 @@ def judge(estimator: str, fault: str) -> Verdict:
         return Verdict("too slow", f"more than {MOST_S} s", MOST_S)
     except IdentificationError as err:
         return Verdict("error", str(err), time.process_time() - start)
-    except Exception as err:  # whatever is not of the library's own classes is a failure of the library
+    except (
+        ArithmeticError,
+        AssertionError,
+        LookupError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        Warning,
+    ) as err:
+        # What is not of the library's own classes is a failure of the library.
         return Verdict("crash", f"{type(err).__name__}: {err}", time.process_time() - start)
     seconds = time.process_time() - start
     new = [text for text in said.warnings if text not in reference.warnings]
@@ -106,7 +116,7 @@ def judge(estimator: str, fault: str) -> Verdict:
     return Verdict("right", f"{off[worst]:.2g} sd" if worst else "", seconds)
 
 
-def _distance(name: str, said: Said, reference: Said, factors: dict[str, float], is_model: bool) -> float:
+def _distance(name: str, said: Said, reference: Said, factors: Mapping[str, float], is_model: bool) -> float:
     """Return how far an answer is from the truth, or from that of the sound record, in standard deviations."""
     value, sd = said.values[name]
     factor = factors.get(name, 1.0)

@@ -1,0 +1,46 @@
+"""The table of bad input, its quick part: each case an error, a warning that names its cause, or the right answer.
+
+``python -m benchmarks.ident_bad_input`` runs all of it.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.beam_ident.bad_input.faults import OPEN, cases
+from tests.beam_ident.bad_input.judgement import judge, sound
+
+QUICK = (
+    "estimate_transfer_function, auto",
+    "estimate_in_closed_loop",
+    "subspace_model",
+    "fit_free_decay",
+    "fit_frequency_transfer_function",
+    "hammer_response",
+    "periodic_response",
+    "welch_response",
+    "stepped_sine_response",
+    "validate",
+)
+TABLE = [(name, fault) for name, fault in cases(QUICK) if name not in OPEN.get(fault, ())]
+
+
+def test_the_table_has_more_than_three_hundred_cases_and_names_those_that_are_open():
+    assert len(TABLE) > 300
+    everything = set(cases(QUICK))
+    assert all(
+        (name, fault) in everything for fault, names in OPEN.items() for name in names if name in QUICK
+    )
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_sound_record_is_neither_refused_nor_doubted(name):
+    found = sound(name)
+    assert found.converged
+    assert all("neighbouring lines" in said for said in found.warnings)
+
+
+@pytest.mark.parametrize(("name", "fault"), TABLE)
+def test_bad_input_is_refused_or_named_or_does_no_harm(name, fault):
+    verdict = judge(name, fault)
+    assert not verdict.is_failure, f"{verdict.kind}: {verdict.text}"

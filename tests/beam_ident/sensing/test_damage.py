@@ -1,0 +1,70 @@
+"""Channels that are stuck, repeated or copied are named from their samples alone, sound ones are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ident import InputSignal, OutputSignal, RecordError
+from beam_ident.sensing.damage import damage_warnings
+
+N = 800
+TIMES = 0.01 * np.arange(N)
+MOVING = np.sin(9.0 * TIMES) + 0.3 * np.sin(23.0 * TIMES + 1.0)
+DECAY = np.exp(-1.5 * TIMES) * np.sin(20.0 * TIMES)
+
+
+def said_of(*channels: np.ndarray, drives: tuple[InputSignal, ...] = ()) -> str:
+    """Return what is said of channels at common stamps."""
+    return " ".join(
+        damage_warnings([OutputSignal(f"y{k}", "m", TIMES, y) for k, y in enumerate(channels)], drives)
+    )
+
+
+def test_a_channel_that_sticks_while_it_moves_is_named_with_its_instant():
+    stuck = np.where(np.arange(N) < 500, MOVING, MOVING[500])
+    assert "y0 is stuck at" in said_of(stuck)
+    assert "from 5 s to 7.99 s (300 samples)" in said_of(stuck)
+    counts = np.round(stuck * 200.0)
+    assert "is stuck at" in said_of(counts)
+
+
+@pytest.mark.parametrize(
+    "sound",
+    [
+        MOVING,
+        np.round(MOVING * 200.0),  # rounded
+        np.round(MOVING * 4.0),  # coarsely
+        DECAY,
+        np.round(DECAY * 50.0),  # comes to rest within a step
+        np.concatenate([np.zeros(400), MOVING[:400]]),  # begins at rest
+        np.where(TIMES < 4.0, 0.0, 1.0),  # a step
+    ],
+)
+def test_rest_and_rounding_are_no_damage(sound):
+    assert not said_of(sound)
+
+
+def test_frames_that_are_shown_twice_are_named():
+    assert "repeat the one before" in said_of(np.repeat(MOVING[::2], 2))
+    now_and_then = MOVING.copy()
+    now_and_then[20::20] = now_and_then[19::20][: len(now_and_then[20::20])]
+    assert "repeat the one before" in said_of(now_and_then)
+
+
+def test_copies_of_a_channel_or_of_the_input_are_named():
+    assert "Outputs y0 and y1 hold the same samples" in said_of(MOVING, MOVING)
+    drive = InputSignal("u", "m", (0.0, 0.01), MOVING, "linear")
+    assert "Input u and y0 hold the same samples" in said_of(MOVING, drives=(drive,))
+    assert not said_of(MOVING, -0.5 * MOVING)
+
+
+def test_masked_samples_are_missing_ones_and_no_numbers():
+    masked = np.ma.MaskedArray(np.where(TIMES < 1.0, -999.0, MOVING), TIMES < 1.0)
+    output = OutputSignal("y", "m", TIMES, masked)
+    assert np.count_nonzero(~output.is_valid) == 100
+    assert np.array_equal(output.values[output.is_valid], MOVING[100:])
+    counts = np.ma.MaskedArray(np.arange(N), TIMES == 0.05)
+    assert InputSignal("u", "m", TIMES, counts, "linear").gaps
+    with pytest.raises(RecordError, match="complex"):
+        OutputSignal("y", "m", TIMES, masked + 0j)
