@@ -14,7 +14,7 @@ from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
 
 _LEVEL = 1e-3  # chance that an output that has nothing to do with the input is not named
-_LEAST_FREEDOM = 2.0
+_MIN_FREEDOM = 2.0
 
 
 def with_doubts(
@@ -47,7 +47,7 @@ def _unrelated(record: FrequencyRecord) -> tuple[str, ...]:
     if record.variance is None:
         return ()
     said = []
-    freedom = max(record.degrees_of_freedom - 1.0, _LEAST_FREEDOM)
+    freedom = max(record.degrees_of_freedom - 1.0, _MIN_FREEDOM)
     for j, output in enumerate(record.output_names):
         for i, drive in enumerate(record.input_names):
             values, variance = np.abs(record.response[:, j, i]) ** 2, record.variance[:, j, i]
