@@ -58,7 +58,7 @@ TESTED_IN = (
     ("beam_ros/cli", "options", "cli/test_main"),
     ("beam_ros/cli/live", "call up", "launching/test_up"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
-    ("beam_ros/cli/offline", "export identify model recover simulate", "cli/test_main"),
+    ("beam_ros/cli/offline", "export model recover simulate", "cli/test_main"),
     ("beam_ros/cli/offline", "design", "excitation/test_plan"),
     ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
     ("beam_ros/excitation", "recipes", "excitation/test_plan"),

@@ -27,7 +27,7 @@ _MULTIPLE = 0.02  # of a step, within which all differences are multiples of it
 _MOST_STEPS = 1e6  # beyond which nothing can be said
 _FEW = 8  # samples
 DITHER = 0.5  # steps of noise, from which on rounding is noise like any other (Widrow and Kollar 2008, ch. 4)
-_LEAST = 0.02  # steps: with less noise the edges are as good as sharp
+_MIN_NOISE = 0.02  # steps: with less noise the edges are as good as sharp
 _REACH = 6.0  # standard deviations to either side, in which levels are counted
 _FAINT = 1e-3  # of the information of a sample that is not rounded: the least weight
 
@@ -150,7 +150,7 @@ def _likeliest(residuals: FloatArray, step: float) -> float:
     """Return the sigma of highest likelihood, between a fiftieth of a step and one."""
     found = minimize_scalar(
         lambda log: _misfit(residuals, step, step * math.exp(log)),
-        bounds=(math.log(_LEAST), 0.0),
+        bounds=(math.log(_MIN_NOISE), 0.0),
         method="bounded",
         options={"xatol": 1e-3},
     )

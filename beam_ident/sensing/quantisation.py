@@ -21,7 +21,7 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import OutputSignal, TimeRecord
-from beam_ident.errors import EstimationError
+from beam_ident.errors import IdentificationError
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.rounding import DITHER, dither, quantum
 
@@ -105,10 +105,10 @@ def without_clipped(
     at_ends = [
         (end, np.asarray(end.beyond(records[end.record].output(end.name).values) >= 0.0)) for end in ends
     ]
-    tried_records = _left_out(records, at_ends)
     try:
+        tried_records = _left_out(records, at_ends)
         tried = fit(tried_records)
-    except EstimationError:  # too little is left to say what goes on beyond
+    except IdentificationError:  # too little is left to say what goes on beyond
         return fit(records), ""
     clipped, counts = [], []
     for end, at_end in at_ends:
@@ -130,7 +130,10 @@ def without_clipped(
         f"Clipped: {', '.join(counts)} stand at the end of the sensor's range, beyond which the model goes on. They "
         f"and those that the model puts within {_NEAR:.0f} standard deviations of it are left out ({left_out})."
     )
-    return fit(_left_out(records, clipped)), said
+    try:
+        return fit(_left_out(records, clipped)), said
+    except IdentificationError:  # a model far beyond the end everywhere is wrong itself
+        return fit(records), ""
 
 
 def clipped_warnings(outputs: Sequence[OutputSignal]) -> list[str]:
