@@ -32,6 +32,10 @@ _IRREGULAR = 0.01  # of a step: stamps that wander more take no autoregression
 _RANK = 1e-14  # of the largest eigenvalue: below it a signal without noise shows rounding alone
 
 _OFF_GRID = 0.1  # of a step: stamps that wander more are no grid from which samples could be missing
+_STEADY, _STANDS_OUT = (
+    0.02,
+    8.0,
+)  # of a period, and deviations of the steps: stamps off the grid by more are no rounding
 _MOSTLY = 2.0 / 3.0  # of the steps: fewer that are one period long, or beside a hole, are no grid with holes
 
 _Rule = Callable[[int, int], FloatArray]
@@ -76,9 +80,12 @@ def on_every_stamp(times_s: FloatArray, values: FloatArray, is_held: bool) -> tu
         return times_s, values
     periods = np.rint(steps / usual)
     is_hole = periods > 1.0
+    # Elsewhere between two samples a clock may have jumped instead.
+    scatter = 1.4826 * float(np.median(np.abs(steps - usual)))
+    off_grid = min(max(_STEADY * usual, _STANDS_OUT * scatter), _OFF_GRID * usual)
     beside = np.concatenate([is_hole[1:], [False]]) | np.concatenate([[False], is_hole[:-1]])
     if (
-        np.max(np.abs(steps - periods * usual)) > _OFF_GRID * usual
+        np.max(np.abs(steps - periods * usual)) > off_grid
         or np.mean(~is_hole) < _MOSTLY
         or np.mean(~is_hole[beside]) < _MOSTLY * float(np.mean(~is_hole))
     ):

@@ -301,12 +301,22 @@ class ModeSearch(ABC, Generic[ProblemT]):
         return iter(())
 
     def _look_inside(self) -> None:
-        """Go on from where a structure inside this one ended better: one that can do more must not end worse."""
+        """Go on from where a structure inside this one ended better: one that can do more must not end worse.
+
+        What fits better with modes that could not be believed is no better end.
+        """
+        doubts = self._n_doubtful(self.chosen)
         for smaller in self.inside(len(self.chosen.omegas)):
             fit = self.fit(smaller.omegas, smaller.zetas, smaller.clock, _ITERATIONS)
-            if fit.cost < self.chosen.cost:
+            if fit.cost < self.chosen.cost and (left := self._n_doubtful(fit)) < max(doubts, 1):
+                doubts = left
                 self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
                 self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
+
+    def _n_doubtful(self, fit: ModalFit) -> int:
+        return sum(
+            bool(mode_complaint(fit, self.problem, mode, self.band)) for mode in range(len(fit.omegas))
+        )
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""

@@ -49,7 +49,7 @@ class Whitening:
     def __init__(self, coefficients: FloatArray, times_s: FloatArray) -> None:
         steps = np.diff(times_s)
         self.coefficients = coefficients
-        first = np.flatnonzero(steps > 1.5 * float(np.median(steps))) + 1
+        first = np.flatnonzero(steps > 1.5 * float(np.median(steps))) + 1 if len(steps) else steps.astype(int)
         self._runs = list(zip([0, *first], [*first, len(times_s)], strict=True))
         self._predictors = [coefficients]
         self._weights = [1.0]

@@ -16,7 +16,6 @@ from math import factorial
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import lapack
 
 from beam_ident.arrays import FloatArray, IndexArray
 
@@ -297,6 +296,8 @@ def _regular_cubic(
     inner[-1] = 0.5 * (end[0] + 5.0 * end[1])
     diagonal = np.full(n - 2, 4.0)
     diagonal[0] = diagonal[-1] = 2.0
+    from scipy.linalg import lapack  # here: records are made without it
+
     solved = lapack.dptsv(
         diagonal, np.ones(n - 3), inner, overwrite_d=True, overwrite_e=True, overwrite_b=True
     )

@@ -32,7 +32,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, is_related
-from beam_ident.noise.scores import Scores, ScoreTest, Whiteness
+from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
@@ -382,6 +382,8 @@ class Offer:
 
 def leaves_doubt(result: TransferFunctionResult | MultiInputResult) -> bool:
     """Return whether a fit has anything that a missing integrator, offset or drift may be the cause of."""
+    if are_rounding(result.measured, result.residuals):
+        return False
     paths = paths_of(result.model)
     return (
         not result.converged

@@ -419,4 +419,9 @@ class _Chain:
         size = float(np.exp(np.mean(np.log(np.abs(start.responses[0].poles))))) * start.scale
         theta = problem.converted(start, size)
         problem.scale = size
-        return refine(problem, problem.state(theta), self.method)
+        moved = problem.state(theta)
+        if not math.isfinite(moved.cost):
+            # Poles so far apart that they are no point any more in their own unit.
+            problem.scale = start.scale
+            return Optimum(start, False, "the start cannot be refined", 0)
+        return refine(problem, moved, self.method)

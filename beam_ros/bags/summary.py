@@ -85,7 +85,7 @@ class BagInfo:
     clocks: tuple[ClockSummary, ...]
     sequences: tuple[str, ...]
     excitation: dict[str, Any] | None
-    damage: tuple[str, ...]
+    damage: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types."""

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from beam_ident import (
@@ -103,13 +104,26 @@ def test_samples_that_were_not_seen_are_left_out():
 
 
 def test_an_irregular_input_gives_the_same_model_as_a_regular_one():
+    record = beam_record(5, encoder=0.0)
+    drive = record.inputs[0]
+    scatter = np.random.default_rng(0).uniform(-0.3e-3, 0.3e-3, len(drive.values))
+    scatter[[0, -1]] = 0.0
+    times = drive.times_s + scatter
+    irregular = InputSignal("hub", "m", times, CubicSpline(drive.times_s, drive.values)(times), "cubic")
+    assert irregular.period_s is None
+    assert not irregular.gaps
+    model = identify(TimeRecord((irregular,), record.outputs), n_modes=3).model
+    assert np.max(np.abs(z_scores(model))) < 4.0
+
+
+def test_an_input_that_lacks_three_hundred_samples_gives_the_same_model_as_a_whole_one():
     record = beam_record(5)
     drive = record.inputs[0]
     keep = np.ones(len(drive.values), dtype=bool)
     keep[np.random.default_rng(0).choice(np.arange(10, len(keep) - 10), 300, replace=False)] = False
-    irregular = InputSignal("hub", "m", drive.times_s[keep], drive.values[keep], "cubic")
-    assert irregular.period_s is None
-    model = identify(TimeRecord((irregular,), record.outputs), n_modes=3).model
+    holed = InputSignal("hub", "m", drive.times_s[keep], drive.values[keep], "cubic")
+    assert sum(gap.missing for gap in holed.gaps) == 300
+    model = identify(TimeRecord((holed,), record.outputs), n_modes=3).model
     assert np.max(np.abs(z_scores(model))) < 4.0
 
 
