@@ -296,9 +296,12 @@ class _RegularKnots:
 
     def states(self, index: IndexArray, n_orders: int) -> ComplexArray:
         """Return the states at knots, shape (n_poles, n_orders, n)."""
-        if len(index) > _DENSE * self.n_segments:
-            return np.asarray(np.take(self._all(n_orders), index, axis=2))
         block, later = np.divmod(index, self.length)
+        if len(index):
+            first_block, last_block = int(np.min(block)), int(np.max(block)) + 1
+            if len(index) > _DENSE * self.length * (last_block - first_block):
+                dense = self._all(n_orders, slice(first_block, last_block))
+                return np.asarray(np.take(dense, index - first_block * self.length, axis=2))
         order = np.argsort(later, kind="stable")
         block, ends = block[order], np.searchsorted(later[order], np.arange(self.length + 1))
         rows = self.blocks[block]
@@ -313,17 +316,18 @@ class _RegularKnots:
             result[:, :, order[here]] = part
         return result
 
-    def _all(self, n_orders: int) -> ComplexArray:
-        """Return the states at all knots."""
+    def _all(self, n_orders: int, which: slice) -> ComplexArray:
+        """Return the states at all knots of some blocks."""
         n_poles, length = len(self.kernel), self.length
         inside = np.ascontiguousarray(self.kernel[:, :n_orders, :, :length])
-        states = np.matmul(self.blocks, inside.view(np.float64)).view(np.complex128)
-        for state, first, powers in zip(states, self.first, self.powers, strict=True):
+        blocks = self.blocks[which]
+        states = np.matmul(blocks, inside.view(np.float64)).view(np.complex128)
+        for state, first, powers in zip(states, self.first[:, :, which], self.powers, strict=True):
             for number in range(n_orders):
                 state[number] += first[number, :, None] * powers[0, :length]
             if n_orders == 2:
                 state[1] += first[0, :, None] * powers[1, :length]
-        return np.asarray(states.reshape(n_poles, n_orders, len(self.blocks) * length))
+        return np.asarray(states.reshape(n_poles, n_orders, len(blocks) * length))
 
 
 def _recursions(

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
 from scipy.signal import lfilter
 from scipy.special import chdtrc as chi_squared_sf
 
@@ -299,7 +300,8 @@ def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None
         return None
     even = np.zeros(length)
     even[places] = left
-    power = np.square(np.abs(np.fft.rfft(even * np.hanning(length))))
+    n_fft = next_fast_len(length, real=True)
+    power = np.square(np.abs(rfft(even * np.hanning(length), n_fft)))
     width = 2 * _AROUND + 1
     if len(power) <= width:
         return None
@@ -312,7 +314,7 @@ def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None
     looks = 0.5 * length * _CAREFUL
     if power[place] < 0.5 * math.log(looks / _LEVEL) * level[place - _AROUND]:
         return None  # half of what a line needs to stand out, as those between two lines have less in each
-    finer = (place + np.linspace(-1.0, 1.0, 2 * _FINER + 1)) / (length * period)
+    finer = (place + np.linspace(-1.0, 1.0, 2 * _FINER + 1)) / (n_fft * period)
     turning = np.exp(-2j * np.pi * np.outer(finer, times - times[0]))
     hertz = float(finer[int(np.argmax(np.abs(turning @ left)))])
     phase = 2.0 * np.pi * hertz * times
