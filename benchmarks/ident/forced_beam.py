@@ -125,13 +125,7 @@ class ForcedBeamCase(AgainstBound):
         start = time.perf_counter()
         model = identify(record, self.structure, None, *self.clock).model
         seconds = time.perf_counter() - start
-        if model.n_modes != 3:
-            return Outcome(seconds)
-        return Outcome(
-            seconds,
-            np.concatenate([model.natural_frequencies, model.damping_ratios]),
-            np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd]),
-        )
+        return Outcome.of_modes(seconds, model, 3)
 
 
 class JitterCase(ForcedBeamCase):

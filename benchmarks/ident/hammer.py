@@ -167,13 +167,7 @@ class Hammer(AgainstBound):
         except EstimationError:
             return Outcome(time.perf_counter() - start)
         seconds = time.perf_counter() - start
-        if model.n_modes != len(OMEGAS):
-            return Outcome(seconds)
-        return Outcome(
-            seconds,
-            np.concatenate([model.natural_frequencies, model.damping_ratios]),
-            np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd]),
-        )
+        return Outcome.of_modes(seconds, model, len(OMEGAS))
 
 
 class WindowedHammer(Hammer):

@@ -126,13 +126,7 @@ class StiffModes(_Stiff):
         except EstimationError:
             return Outcome(time.perf_counter() - start)
         seconds = time.perf_counter() - start
-        if model.n_modes != 2:
-            return Outcome(seconds)
-        return Outcome(
-            seconds,
-            np.concatenate([model.natural_frequencies, model.damping_ratios]),
-            np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd]),
-        )
+        return Outcome.of_modes(seconds, model, 2)
 
 
 STUDIES = {

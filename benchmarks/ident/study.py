@@ -13,6 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from beam_ident import ModalModel
+
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
@@ -25,6 +27,17 @@ class Outcome:
     estimate: np.ndarray | None = None
     sd: np.ndarray | None = None
     figures: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @staticmethod
+    def of_modes(seconds: float, model: ModalModel, n_modes: int) -> Outcome:
+        """Return frequencies and damping ratios of a model; another number of modes is a failure."""
+        if model.n_modes != n_modes:
+            return Outcome(seconds)
+        return Outcome(
+            seconds,
+            np.concatenate([model.natural_frequencies, model.damping_ratios]),
+            np.concatenate([model.natural_frequency_sd, model.damping_ratio_sd]),
+        )
 
 
 class Case(Protocol):
