@@ -280,9 +280,9 @@ class FrequencyRecord:
         if self.shared_lines <= 1.0:
             return tuple(self.warnings)
         return (
-            *self.warnings,
             f"neighbouring lines share data ({self.method}): noise may look like modes; standard deviations count it "
             "as far as the residuals show it. Fit samples, or a response from periods",
+            *self.warnings,
         )
 
     def series(self) -> tuple[ResponseSeries, ...]:
