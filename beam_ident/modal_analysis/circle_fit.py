@@ -34,6 +34,8 @@ class CircleFit:
     Attributes
     ----------
     natural_frequency, damping_ratio : float -- [rad/s], [-]
+    natural_frequency_sd, damping_ratio_sd : float
+        Standard deviations by the scatter of the points around the circle's motion.
     residue : complex -- A of ``A / (s - p) + conj(A) / (s - conj(p))`` of the receptance
     centre : complex
     radius : float -- of the circle in the plane of the mobility
@@ -45,6 +47,8 @@ class CircleFit:
 
     natural_frequency: float
     damping_ratio: float
+    natural_frequency_sd: float
+    damping_ratio_sd: float
     residue: complex
     centre: complex
     radius: float
@@ -101,8 +105,12 @@ def circle_fit(
     strength = 2.0 * radius * np.exp(1j * turn) * 2.0 * zeta * omega
     residue = strength / (2j * omega * math.sqrt(1.0 - zeta**2))
     roundness = float(np.sqrt(np.mean((np.abs(points - centre) - radius) ** 2)) / radius)
+    # Lines that share data scatter together: as many fewer of them speak.
+    omega_sd, zeta_sd = math.sqrt(chosen.shared_lines) * _deviations(omegas, points, omega, zeta)
     zeta -= record.decay_rate / omega  # what an exponential window adds
-    return CircleFit(omega, zeta, complex(residue), centre, radius, omegas, points, roundness, converged)
+    return CircleFit(
+        omega, zeta, omega_sd, zeta_sd, complex(residue), centre, radius, omegas, points, roundness, converged
+    )
 
 
 def _circle(points: ComplexArray) -> tuple[complex, float]:
@@ -145,3 +153,20 @@ def _sweep(omegas: FloatArray, sweep: FloatArray) -> tuple[float, float, float, 
     if not (omegas[0] <= omega <= omegas[-1]):
         raise EstimationError("the sweep of the points shows no resonance in the band; centre it on one")
     return omega, zeta, turn, converged
+
+
+def _deviations(omegas: FloatArray, points: ComplexArray, omega: float, zeta: float) -> FloatArray:
+    """Return the standard deviations of frequency and damping, size and centre being free as well."""
+    shape = 1j * omegas / (omega**2 - omegas**2 + 2j * zeta * omega * omegas)
+    ones = np.ones(len(omegas), dtype=complex)
+    linear = np.stack([shape, ones], axis=1)
+    found = np.linalg.lstsq(linear, points, rcond=None)[0]
+    error, size = points - linear @ found, found[0]
+    by_omega = -size * shape**2 / (1j * omegas) * (2.0 * omega + 2j * zeta * omegas)
+    by_zeta = -size * shape**2 / (1j * omegas) * 2j * omega * omegas
+    columns = np.stack([by_omega, by_zeta, shape, 1j * shape, ones, 1j * ones], axis=1)
+    gradient = np.concatenate([columns.real, columns.imag])
+    norms = np.linalg.norm(gradient, axis=0)
+    inverse = np.linalg.pinv((gradient / norms).T @ (gradient / norms), rcond=1e-13)
+    variance = float(np.vdot(error, error).real) / max(2 * len(omegas) - 6, 1)
+    return np.asarray(np.sqrt(variance * np.diag(inverse)[:2]) / norms[:2])

@@ -11,14 +11,17 @@ import numpy as np
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.sensing.damage import damage_warnings
-from beam_ident.sensing.quantisation import clipped_warnings
+from beam_ident.sensing.quantisation import clipped_warnings, coarse_warnings
 
 _LEVEL = 1e-3  # chance that an output that has nothing to do with the input is not named
 _MIN_FREEDOM = 2.0
 
 
 def with_doubts(
-    record: FrequencyRecord, outputs: Sequence[OutputSignal], drive: InputSignal
+    record: FrequencyRecord,
+    outputs: Sequence[OutputSignal],
+    drive: InputSignal,
+    changes: Sequence[str] = (),
 ) -> FrequencyRecord:
     """Return a response with warnings of what its samples and its lines show.
 
@@ -27,8 +30,11 @@ def with_doubts(
     record : FrequencyRecord
     outputs : sequence of OutputSignal -- from which it was made
     drive : InputSignal
+    changes : sequence of str
+        What ``changing_warnings`` says; a damaged channel changes too, and is then named as what it is.
     """
-    said = (*clipped_warnings(outputs), *damage_warnings(outputs, [drive]), *_unrelated(record))
+    damage = (*clipped_warnings(outputs), *damage_warnings(outputs, [drive]), *_unrelated(record))
+    said = (*(damage or changes), *coarse_warnings(outputs))
     return replace(record, warnings=(*record.warnings, *said)) if said else record
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -31,6 +31,7 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import regular_period
 from beam_ident.responses.doubts import with_doubts
+from beam_ident.responses.steady_periods import changing_warnings
 
 _BY_CHANCE = 1e-6  # chance that noise alone makes a contact anywhere in a record
 _MIN_CONTACT = 0.01  # of the highest blow: a sensor's own ringing may be as large
@@ -190,7 +191,8 @@ def hammer_response(
     )
     for group, drive in zip(outputs, drives, strict=True):
         made = with_doubts(made, group, drive)
-    return made
+    changes = [said for j, name in enumerate(names) for said in changing_warnings(name, *found.compared(j))]
+    return replace(made, warnings=made.warnings or changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +204,13 @@ class _Averaged:
     variance: FloatArray | None
     coherence: FloatArray | None
     freedom: float
+    force: ComplexArray  # of every blow
+    answers: ComplexArray  # of every blow and output
+    shared_lines: float
+
+    def compared(self, output: int) -> tuple[ComplexArray, ComplexArray, FloatArray, float]:
+        """Return what the response makes of every blow, what was measured, where, and what lines share."""
+        return self.response[output] * self.force, self.answers[:, output], self.lines, self.shared_lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,12 +287,13 @@ def _averaged(segments: Sequence[_Segment], share: float) -> _Averaged:
     response = cross / power
     n = len(segments)
     if n == 1:
-        return _Averaged(lines, response, None, None, math.inf)
+        return _Averaged(lines, response, None, None, math.inf, force, answers, _reach(share))
     left = np.sum(np.abs(answers - response * force[:, None]) ** 2, axis=0) / (n - 1.0)
     width = min(math.ceil(_FREEDOM * _reach(share) / (n - 1.0)), len(lines))
     variance = uniform_filter1d(left, width, axis=1, mode="nearest") / power
     coherence = np.clip(np.abs(cross) ** 2 / (np.sum(np.abs(answers) ** 2, axis=0) * power), 0.0, 1.0)
-    return _Averaged(lines, response, variance, coherence, max((n - 1.0) * width / _reach(share), 1.0))
+    freedom = max((n - 1.0) * width / _reach(share), 1.0)
+    return _Averaged(lines, response, variance, coherence, freedom, force, answers, _reach(share))
 
 
 def _drive(record: TimeRecord, input_name: str | None) -> InputSignal:

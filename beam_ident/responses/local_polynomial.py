@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from beam_ident.data.argument_checks import (
-    require_whole_number,
-)
+from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.data.argument_checks import require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
+from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_length, stretches
 
 _MAX_DEGREE = 10  # of local polynomials: beyond it their powers are alike
 
@@ -93,14 +93,28 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
     scale = np.where(size[:, 0, 0] > 0.0, size[:, 0, 0], np.inf)
     # The variance of h_0 under white noise: the row of the pseudo-inverse that gives it, squared.
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
+    response = found[:, 0] / scale
     return LineEstimate(
         np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),
-        found[:, 0] / scale,
+        response,
         variance * gain / scale**2,
         None,
         float(freedom),
+        _compared(pair, response, of_input),
         _reach(degree, width),
     )
+
+
+def _compared(
+    pair: SignalPair, response: ComplexArray, of_input: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, FloatArray, float, bool]:
+    """Return spectra of stretches of what the response makes of the whole input, and of the output."""
+    n, length = len(pair.output), stretch_length(len(pair.output))
+    spectrum = np.zeros(len(of_input), dtype=np.complex128)
+    spectrum[1 : len(response) + 1] = response * of_input[1 : len(response) + 1]
+    modelled = stretches(np.fft.irfft(spectrum, n) * np.sqrt(n))
+    omegas = 2.0 * np.pi * np.arange(2, 2 + modelled.shape[1]) / (length * pair.period)
+    return modelled, stretches(pair.output), np.asarray(omegas, dtype=np.float64), SHARED_BY_HANN, True
 
 
 def _reach(degree: int, width: int) -> float:

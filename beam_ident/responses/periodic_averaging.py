@@ -32,7 +32,12 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
 from beam_ident.responses.doubts import with_doubts
-from beam_ident.responses.steady_periods import drift_of_periods, input_changes, unsteady_warnings
+from beam_ident.responses.steady_periods import (
+    changing_warnings,
+    drift_of_periods,
+    input_changes,
+    unsteady_warnings,
+)
 
 _MAX_MISSING = 0.02
 _LINE_TOLERANCE = 1e-6  # of a period: how whole a number of samples must be
@@ -328,6 +333,7 @@ def periodic_response(
     # The sums over all images behind (F.5), from the held input's derivatives and integrals.
     sampled = [np.fft.fft(part)[bins] / n_bins for part in integrals]
     drift, is_unsteady = drift_of_periods(spectra)
+    has_input_changed = input_changes(source.ticks)
     found = FrequencyRecord(
         omegas=lines.omegas,
         response=response.T,
@@ -340,14 +346,19 @@ def periodic_response(
         method=f"mean of {n_periods} periods",
         folding=lines.folding(quiet, sampled, n_bins, line_period_s, outputs[0].exposure_s),
         name=record.name,
-        warnings=unsteady_warnings(record.name, input_changes(source.ticks), drift[is_unsteady]),
+        warnings=unsteady_warnings(record.name, has_input_changed, drift[is_unsteady]),
     )
+    changes = [
+        said
+        for output, own, line, u in zip(outputs, measured, response, drives, strict=True)
+        for said in changing_warnings(output.name, line * u, own, lines.omegas, leaks=True)
+    ]
     is_excited = np.zeros(len(bins), dtype=bool)
     folded = numbers % n_bins
     folded = np.minimum(folded, n_bins - folded)
     is_excited[folded[(folded > 0) & (folded <= len(bins))] - 1] = True
     return PeriodicResponse(
-        response=with_doubts(found, outputs, drive),
+        response=with_doubts(found, outputs, drive, () if has_input_changed else changes),
         n_periods=n_periods,
         line_period_s=line_period_s,
         bins=bins,

@@ -22,6 +22,7 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import Instants, regular_period
 from beam_ident.responses.doubts import with_doubts
+from beam_ident.responses.steady_periods import changing_warnings
 
 _MAX_MISSING = 0.02
 
@@ -38,13 +39,17 @@ class SignalPair:
 
 @dataclass(frozen=True, eq=False)
 class LineEstimate:
-    """A response of one output: lines [rad/s], complex values, variances, coherence."""
+    """A response of one output: lines [rad/s], complex values, variances, coherence.
+
+    ``compared`` holds what ``changing_warnings`` takes beside the name: spectra of stretches, modelled and measured.
+    """
 
     omegas: FloatArray
     response: ComplexArray
     variance: FloatArray
     coherence: FloatArray | None
     freedom: float
+    compared: tuple[ComplexArray, ComplexArray, FloatArray, float, bool]
     shared_lines: float = 1.0
 
 
@@ -99,6 +104,11 @@ def for_every_output(
                 f"outputs {outputs[0].name!r} and {output.name!r} have different stamps, and so different lines; "
                 "estimate them one at a time, with output_names"
             )
+    changes = [
+        said
+        for output, one in zip(outputs, found, strict=True)
+        for said in changing_warnings(output.name, *one.compared)
+    ]
     coherences = [one.coherence for one in found if one.coherence is not None]
     made = FrequencyRecord(
         omegas=found[0].omegas,
@@ -114,4 +124,4 @@ def for_every_output(
         name=record.name,
         shared_lines=max(one.shared_lines for one in found),
     )
-    return with_doubts(made, outputs, drive)
+    return with_doubts(made, outputs, drive, changes)

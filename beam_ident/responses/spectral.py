@@ -13,10 +13,12 @@ from typing import Literal
 import numpy as np
 from scipy.signal import csd, welch
 
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
+from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_length, stretches
 
 SpectralMethod = Literal["h1", "h2", "hv", "reference"]
 
@@ -84,6 +86,7 @@ def _welch(pair: SignalPair, method: SpectralMethod, segment_s: float | None) ->
     last = len(frequencies) - (1 - length % 2)  # the line at half the rate is real
     inner = slice(1, last)
     frequencies, cross, of_input, of_output = (x[inner] for x in (frequencies, cross, of_input, of_output))
+    compared = _compared(pair)
     floor = 1e-300
     coherence = np.clip(np.abs(cross) ** 2 / np.maximum(of_input * of_output, floor), 0.0, 1.0)
     # Overlapping Hann segments by half: 36 % fewer independent averages (Welch 1967).
@@ -99,10 +102,20 @@ def _welch(pair: SignalPair, method: SpectralMethod, segment_s: float | None) ->
         # One degree of freedom of every line went into the response.
         variance = np.maximum(left, 0.0) * of_reference / strength / max(averages - 1.0, 1.0)
         linked = np.clip(np.abs(to_output) ** 2 / np.maximum(of_reference * of_output, floor), 0.0, 1.0)
-        return LineEstimate(omegas, response, variance, linked, averages)
+        return LineEstimate(omegas, response, variance, linked, averages, compared)
     h1 = cross / np.maximum(of_input, floor)
     h2 = of_output / np.where(np.abs(cross) > floor, np.conj(cross), floor)
     hv = np.sqrt(np.abs(h1) * np.abs(h2)) * np.exp(1j * np.angle(cross))
     response = {"h1": h1, "h2": h2, "hv": hv}[method]
     variance = np.abs(response) ** 2 * (1.0 - coherence) / np.maximum(coherence, 1e-12) / averages
-    return LineEstimate(omegas, response, variance, coherence, averages)
+    return LineEstimate(omegas, response, variance, coherence, averages, compared)
+
+
+def _compared(pair: SignalPair) -> tuple[ComplexArray, ComplexArray, FloatArray, float, bool]:
+    """Return spectra of stretches: what their common response makes of the input, and the output."""
+    length = stretch_length(len(pair.output))
+    drives, answers = stretches(pair.drive), stretches(pair.output)
+    power = np.maximum(np.sum(np.abs(drives) ** 2, axis=0), 1e-300)
+    modelled = np.sum(answers * np.conj(drives), axis=0) / power * drives
+    omegas = 2.0 * np.pi * np.arange(2, 2 + drives.shape[1]) / (length * pair.period)
+    return modelled, answers, np.asarray(omegas, dtype=np.float64), SHARED_BY_HANN, True

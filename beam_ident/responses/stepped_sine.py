@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.argument_checks import (
     chosen_input,
     finite_row,
@@ -27,13 +27,16 @@ from beam_ident.data.argument_checks import (
     require_size,
 )
 from beam_ident.data.frequency_record import FrequencyRecord
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.periodic_averaging import exposure_gain, hold_gain
 
 _ITERATIONS = 30
 _MIN_SAMPLES = 8
+_APART = 6.0  # standard deviations between the frequencies of input and output
+_TURNED = 0.05  # rad over a step: what a transient may do as well, and hardly changes the response
+_SAME = 1e-7  # of the frequency: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +205,13 @@ def stepped_sine_response(
     response = np.empty((len(hertz), len(outputs)), dtype=np.complex128)
     covariance = np.empty((len(hertz), len(outputs), len(outputs)), dtype=np.complex128)
     fewest = math.inf
+    apart: list[str] = []
     for k in range(len(hertz)):
         omega = 2.0 * np.pi * float(hertz[k])
         # Times from the segment's start: phases of long records would lose digits.
         origin = float(starts[k])
-        within = (drive.times_s >= starts[k]) & (drive.times_s <= ends[k])
-        of_input = _segment(drive.name, drive.times_s[within] - origin, drive.values[within], omega)
+        is_driven = (drive.times_s >= starts[k]) & (drive.times_s <= ends[k])
+        of_input = _segment(drive.name, drive.times_s[is_driven] - origin, drive.values[is_driven], omega)
         held = complex(hold_gain(drive.hold, np.array([omega]), period)[0])
         moved = of_input.amplitude * held
         if not abs(moved) > 1e-12 * float(np.max(np.abs(drive.values), initial=0.0)):
@@ -219,6 +223,7 @@ def stepped_sine_response(
             within = (output.times_s >= starts[k]) & (output.times_s <= ends[k])
             require_output(output.name, output.values[within & output.is_valid])
             fit = _segment(output.name, output.times_s[within] - origin, output.values[within], omega)
+            apart += _apart(output, within, drive, is_driven, omega)
             gain = float(exposure_gain(np.array([omega]), output.exposure_s)[0]) * moved
             response[k, j] = fit.amplitude / gain
             covariance[k, j, j] = fit.amplitude_variance / abs(gain) ** 2
@@ -237,7 +242,35 @@ def stepped_sine_response(
         method=f"sine fits of {len(hertz)} steps",
         name=record.name,
     )
-    return with_doubts(made, outputs, drive)
+    return with_doubts(made, outputs, drive, apart)
+
+
+def _apart(
+    output: OutputSignal, seen: BoolArray, drive: InputSignal, driven: BoolArray, omega: float
+) -> list[str]:
+    """Return whether an output's sine has another frequency than the input's, as only another clock gives it."""
+    found = []
+    for times, values in (
+        (drive.times_s[driven], drive.values[driven]),
+        (output.times_s[seen], output.values[seen]),
+    ):
+        try:
+            found.append(fit_sine(times, values, omega, is_frequency_free=True))
+        except EstimationError:
+            return []  # no sine: the response's own variance says so
+    of_input, of_output = found
+    if not (of_input.converged and of_output.converged):
+        return []
+    difference = of_output.omega - of_input.omega
+    spread = math.hypot(of_input.omega_sd, of_output.omega_sd) + _SAME * omega
+    turned = abs(difference) * float(np.ptp(output.times_s[seen]))
+    if abs(difference) <= _APART * spread or turned <= _TURNED:
+        return []
+    return [
+        f"output {output.name!r}: the sine of {omega / (2.0 * np.pi):.5g} Hz has {difference / of_input.omega:+.2%} "
+        f"another frequency than the input's ({abs(difference) / spread:.0f} standard deviations): the clocks run at "
+        "different rates. Give both the stamps of one clock"
+    ]
 
 
 def _segment(name: str, times: FloatArray, values: FloatArray, omega: float) -> SineFit:

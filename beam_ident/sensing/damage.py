@@ -1,4 +1,6 @@
-"""Channels that cannot be what they seem, told from their samples alone: stuck, repeated, or one another's copy.
+"""Channels that cannot be what they seem, told from their samples alone: stuck, repeated, one another's copy.
+
+An exposure longer than the time between samples is told as well: a shutter opens once for every frame.
 
 None of these needs a model, and each biases one in silence.  A signal that is measured never has the same value twice
 while it moves, but for rounding: so a value that stays where its neighbours differ by many steps is no measurement.
@@ -18,13 +20,14 @@ from beam_ident.noise.rounding import quantum
 _STUCK = 20  # samples in a row
 _BY_CHANCE = 1e-6  # that rounding alone keeps a value for so long
 _BEFORE = 5  # samples before a channel is stuck, which show that it was moving
+_EXPOSED = 1.01  # of the time between samples
 _STEPS = 5.0  # of rounding, which a moving signal makes between samples
 _MOVES = 0.1  # of the usual difference between samples, the same
 _FEW, _SHARE = 5, 0.02  # repeated samples that are reported, and of all that move
 
 
 def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
-    """Return what must be known of outputs that are stuck, repeated or copied.
+    """Return what must be known of outputs that are stuck, repeated or copied, or exposed for too long.
 
     Parameters
     ----------
@@ -37,6 +40,12 @@ def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSigna
         said += _of_channel(output.name, *seen[k])
         others = [(f"Outputs {own.name}", seen[j]) for j, own in enumerate(outputs[:k])]
         times = seen[k][0]
+        period = float(np.median(np.diff(times))) if len(times) > 1 else math.inf
+        if output.exposure_s > _EXPOSED * period:
+            said.append(
+                f"Output {output.name}: its exposure is stated as {output.exposure_s * 1e3:.4g} ms, longer than the "
+                f"{period * 1e3:.4g} ms between its samples. Give it in seconds, as the shutter has it."
+            )
         others += [
             (f"Input {own.name}", (times, np.interp(times, own.times_s, own.values))) for own in drives
         ]

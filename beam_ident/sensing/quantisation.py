@@ -29,6 +29,8 @@ _CLIPPED, _IN_A_ROW = 5, 3  # samples at an end of the range
 _PILE = 2.5  # times as many as at the level before: a sine that is only rounded has 2.4 at most
 _BEYOND = 2.0  # standard deviations by which the model must pass the end on average
 _MIN_BEYOND = 1e-6  # of the output's size: less is rounding
+_COARSE = 1000.0  # steps in the whole swing: with more, errors are below 0.03 % of it
+_LEAST = 32  # samples whose differences tell noise
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
 
 FitT = TypeVar("FitT")
@@ -134,6 +136,34 @@ def without_clipped(
         return fit(_left_out(records, clipped)), said
     except IdentificationError:  # a model far beyond the end everywhere is wrong itself
         return fit(records), ""
+
+
+def coarse_warnings(outputs: Sequence[OutputSignal]) -> list[str]:
+    """Return which outputs are rounded so coarsely that the errors follow the signal, for fits without a model.
+
+    Parameters
+    ----------
+    outputs : sequence of OutputSignal
+
+    Notes
+    -----
+    Without a model the noise is not known, but third differences of neighbouring samples hold at least it: ``20
+    sigma^2`` of white noise.
+    """
+    said = []
+    for output in outputs:
+        values = output.values[output.is_valid]
+        step = quantum(values)
+        if not step or len(values) < _LEAST:
+            continue
+        most = math.sqrt(float(np.mean(np.square(np.diff(values, 3)))) / 20.0)
+        if dither(np.array([most]), step) < DITHER and float(np.ptp(values)) < _COARSE * step:
+            said.append(
+                f"Rounding: {output.name} has steps of {step:.3g}, {np.ptp(values) / step:.0f} over its whole swing, "
+                "and noise of less than half a step: its errors follow the signal as a distortion does, which no "
+                "average makes smaller. Choose a finer range, or fit the samples with identify(), which weighs them."
+            )
+    return said
 
 
 def clipped_warnings(outputs: Sequence[OutputSignal]) -> list[str]:

@@ -39,6 +39,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.quantisation import clipped_warnings
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
 from beam_ident.transfer_function.structure_gates import (
@@ -344,12 +345,18 @@ class _Loop:
         z = self._white(self._with_nuisances(point.instruments))
         simulated = zip(self.records, point.simulated, strict=True)
         target = self._white([own.values - response for own, response in simulated])
-        size_psi = np.maximum(np.linalg.norm(psi, axis=0), 1e-300)
+        size_psi = np.linalg.norm(psi, axis=0)
+        k = len(point.theta)
+        if not np.all(size_psi[:k] > 1e-150):
+            raise EstimationError(
+                f"the reference moves nothing of output {self.records[0].output.name!r} in record "
+                f"{self.records[0].name!r}, so that no coefficient can be told; record while the reference moves"
+            )
+        size_psi = np.maximum(size_psi, 1e-150)
         size_z = np.maximum(np.linalg.norm(z, axis=0), 1e-300)
         psi, z = psi / size_psi, z / size_z
         inverse = np.linalg.pinv(z.T @ psi, rcond=1e-13)
         step = inverse @ (z.T @ target)
-        k = len(point.theta)
         residuals = target - psi[:, k:] @ step[k:]
         # Less the nuisances only: at the root the step of the coefficients is zero.
         variance = float(residuals @ residuals) / max(len(residuals) - len(step), 1)
@@ -432,6 +439,7 @@ class _Loop:
             warnings=(
                 *transfer_function_warnings([model], fits, whiteness, is_worth_it, converged, reason),
                 *(said for own in self.records for said in damage_warnings([own.output], [own.drive])),
+                *clipped_warnings([own.output for own in self.records]),
             ),
         )
 

@@ -32,12 +32,15 @@ from beam_ident import (
     fit_frequency_transfer_function,
     fit_sine,
     half_power_damping,
+    identify,
     local_polynomial_response,
     multivariate_mode_indicator,
     nonlinear_distortion,
     periodic_response,
+    select_transfer_function,
     stabilisation_chart,
     stepped_sine_response,
+    subspace_model,
     welch_response,
 )
 from tests.beam_ident import result_cases
@@ -286,3 +289,57 @@ def chart() -> Any:
 def test_arguments_that_are_no_such_thing_are_refused(asked):
     with pytest.raises(IdentificationError):
         asked()
+
+
+@pytest.mark.parametrize("stamps", [[0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, NAN, 0.2], [0.0, INF, 0.2]])
+def test_stamps_that_repeat_or_run_backwards_never_reach_an_estimator(stamps):
+    for made in (InputSignal, OutputSignal):
+        with pytest.raises(RecordError, match=r"stamp (1|2)"):
+            made("x", "m", np.array(stamps), np.ones(3))
+
+
+@pytest.mark.parametrize("value", [NAN, INF, -INF])
+def test_samples_that_are_no_numbers_never_reach_an_estimator(value):
+    if np.isnan(value):  # a sample that is missing; at an end nothing tells what it was
+        with pytest.raises(RecordError, match="known at both ends"):
+            InputSignal("u", "N", (0.0, 0.1), np.array([value, 1.0, 2.0]))
+    else:
+        with pytest.raises(RecordError, match="value 1 is"):
+            InputSignal("u", "N", (0.0, 0.1), np.array([1.0, value, 2.0]))
+        with pytest.raises(RecordError, match="never inf"):
+            OutputSignal("y", "m", (0.0, 0.1), np.array([1.0, value, 2.0]))
+
+
+def first(n: int) -> TimeRecord:
+    """Return the first samples of a sound record."""
+    whole = result_cases.record(3)
+    drive = InputSignal("u", "N", (0.0, result_cases.PERIOD_S), whole.inputs[0].values[: n + 1], "zoh")
+    return TimeRecord(
+        (drive,), tuple(OutputSignal(own.name, "m", own.times_s[:n], own.values[:n]) for own in whole.outputs)
+    )
+
+
+def test_records_that_do_not_overlap_are_refused():
+    (drive,), (output, _) = first(60).inputs, first(60).outputs
+    with pytest.raises(RecordError, match="not overlap"):
+        TimeRecord((drive,), (OutputSignal("y", "m", output.times_s + 100.0, output.values),))
+
+
+@pytest.mark.parametrize("order", [0, 40])
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda n: estimate_transfer_function(first(60).select(("y",)), n, 0),
+        lambda n: estimate_common_poles(first(60), n, 0),
+        lambda n: select_transfer_function(first(60).select(("y",)), [n]),
+        lambda n: subspace_model(first(60), n),
+        lambda n: identify(first(60), "receptance", n_modes=n),
+        lambda n: fit_free_decay(first(60).outputs, n),
+        lambda n: fit_frequency_modes(result_cases.lines().between(0.0, 10.0), "receptance", n_modes=n),
+        lambda n: fit_frequency_transfer_function(result_cases.lines(), n, 0),
+        lambda n: stabilisation_chart(result_cases.lines().between(0.0, 10.0), max_order=n),
+    ],
+)
+def test_orders_of_nothing_and_of_forty_are_refused(asked, order):
+    with pytest.raises(IdentificationError):
+        asked(order)

@@ -155,7 +155,7 @@ def _half_power(record: TimeRecord) -> Said:
 def _circle(record: TimeRecord) -> Said:
     lines = local_polynomial_response(record)
     found = circle_fit(lines, 3.2, 1.0)
-    return Said({"frequency": (float(found.natural_frequency), 0.1)}, lines.fit_warnings)
+    return Said({"frequency": (found.natural_frequency, found.natural_frequency_sd)}, lines.fit_warnings)
 
 
 def _validated(record: TimeRecord) -> Said:

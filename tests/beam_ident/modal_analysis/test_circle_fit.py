@@ -11,11 +11,11 @@ from tests.beam_ident.modal_analysis.chain import DAMPING, FREQUENCIES_HZ, noisy
 OMEGA, ZETA = 300.0, 0.01
 
 
-def single(differentiations, noise=0.0, rest=0.0):
+def single(differentiations, noise=0.0, rest=0.0, seed=0):
     omegas = np.linspace(280.0, 320.0, 161)
     s = 1j * omegas
     values = 2.0 / (s**2 + 2 * ZETA * OMEGA * s + OMEGA**2) + rest / s
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     error = noise * np.max(np.abs(values)) * (rng.standard_normal(161) + 1j * rng.standard_normal(161))
     return FrequencyRecord(omegas, (values + error) * s**differentiations)
 
@@ -36,6 +36,15 @@ def test_noise_leaves_damping_within_a_few_per_cent():
     found = circle_fit(single(0, noise=0.01), OMEGA / 2 / np.pi, 2.0)
     assert found.damping_ratio == pytest.approx(ZETA, rel=0.03)
     assert 0.005 < found.roundness < 0.05
+
+
+def test_its_standard_deviations_are_those_of_many_repetitions():
+    found = [circle_fit(single(0, noise=0.005, seed=seed), OMEGA / 2 / np.pi, 2.0) for seed in range(150)]
+    for name in ("natural_frequency", "damping_ratio"):
+        scatter = np.std([getattr(own, name) for own in found])
+        assert np.mean([getattr(own, f"{name}_sd") for own in found]) == pytest.approx(scatter, rel=0.15), (
+            name
+        )
 
 
 def test_a_mode_among_others_is_read_roughly():

@@ -2,21 +2,25 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 
 import numpy as np
 import pytest
 
 from beam_ident import (
     FrequencyRecord,
+    InputSignal,
     Multisine,
     OutputSignal,
     TimeRecord,
+    TransferFunctionModel,
     fit_frequency_modes,
     fit_frequency_transfer_function,
+    local_polynomial_response,
     periodic_response,
 )
 from beam_ident.data.frequency_record import beside
-from beam_ident.responses.steady_periods import drift_of_periods, input_changes
+from beam_ident.responses.steady_periods import changing_warnings, drift_of_periods, input_changes
 from tests.beam_ident.periodic import LINE_PERIOD_S, LINES_HZ, modal_plant, siso_record
 
 RECIPE = Multisine(start_frequency=2.0, end_frequency=20.0, line_period=5.0, n_periods=7)
@@ -126,3 +130,55 @@ def test_periods_that_are_alike_to_the_last_bit_are_steady():
     drift, is_unsteady = drift_of_periods(spectra)
     assert drift.tolist() == [0.0, 0.0]
     assert not np.any(is_unsteady)
+
+
+def stretched(seed, gains, delays=0.0, noise=0.05):
+    """Return the response of stretches to inputs of their own, each with its gain and its delay."""
+    rng = np.random.default_rng(seed)
+    omegas = 2.0 * np.pi * np.linspace(1.0, 10.0, 60)
+    gains, delays = np.broadcast_arrays(np.asarray(gains, dtype=float), np.asarray(delays, dtype=float))
+    shape = (len(gains), len(omegas))
+    drives = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    plant = 1.0 / (1.0 + 0.05j * omegas)
+    answers = drives * plant * gains[:, None] * np.exp(-1j * omegas * delays[:, None])
+    answers += noise * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    response = np.sum(answers * np.conj(drives), axis=0) / np.sum(np.abs(drives) ** 2, axis=0)
+    return response * drives, answers, omegas
+
+
+@pytest.mark.parametrize("n", [2, 3, 8])
+@pytest.mark.parametrize("leaks", [False, True])
+def test_noise_alone_changes_a_response_in_one_record_of_a_thousand(n, leaks):
+    alarms = sum(
+        bool(changing_warnings("y", *stretched(seed, np.ones(n)), leaks=leaks)) for seed in range(400)
+    )
+    assert alarms <= 3
+
+
+@pytest.mark.parametrize(
+    ("gains", "delays", "said"),
+    [
+        ([1.0, 1.0, 1.0, 1.0, 0.9, 0.9], 0.0, r"gain changes by a factor of 0\.\d+ after 4 of 6"),
+        ([1.0, 1.0, 0.0, 0.0], 0.0, "gain changes"),
+        ([1.0, 0.9], 0.0, "gain changes"),
+        (np.ones(6), [0.0, 0.0, 2e-3, 2e-3, 2e-3, 2e-3], r"delay changes by [12]\.?\d* ms after 2 of 6"),
+        (np.ones(6), 1e-3 * np.arange(6), r"delay drifts by [45]\.?\d* ms from the first of 6"),
+    ],
+)
+def test_a_gain_or_a_delay_that_changes_is_named_with_its_size_and_place(gains, delays, said):
+    (found,) = changing_warnings("y", *stretched(3, gains, delays), leaks=True)
+    assert re.search(said, found), found
+
+
+def test_a_gain_that_falls_in_mid_record_is_said_by_responses_of_every_kind():
+    rng = np.random.default_rng(2)
+    period = np.convolve(rng.standard_normal(500), np.ones(3), "same")
+    drive = InputSignal("u", "N", (0.0, 0.01), np.tile(period, 6), "zoh")
+    stamps = 0.01 * np.arange(1, 3000)
+    clean = TransferFunctionModel(
+        np.array([400.0]), np.array([1.0, 4.0, 400.0]), 0.0, np.zeros((4, 4)), 0.0
+    ).simulate(drive, stamps)
+    values = np.where(stamps > 20.0, 0.8, 1.0) * clean + 0.01 * np.std(clean) * rng.standard_normal(2999)
+    record = TimeRecord((drive,), (OutputSignal("y", "m", stamps, values),))
+    for found in (local_polynomial_response(record), periodic_response(record, 5.0, start_s=4.9).response):
+        assert any("changes in mid-record" in said for said in found.warnings), found.method
