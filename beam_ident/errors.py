@@ -30,3 +30,7 @@ class EstimationError(IdentificationError):
 
 class ModelFormatError(IdentificationError):
     """A stored model or recipe cannot be read back."""
+
+
+class ReportError(IdentificationError):
+    """A page cannot be written: a table that is not one, or a file that would be lost."""
