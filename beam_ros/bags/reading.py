@@ -66,6 +66,14 @@ class TopicCount:
     message_count: int
 
 
+class Definition(NamedTuple):
+    """What a bag itself says of a message type: its text, whether that is IDL, and the type's hash."""
+
+    text: str
+    is_idl: bool
+    type_hash: str
+
+
 @dataclass(frozen=True)
 class Unreadable:
     """Messages of a topic that were left out.
@@ -250,6 +258,14 @@ class Bag:
                 f"{self.path} has no messages on {wanted}: it holds {there}; record with the nodes running "
                 f"that publish {'it' if len(missing) == 1 else 'them'}, or choose another bag"
             )
+
+    def definition(self, type_name: str) -> Definition | None:
+        """Return the definition of a message type that the bag holds, None where it holds none."""
+        for connection in self._reader.connections:
+            if connection.msgtype == type_name and connection.msgdef.data:
+                is_idl = connection.msgdef.format.name == "IDL"
+                return Definition(connection.msgdef.data, is_idl, connection.digest)
+        return None
 
     def raw_messages(self, *topics: str) -> Iterator[RawMessage]:
         """Yield messages in the order of their receive times, of some topics or of all.
