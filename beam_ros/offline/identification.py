@@ -35,6 +35,7 @@ from beam_ident import (
 )
 from beam_ident.data.gaps import Bridge
 from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
+from beam_ident.sensing.still_noise import StillNoise
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
@@ -53,6 +54,7 @@ SCHEMA = 1
 _LEAD_S = 0.3
 _NAMED_GAPS = 5
 _MOST_DEVIATIONS = 999
+_MORE_NOISE = 1.5
 VIDEO_TOPIC = "tracker/video"
 """String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
 _STRUCTURE_OF_MODE = {
@@ -152,16 +154,12 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     times, filled = _on_every_tick(_device_times(samples, part, rate, origin_ns), values[part], samples, rate)
     _note_gaps(samples, part, origin_ns, notes)
     hold = rig.hub.measured_hold if topic == "hub/measured" else rig.hub.applied_hold
-    sigma = rig.hub.encoder_resolution / math.sqrt(12.0) if topic == "hub/measured" else 0.0
-    if commanded is not None and topic == "hub/measured" and np.any(np.isnan(filled)):
-        drive = _filled_by_command(
-            InputSignal("hub", unit, times, filled, hold, sigma),
-            times,
-            filled,
-            _commanded_position(commanded, rig.hub.applied_hold, times, origin_ns, rate),
-        )
-    else:
-        drive = InputSignal("hub", unit, times, filled, hold, sigma)
+    drive = InputSignal("hub", unit, times, filled, hold)
+    if topic == "hub/measured":
+        drive = replace(drive, sigma=_encoder_noise(drive, rig.hub.encoder_resolution, notes))
+        if commanded is not None and np.any(np.isnan(filled)):
+            reference = _commanded_position(commanded, rig.hub.applied_hold, times, origin_ns, rate)
+            drive = _filled_by_command(drive, times, filled, reference)
     outputs = _outputs(displacements, origin_ns, rig, notes)
     record = TimeRecord((drive,), outputs, origin_ns, path.name)
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
@@ -233,6 +231,18 @@ def _note_gaps(samples: HubSamples, part: slice, origin_ns: int, notes: list[str
         f"{samples.topic} has {_counted(len(gaps), 'gap')}, {sum(gap.missing for gap in gaps)} samples lost: at "
         f"{', '.join(named)}{more}; what is on both sides was used"
     )
+
+
+def _encoder_noise(drive: InputSignal, resolution: float, notes: list[str]) -> float:
+    """Return the standard deviation of a measured position [m]: of its rounding, or more where it shows more."""
+    of_rounding = resolution / math.sqrt(12.0)
+    shown = StillNoise.of(drive).sigma
+    if shown > _MORE_NOISE * of_rounding:
+        notes.append(
+            f"hub/measured has noise of {shown * 1e6:.2g} um, more than the {of_rounding * 1e6:.2g} um of an encoder "
+            f"of {resolution * 1e6:.2g} um: every sample weighs by it"
+        )
+    return max(shown, of_rounding)
 
 
 def _counted(count: int, what: str) -> str:

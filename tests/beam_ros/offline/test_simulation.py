@@ -228,6 +228,18 @@ def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is
         assert mode["damping_ratio"] == pytest.approx(0.005, rel=0.1 if k < 2 else 0.3)
 
 
+def test_noise_of_the_encoder_beyond_its_rounding_is_in_the_intervals(rig: Rig, tmp_path: Path) -> None:
+    noisy = rig.with_values({"simulation.encoder_noise": 2e-6, "excitation.duration": 5.0, "simulation.seed": 0})
+    simulate(noisy, tmp_path / "noisy")
+    experiment = load_experiment(tmp_path / "noisy")
+    assert experiment.record.inputs[0].sigma == pytest.approx(2e-6, rel=0.1)
+    assert any("noise of 2" in note for note in experiment.notes)
+    # Were the rounding of 0.1 um all that is stated, mode 2 would be ten standard deviations off.
+    for mode in identify_bag(tmp_path / "noisy")["modes"]:
+        assert abs(mode["frequency_z"]) < 4
+        assert abs(mode["damping_ratio_z"]) < 4
+
+
 def test_a_bag_of_an_earlier_version_tells_its_rig_in_todays_words(rig: Rig, tmp_path: Path) -> None:
     tree = rig.to_nested()
     for name in PRESETS["ideal"]:
