@@ -254,7 +254,7 @@ def _combined(
     residuals = triangle[:, n_columns:]
     residuals = residuals - basis @ (basis.T @ residuals)
     chosen: list[complex] = []
-    left = set(range(len(pool)))
+    left = {k for k in range(len(pool)) if order > 1 or pool[k].imag == 0.0}
     while left:
         best, best_gain, best_basis = -1, 0.0, basis
         for k in left:

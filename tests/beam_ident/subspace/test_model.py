@@ -113,6 +113,15 @@ def test_windows_together_keep_a_real_pole_beside_a_light_mode():
     np.testing.assert_allclose(together[together.imag > 0.0], [-0.4 + 20.0j], rtol=0.02)
 
 
+def test_a_single_pole_is_one_even_where_every_window_sees_a_pair():
+    drive, times = prbs(1000), PERIOD_S * np.arange(1000)
+    values = signal.lsim(([400.0], [1.0, 0.8, 400.0]), drive, times, interp=False)[1]
+    stretch = Stretch([InputSignal("u", "", times, drive).signal()], [(times, values)])
+    counts = [len(poles) for poles in subspace_poles([stretch], 1)]
+    assert len(counts) > 1
+    assert set(counts) == {1}
+
+
 @pytest.mark.parametrize("place", [0, -1])
 def test_every_output_counts_up_to_the_ends_of_the_record(place):
     times, drive = PERIOD_S * np.arange(600), prbs(600)
