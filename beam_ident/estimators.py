@@ -7,9 +7,10 @@ a line in ``ESTIMATORS``; another package adds its own, without a change here, a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from beam_ident.errors import EstimationError
 from beam_ident.plug_ins import find_kind, plug_ins
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 GROUP = "beam_ident.estimators"
 
+Term = Literal["residual", "offset", "ramp", "free_response"]
+NoiseChoice = Literal["auto", "white", "modelled"]
+
 
 @dataclass(frozen=True)
 class EstimatorSettings:
@@ -34,19 +38,32 @@ class EstimatorSettings:
     n_modes : int or None -- how many modes, each a pair of poles; None: from the data
     clock_rate : Prior or None -- what is known of the outputs' clock against the input's
     progress : callable or None -- called with a phrase and the share done, between 0 and 1
+    latency : Prior or None
+        What is known of the time by which stamps of the outputs are late [s], or of the delay of a transfer function;
+        None: nothing, as far as an estimator can find it.
+    orders : tuple of (n_poles, n_zeros)
+        Degrees to choose from, of estimators that have such; empty: by the number of modes.
+    max_modes : int or None -- bound on the modes tried where ``n_modes`` is None
+    noise : {"auto", "white", "modelled"} -- of transfer functions: as the residuals are, as if white, or coloured
+    without : tuple of {"residual", "offset", "ramp", "free_response"} -- terms that are left out of the model
     """
 
     structure: StructureKind = "base_motion"
     n_modes: int | None = None
     clock_rate: Prior | None = None
     progress: Progress | None = None
+    latency: Prior | None = None
+    orders: tuple[tuple[int, int], ...] = ()
+    max_modes: int | None = None
+    noise: NoiseChoice = "auto"
+    without: tuple[Term, ...] = ()
 
 
 class Estimator(Protocol):
     """What a name in the table stands for."""
 
-    def __call__(self, record: TimeRecord, settings: EstimatorSettings, /) -> Result:
-        """Estimate from a record; raise EstimationError where that cannot be done."""
+    def __call__(self, record: TimeRecord | Sequence[TimeRecord], settings: EstimatorSettings, /) -> Result:
+        """Estimate from one record or several of one system; raise EstimationError where that cannot be done."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +91,21 @@ ESTIMATORS: dict[str, EstimatorEntry] = {
     "transfer_function": EstimatorEntry(
         "B(s)/A(s) e^(-s T) of every output by itself, degrees chosen by BIC (select_transfer_function)",
         "beam_ident.record_estimators:transfer_function",
+        TimeResult,
+    ),
+    "srivc": EstimatorEntry(
+        "transfer_function, stopped at refined instrumental variables for continuous time",
+        "beam_ident.record_estimators:srivc",
+        TimeResult,
+    ),
+    "rivc": EstimatorEntry(
+        "transfer_function, with a model of the noise in any case",
+        "beam_ident.record_estimators:rivc",
+        TimeResult,
+    ),
+    "output_error": EstimatorEntry(
+        "transfer_function, by Levenberg-Marquardt alone",
+        "beam_ident.record_estimators:output_error",
         TimeResult,
     ),
     "common_poles": EstimatorEntry(
@@ -121,13 +153,15 @@ def find_estimator(name: str) -> Estimator:
     return estimator
 
 
-def run_estimator(name: str, record: TimeRecord, settings: EstimatorSettings) -> Result:
-    """Estimate from a record with the estimator of a name.
+def run_estimator(
+    name: str, record: TimeRecord | Sequence[TimeRecord], settings: EstimatorSettings
+) -> Result:
+    """Estimate from a record, or several of one system, with the estimator of a name.
 
     Parameters
     ----------
     name : str -- one of ``estimator_meanings()``
-    record : TimeRecord
+    record : TimeRecord or sequence of TimeRecord -- a single one in a sequence is handed on by itself
     settings : EstimatorSettings
 
     Raises
@@ -135,7 +169,8 @@ def run_estimator(name: str, record: TimeRecord, settings: EstimatorSettings) ->
     EstimationError
         No such estimator, one that returns no ``Result``, or whatever the estimator itself refuses.
     """
-    found = find_estimator(name)(record, settings)
+    only = record[0] if isinstance(record, Sequence) and len(record) == 1 else record
+    found = find_estimator(name)(only, settings)
     if not isinstance(found, Result):
         raise EstimationError(
             f"estimator {name!r} returned a {type(found).__name__}; expected a Result, with converged, reason, "

@@ -157,10 +157,13 @@ class SeparateOutputsResult(OverOutputs):
     Attributes
     ----------
     outputs : tuple of TransferFunctionResult
-        Beside it, everything that ``OverOutputs`` lists.
+    tables : tuple of str
+        The table of orders of every output as text, empty where the degrees were given.
+        Beside these, everything that ``OverOutputs`` lists.
     """
 
     outputs: tuple[TransferFunctionResult, ...]
+    tables: tuple[str, ...] = ()
 
     @property
     def models(self) -> tuple[TransferFunctionModel, ...]:

@@ -123,6 +123,7 @@ def select_transfer_function(
     n_workers: int = 1,
     progress: Progress | None = None,
     scheduler: str | None = None,
+    degrees: Iterable[tuple[int, int]] | None = None,
     **options: Any,
 ) -> OrderSelection:
     """Estimate all structures of a range and choose one.
@@ -137,6 +138,7 @@ def select_transfer_function(
     n_workers : int -- processes to spread the estimates over; 1 stays in this one
     progress : callable or None -- called with a phrase and the share done
     scheduler : str or None -- address of a Dask cluster that does the work instead; see ``map_records``
+    degrees : iterable of (n_poles, n_zeros) or None -- these pairs instead of all of the two ranges
     **options
         Handed to ``estimate_transfer_function``, such as ``has_offset``.  Where ``has_free_response`` is left
         out, the best structure without initial motion tells whether all are estimated with it.  Where
@@ -154,16 +156,22 @@ def select_transfer_function(
             f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
             "range(1, 7) (estimate_transfer_function() takes one number of each)"
         )
+    pairs = None if degrees is None else [(n, m) for n, m in degrees]
+    if pairs is not None:
+        n_poles, n_zeros = ([pair[k] for pair in pairs] for k in range(2))
     zeros = None if n_zeros is None else list(n_zeros)
     poles = list(n_poles)
-    for name, degrees in (("n_poles", poles), ("n_zeros", zeros or [])):
-        for degree in degrees:
+    for name, own in (("n_poles", poles), ("n_zeros", zeros or [])):
+        for degree in own:
             require_whole_number(f"a degree in {name}", degree, 0)
     n_inputs = 1 if options.get("input_name") is not None else len(records[0].inputs)
     structures: list[Degrees] = [
         (n, m if n_inputs == 1 else (m,) * n_inputs)
-        for n in poles
-        for m in (range(n) if zeros is None else zeros)
+        for n, m in (
+            [(n, m) for n in poles for m in (range(n) if zeros is None else zeros)]
+            if pairs is None
+            else pairs
+        )
         if 0 <= m <= n
     ]
     if not structures:

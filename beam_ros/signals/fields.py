@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from beam_ident.data.stamp_order import StampOrder
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import BagError, MissingTopicsError
 from beam_ros.bags.reading import Bag, Unreadable
@@ -15,7 +16,6 @@ from beam_ros.errors import UsageError, suggestion
 from beam_ros.interfaces import graph
 from beam_ros.messages import BATCH_FIELDS, BagTypes
 from beam_ros.signals.field_paths import FieldPath, element_names, fields_sentence, numeric_fields
-from beam_ros.signals.stamp_order import StampOrder
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from beam_ident import (
     EstimatorSettings,
     InputSignal,
     OutputSignal,
+    Prior,
     TimeRecord,
     estimator_meanings,
     find_estimator,
@@ -134,6 +135,60 @@ def test_an_offset_and_a_drift_of_the_outputs_move_no_pole(name: str) -> None:
         assert natural_frequencies[0] == pytest.approx(20.0, rel=1e-3)
         # The lines of the local polynomials are 0.1 Hz apart, a sixth of the half-power band.
         assert damping_ratios[0] == pytest.approx(0.1, rel=0.05 if name == "local_polynomial" else 0.005)
+
+
+def test_the_table_of_orders_has_the_degrees_that_were_asked_for() -> None:
+    settings = EstimatorSettings("receptance", orders=((1, 0), (2, 0)))
+    found = run_estimator("srivc", result_cases.record(), settings)
+    assert [model.n_poles for model in found.models] == [2, 2]
+    assert [output.method for output in found.outputs] == ["srivc", "srivc"]
+    # A line of its own before the head; the chosen one, which is best, stands first and is marked by an arrow.
+    assert [line.replace("->", "").split()[:2] for line in found.tables[0].splitlines()[2:]] == [
+        ["2", "0"],
+        ["1", "0"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("modal", EstimatorSettings(orders=((4, 3),)), "orders is .*modal has no choice"),
+        ("modal", EstimatorSettings(noise="white"), "noise is 'white'"),
+        ("srivc", EstimatorSettings("receptance", noise="white"), "noise is 'white'"),
+        ("common_poles", EstimatorSettings("receptance", orders=((2, 0), (4, 2))), "orders is"),
+        ("po_moesp", EstimatorSettings("receptance", without=("offset",)), "without is"),
+        ("local_polynomial", EstimatorSettings("receptance", without=("ramp",)), "without is"),
+    ],
+)
+def test_what_an_estimator_has_no_choice_of_is_refused(
+    name: str, settings: EstimatorSettings, words: str
+) -> None:
+    with pytest.raises(EstimationError, match=words):
+        run_estimator(name, result_cases.record(), settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("modal", EstimatorSettings("receptance", 1)),
+        ("srivc", EstimatorSettings("receptance", 1, latency=Prior(0.0))),
+        ("po_moesp", EstimatorSettings("receptance", 1)),
+        ("local_polynomial", EstimatorSettings("receptance", 1)),
+    ],
+)
+def test_several_records_are_one_fit(name: str, settings: EstimatorSettings) -> None:
+    record = result_cases.record()
+    found = run_estimator(name, [record, record], settings)
+    for model in getattr(found, "models", None) or (getattr(found, "model", found),):
+        assert model.modes()[0][0] == pytest.approx(20.0, rel=1e-3)
+
+
+def test_terms_that_are_left_out_and_a_known_latency_reach_the_fit() -> None:
+    settings = EstimatorSettings("receptance", 1, latency=Prior(4e-3), without=("ramp", "free_response"))
+    found = run_estimator("modal", result_cases.record(), settings)
+    assert not found.structure.has_ramp
+    assert found.structure.has_offset
+    assert found.model.latency == 4e-3
 
 
 def test_common_poles_stand_at_the_delay_that_the_outputs_show() -> None:

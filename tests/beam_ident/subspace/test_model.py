@@ -114,7 +114,7 @@ def test_windows_together_keep_a_real_pole_beside_a_light_mode():
 
 
 def test_a_single_pole_is_one_even_where_every_window_sees_a_pair():
-    drive, times = prbs(1000), PERIOD_S * np.arange(1000)
+    drive, times = prbs(4000), PERIOD_S * np.arange(4000)
     values = signal.lsim(([400.0], [1.0, 0.8, 400.0]), drive, times, interp=False)[1]
     stretch = Stretch([InputSignal("u", "", times, drive).signal()], [(times, values)])
     counts = [len(poles) for poles in subspace_poles([stretch], 1)]

@@ -229,7 +229,9 @@ def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is
 
 
 def test_noise_of_the_encoder_beyond_its_rounding_is_in_the_intervals(rig: Rig, tmp_path: Path) -> None:
-    noisy = rig.with_values({"simulation.encoder_noise": 2e-6, "excitation.duration": 5.0, "simulation.seed": 0})
+    noisy = rig.with_values(
+        {"simulation.encoder_noise": 2e-6, "excitation.duration": 5.0, "simulation.seed": 0}
+    )
     simulate(noisy, tmp_path / "noisy")
     experiment = load_experiment(tmp_path / "noisy")
     assert experiment.record.inputs[0].sigma == pytest.approx(2e-6, rel=0.1)
