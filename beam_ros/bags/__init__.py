@@ -1,1 +1,1 @@
-"""Bags of the rig: written, read, repaired and exported, without ROS."""
+"""Bags of the rig: written and read, without ROS."""

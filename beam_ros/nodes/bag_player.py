@@ -15,8 +15,8 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.publisher import Publisher
 
+from beam_ros.bags.live.replay import ReplayTopic, due_messages, replay_topics
 from beam_ros.bags.reading import Bag
-from beam_ros.bags.replay import ReplayTopic, due_messages, replay_topics
 from beam_ros.errors import RigUnavailableError, RosMissingError, UsageError
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, qos_profile, run_node

@@ -14,7 +14,7 @@ from typing import Any
 
 from beam_ros import messages
 from beam_ros.bags.errors import BagError
-from beam_ros.bags.recording import LossCounter, Recording
+from beam_ros.bags.live.recording import LossCounter, Recording
 from beam_ros.interfaces import graph
 from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import FAULT_OF_THE_USER, RigNode, run_node

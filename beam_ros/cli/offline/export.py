@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from beam_ros.bags.export import export_csv, export_flat_bag
 from beam_ros.bags.reading import Bag
+from beam_ros.offline.export import export_csv, export_flat_bag
 from beam_ros.process.progress import Progress
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from beam_ros.bags.recovery import recover
+from beam_ros.offline.recovery import recover
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,9 +14,9 @@ from beam_ros import messages
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.errors import BagTruncatedError
 from beam_ros.bags.reading import Bag
-from beam_ros.bags.recovery import recover
 from beam_ros.interfaces.graph import JOINT_STATE, QualityOfService
 from beam_ros.messages import BagTypes
+from beam_ros.offline.recovery import recover
 from tests.beam_ros.bags.small_bags import BATCH, PERIOD, START, batch
 
 pytestmark = pytest.mark.ros

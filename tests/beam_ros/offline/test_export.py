@@ -10,10 +10,10 @@ from rosbags.rosbag2 import Reader
 
 from beam_ros import messages
 from beam_ros.bags.errors import BagExistsError, MissingTopicsError
-from beam_ros.bags.export import export_csv, export_flat_bag
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.interfaces import graph
+from beam_ros.offline.export import export_csv, export_flat_bag
 from tests.beam_ros.bags.small_bags import START, TYPES, write_experiment
 
 

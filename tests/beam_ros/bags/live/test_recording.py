@@ -15,10 +15,10 @@ from mcap.stream_reader import StreamReader
 
 from beam_ros.bags import recording as recording_module
 from beam_ros.bags.batches import encode_batch
+from beam_ros.bags.live.recording import LossCounter, Recording
 from beam_ros.bags.reading import Bag
-from beam_ros.bags.recording import LossCounter, Recording
-from beam_ros.bags.recovery import recover
 from beam_ros.interfaces import graph
+from beam_ros.offline.recovery import recover
 from tests.beam_ros.bags.small_bags import BATCH, START, batch
 
 TOPIC = graph.TOPICS["hub/measured"]
@@ -73,7 +73,7 @@ def test_what_the_disk_cannot_follow_is_dropped_and_counted(tmp_path, monkeypatc
 _FULL_DISK = """
 import resource, sys, time
 from beam_ros.bags.errors import BagError
-from beam_ros.bags.recording import Recording
+from beam_ros.bags.live.recording import Recording
 from beam_ros.bags.recording_mark import is_being_written, is_marked
 from tests.beam_ros.bags.test_recording import _announce, _put
 

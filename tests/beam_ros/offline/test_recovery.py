@@ -17,8 +17,8 @@ from beam_ros.bags.errors import BagError, BagExistsError, BagNotFoundError, Bag
 from beam_ros.bags.mcap_pieces import chunk_content, find_pieces, records_of
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.recording_mark import is_marked
-from beam_ros.bags.recovery import recover
 from beam_ros.bags.writing import BagWriter
+from beam_ros.offline.recovery import recover
 from tests.beam_ros.bags.small_bags import (
     BATCH,
     START,

@@ -1,0 +1,1 @@
+"""Bags while a rig runs: a recording in progress, and a replay."""
