@@ -140,7 +140,7 @@ def find_pieces(data: Buffer) -> McapPieces:
     McapPieces
     """
     pieces = McapPieces()
-    is_chunked = any(_chunk_at(data, match.start()) for match in _BEGINNING.finditer(data))
+    is_chunked = any(chunk_at(data, match.start()) for match in _BEGINNING.finditer(data))
     position = len(MAGIC)
     if data[:position] != MAGIC:
         pieces.damaged.append((0, position))
@@ -188,8 +188,8 @@ def open_file(path: Path) -> mmap.mmap:
             raise NotABagError(f"{path} is empty: expected a ROS 2 recording") from err
 
 
-def chunk_content(data: Buffer, chunk: ChunkPiece) -> bytes:
-    """Return a chunk's records as they were written.
+def chunk_content(data: Buffer, chunk: ChunkPiece, begin: int = 0) -> bytes:
+    """Return a chunk's records as they were written; ``begin``: where in its file ``data`` begins.
 
     Raises
     ------
@@ -199,7 +199,9 @@ def chunk_content(data: Buffer, chunk: ChunkPiece) -> bytes:
     content = bytes(data[chunk.content : chunk.end])
     if chunk.is_torn:
         if chunk.compression:
-            raise ChunkDamagedError(f"the last chunk, from byte {chunk.start}, is torn in compressed data")
+            raise ChunkDamagedError(
+                f"the last chunk, from byte {begin + chunk.start}, is torn in compressed data"
+            )
         return content
     compression = chunk.compression.decode()
     record = Chunk(compression, content, 0, 0, chunk.checksum, chunk.uncompressed_size)
@@ -207,10 +209,10 @@ def chunk_content(data: Buffer, chunk: ChunkPiece) -> bytes:
         stream, length = get_chunk_data_stream(record, validate_crc=True)
         return bytes(stream.read(length))
     except CRCValidationError as err:
-        raise ChunkDamagedError(f"the chunk at byte {chunk.start} has a wrong checksum") from err
+        raise ChunkDamagedError(f"the chunk at byte {begin + chunk.start} has a wrong checksum") from err
     except Exception as err:  # damaged data lead the libraries anywhere
         raise ChunkDamagedError(
-            f"the chunk at byte {chunk.start} cannot be read ({type(err).__name__}: {err})"
+            f"the chunk at byte {begin + chunk.start} cannot be read ({type(err).__name__}: {err})"
         ) from err
 
 
@@ -232,7 +234,7 @@ def _take_record(data: Buffer, start: int, pieces: McapPieces, *, is_chunked: bo
         return None
     opcode, length = HEAD.unpack_from(data, start)
     if opcode == Opcode.CHUNK:
-        chunk = _chunk_at(data, start)
+        chunk = chunk_at(data, start)
         if chunk is None:
             return None
         pieces.chunks.append(chunk)
@@ -296,7 +298,7 @@ def _indexed_messages(data: Buffer, body: int, length: int) -> int | None:
     return int(size // _INDEX_ENTRY_SIZE)
 
 
-def _chunk_at(data: Buffer, start: int) -> ChunkPiece | None:
+def chunk_at(data: Buffer, start: int) -> ChunkPiece | None:
     """Return the chunk that begins at ``start``, or None where its lengths do not fit each other."""
     head = start + HEAD.size
     name = head + _CHUNK_HEAD.size + _COUNT.size
@@ -327,7 +329,7 @@ def _next_beginning(data: Buffer, position: int, *, is_chunked: bool) -> int:
     if not is_chunked:
         return _next_message(data, position)
     for match in _BEGINNING.finditer(data, position):
-        if data[match.start()] == Opcode.DATA_END or _chunk_at(data, match.start()):
+        if data[match.start()] == Opcode.DATA_END or chunk_at(data, match.start()):
             return match.start()
     return len(data)
 

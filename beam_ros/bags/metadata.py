@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import StringIO
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -80,6 +80,16 @@ def read_topics(path: Path) -> tuple[TopicRecord, ...]:
             )
             for row in content["rosbag2_bagfile_information"]["topics_with_message_count"]
         )
+    except (OSError, UnicodeDecodeError, YAMLError, TypeError, KeyError, ValueError):
+        return ()
+
+
+def read_file_names(path: Path) -> tuple[str, ...]:
+    """Return the storage files that a bag's ``metadata.yaml`` names, in its order; none where it cannot be read."""
+    try:
+        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        names = content["rosbag2_bagfile_information"]["relative_file_paths"]
+        return tuple(PurePath(str(name)).name for name in names)
     except (OSError, UnicodeDecodeError, YAMLError, TypeError, KeyError, ValueError):
         return ()
 

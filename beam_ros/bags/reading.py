@@ -1,49 +1,57 @@
 """Bags read for identification: samples of the hub, displacements, clocks and the experiment's texts.
 
-``Bag`` opens what ROS 2's recorder, rosbags or this suite wrote, MCAP or SQLite, and extracts each kind of
-content as arrays. Only header stamps carry time; receive times order nothing. A message that cannot be read
-is left out and counted, never a reason to stop; a bag that cannot be opened is refused with the remedy.
+``Bag`` opens what ROS 2's recorder, rosbags or this suite wrote, MCAP or SQLite, on a disk or in an object store, and
+extracts each kind of content as arrays. All topics that are asked for together are read in one pass, in whole or
+between two times. A bag that cannot be opened is refused with the remedy.
 """
 
 from __future__ import annotations
 
-import math
-from array import array
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from rosbags.rosbag2 import Reader, ReaderError
 
-from beam_ros.arrays import FloatArray, StampArray
-from beam_ros.bags.batches import decode_batch
+from beam_ros.bags.blocks import (
+    FOREVER_NS,
+    Block,
+    ChunkedFile,
+    Haul,
+    IndexedBag,
+    ScannedBag,
+    Span,
+    TypedTopic,
+)
 from beam_ros.bags.errors import (
     BagError,
     BagNotFoundError,
     BagTruncatedError,
-    MessageDecodeError,
     MissingTopicsError,
     NotABagError,
 )
 from beam_ros.bags.mcap_pieces import MAGIC, damage_of, find_pieces, open_file
-from beam_ros.bags.metadata import METADATA_NAME
+from beam_ros.bags.metadata import METADATA_NAME, read_file_names
 from beam_ros.bags.recording_mark import is_being_written, is_marked
-from beam_ros.hub.contract import ClockSync, SampleBatch
-from beam_ros.interfaces import graph
-from beam_ros.messages import (
-    BATCH_FIELDS,
-    BagTypes,
-    Displacement,
-    MessageContentError,
-    read_clock_sync,
-    read_displacement,
-    read_json,
+from beam_ros.bags.signals import (
+    ClockIntake,
+    DisplacementIntake,
+    Displacements,
+    HubIntake,
+    HubSamples,
+    Intake,
+    Unreadable,
+    message_decoder,
 )
+from beam_ros.hub.contract import ClockSync
+from beam_ros.interfaces import graph
+from beam_ros.messages import SECOND_NS, BagTypes, read_json
 
-_T = TypeVar("_T")
-_Stamped = TypeVar("_Stamped", SampleBatch, Displacement)
+_AnyIntake = TypeVar("_AnyIntake", bound=Intake[Any])
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
 
@@ -74,115 +82,6 @@ class Definition(NamedTuple):
     type_hash: str
 
 
-@dataclass(frozen=True)
-class Unreadable:
-    """Messages of a topic that were left out.
-
-    Attributes
-    ----------
-    count : int -- how many
-    first_reason : str -- why the first one was; empty where there is none
-    """
-
-    count: int = 0
-    first_reason: str = ""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A piece of a sampled signal that is missing.
-
-    Attributes
-    ----------
-    start_ns, end_ns : int -- the last sample before and the first one after it [ns, UNIX]
-    missing : int -- samples that would have fitted between
-    is_new_epoch : bool -- the device restarted here
-    """
-
-    start_ns: int
-    end_ns: int
-    missing: int
-    is_new_epoch: bool
-
-
-@dataclass(frozen=True)
-class HubSamples:
-    """All batches of one topic of the hub as one signal; gaps are left as gaps.
-
-    Attributes
-    ----------
-    topic : str -- full name in the bag
-    stamps_ns : ndarray of int64, shape (n,) -- strictly increasing [ns, UNIX]
-    period_ns : int -- the device's period [ns of device time]; 0: every sample has a stamp of its own
-    epochs : ndarray of int64, shape (n,) -- clock epoch of each sample
-    positions, velocities, accelerations, efforts : ndarray, shape (n,), or None -- [m], [m/s], [m/s^2], [N];
-        NaN where only some batches carry the quantity
-    gaps : tuple of Gap -- in order of time
-    duplicates : int -- samples left out because their time was already there
-    unreadable : Unreadable
-    """
-
-    topic: str
-    stamps_ns: StampArray
-    period_ns: int
-    epochs: StampArray
-    positions: FloatArray | None
-    velocities: FloatArray | None
-    accelerations: FloatArray | None
-    efforts: FloatArray | None
-    gaps: tuple[Gap, ...]
-    duplicates: int
-    unreadable: Unreadable
-
-    @property
-    def lost(self) -> int:
-        """Number of samples missing in all gaps."""
-        return sum(gap.missing for gap in self.gaps)
-
-
-@dataclass(frozen=True)
-class Displacements:
-    """All messages of ``beam/displacement`` as one table.
-
-    Attributes
-    ----------
-    names : tuple of str, length m -- markers, in the order of the first message
-    stamps_ns : ndarray of int64, shape (n,) -- strictly increasing [ns, UNIX]
-    positions : ndarray, shape (n, m) -- absolute displacement u [m]; NaN where not seen
-    duplicates : int -- values left out because the marker had one at that time already
-    unreadable : Unreadable
-    """
-
-    names: tuple[str, ...]
-    stamps_ns: StampArray
-    positions: FloatArray
-    duplicates: int
-    unreadable: Unreadable
-
-
-class _Contents(Generic[_T]):
-    """Decoded messages, one after the other; ``unreadable`` counts what was left out so far."""
-
-    def __init__(self, messages: Iterator[RawMessage], type_name: str, decode: Callable[[bytes], _T]) -> None:
-        self._messages, self._type_name, self._decode = messages, type_name, decode
-        self.unreadable = Unreadable()
-
-    def leave_out(self, reason: str) -> None:
-        """Count a message that is left out."""
-        self.unreadable = Unreadable(self.unreadable.count + 1, self.unreadable.first_reason or reason)
-
-    def __iter__(self) -> Iterator[_T]:
-        for message in self._messages:
-            try:
-                if message.type_name != self._type_name:
-                    raise MessageDecodeError(f"type {message.type_name}: expected {self._type_name}")
-                content = self._decode(message.data)
-            except (MessageDecodeError, MessageContentError) as err:
-                self.leave_out(str(err))
-                continue
-            yield content
-
-
 class Bag:
     """An open bag; a context manager.
 
@@ -192,6 +91,9 @@ class Bag:
         The bag's folder, or a single ``.mcap`` or ``.db3`` file.
     namespace : str, optional
         Of the rig whose topics are read; needed only where a bag holds several.
+    start_s, end_s : float, optional
+        Receive times after that of the bag's first message [s]: only what came from ``start_s`` on and before
+        ``end_s`` is read. Of latched topics, which hold until they are said anew, also what came before.
 
     Attributes
     ----------
@@ -200,6 +102,7 @@ class Bag:
     message_count : int
     start_ns : int -- receive time of the first message [ns, UNIX]; 0 in an empty bag
     duration_ns : int -- between the first and the last receive time [ns]
+    is_whole : bool -- neither ``start_s`` nor ``end_s`` is given
     storage : str -- "mcap" or "sqlite3"
     namespace : str -- of the rig's topics, "" for none
 
@@ -213,10 +116,18 @@ class Bag:
         The recording was cut off, still runs, or the file is damaged.
     """
 
-    def __init__(self, path: Path | str, *, namespace: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        namespace: str | None = None,
+        start_s: float | None = None,
+        end_s: float | None = None,
+    ) -> None:
         self.path = Path(path)
         self._types = BagTypes()
         self._reader = _open_reader(self.path)
+        self._source = _open_source(self.path, self._reader)
         connections = self._reader.connections
         counts: dict[tuple[str, str], int] = {}
         for connection in connections:
@@ -226,6 +137,12 @@ class Bag:
         self.message_count = self._reader.message_count
         self.start_ns = self._reader.start_time if self.message_count else 0
         self.duration_ns = max(0, self._reader.duration - 1) if self.message_count else 0
+        self._span = Span(
+            self.start_ns + round((start_s or 0.0) * SECOND_NS),
+            FOREVER_NS if end_s is None else self.start_ns + round(end_s * SECOND_NS),
+        )
+        self.is_whole = start_s is None and end_s is None
+        self._kept: dict[str, Intake[Any]] = {}
         self.storage = "sqlite3" if _storage_file(self.path).suffix == ".db3" else "mcap"
         self.namespace = _find_namespace(self) if namespace is None else namespace.strip("/")
 
@@ -275,38 +192,93 @@ class Bag:
         BagTruncatedError
             The file is damaged further on.
         """
-        names = {self.full_name(topic) for topic in topics}
-        chosen = [c for c in self._reader.connections if not names or c.topic in names]
-        if not chosen:
-            return
-        messages = self._reader.messages(chosen)
+        waiting: list[tuple[int, Block, int]] = []
+        for haul in self._hauls({self.full_name(topic) for topic in topics}):
+            receive_ns = np.concatenate([block.receive_ns for block in haul.blocks])
+            starts = np.concatenate([block.starts for block in haul.blocks])
+            found = [(block, k) for block in haul.blocks for k in range(len(block.starts))]
+            order = np.lexsort((starts, receive_ns)).tolist()
+            waiting += [(int(receive_ns[k]), *found[k]) for k in order]
+            waiting.sort(key=itemgetter(0))
+            n_due = bisect_left(waiting, haul.complete_until_ns, key=itemgetter(0))
+            for at_ns, block, k in waiting[:n_due]:
+                yield RawMessage(*block.topic, at_ns, block.message(k))
+            del waiting[:n_due]
+        for at_ns, block, k in waiting:
+            yield RawMessage(*block.topic, at_ns, block.message(k))
+
+    def _hauls(self, names: set[str]) -> Iterator[Haul]:
+        """Yield the messages of topics by their full names, or of all, in the time that is asked for."""
+        wanted = {
+            TypedTopic(row.name, row.type_name): self._span_of(row.name)
+            for row in self.topics
+            if not names or row.name in names
+        }
+        hauls = self._source.hauls(wanted)
         while True:
             try:
-                connection, receive_ns, data = next(messages)
+                haul = next(hauls)
             except StopIteration:
                 return
             except Exception as err:
                 raise _damaged(self.path, err) from err
-            yield RawMessage(connection.topic, connection.msgtype, receive_ns, bytes(data))
+            if haul.blocks:
+                yield haul
 
-    def _read(self, topic: str, type_name: str, decode: Callable[[bytes], _T]) -> _Contents[_T]:
-        """Return the decoded messages of a topic, one after the other; what cannot be decoded is left out."""
-        return _Contents(self.raw_messages(topic), type_name, decode)
+    def _span_of(self, name: str) -> Span:
+        topic = graph.TOPICS.get(name) or graph.TOPICS.get(self._relative(name))
+        return self._span._replace(start_ns=0) if topic is not None and topic.qos.is_latched else self._span
 
-    def _message_decoder(self, type_name: str, read: Callable[[Any], _T]) -> Callable[[bytes], _T]:
-        def decode(data: bytes) -> _T:
-            try:
-                message = self._types.deserialize(data, type_name)
-            except Exception as err:
-                # rosbags raises whatever damaged bytes lead it to.
-                raise MessageDecodeError(
-                    f"{len(data)} bytes that are no {type_name} ({type(err).__name__}: {err})"
-                ) from err
-            return read(message)
-
-        return decode
+    def _relative(self, name: str) -> str:
+        return name.removeprefix(f"/{self.namespace}/" if self.namespace else "/")
 
     # --- the rig's content
+
+    def read(self, *topics: str) -> None:
+        """Read several topics of the rig in one pass and keep what they say for the methods below.
+
+        Parameters
+        ----------
+        topics : str -- of ``hub/measured``, ``hub/applied``, ``beam/displacement``, ``hub/clock_sync`` and topics of
+            texts; those that the bag lacks are passed over
+
+        Raises
+        ------
+        BagTruncatedError
+            The file is damaged.
+        """
+        for topic in topics:
+            if self.count(topic):
+                name = self.full_name(topic)
+                self._kept.setdefault(name, self._new_intake(topic))
+        self._fill(self._kept)
+
+    def _new_intake(self, topic: str) -> Intake[Any]:
+        if topic in ("hub/measured", "hub/applied"):
+            return HubIntake(self._types, self.full_name(topic))
+        if topic == "beam/displacement":
+            return DisplacementIntake(self._types)
+        if topic == "hub/clock_sync":
+            return ClockIntake(self._types)
+        return Intake(graph.STRING, message_decoder(self._types, graph.STRING, read_json))
+
+    def _fill(self, intakes: dict[str, Intake[Any]]) -> None:
+        """Read the topics of intakes, by their full names, in one pass."""
+        empty = {name: intake for name, intake in intakes.items() if not intake.is_filled}
+        if empty:
+            for haul in self._hauls(set(empty)):
+                for block in haul.blocks:
+                    empty[block.topic.name].take(block)
+        for intake in empty.values():
+            intake.is_filled = True
+
+    def _filled(self, topic: str, kind: type[_AnyIntake], intake: _AnyIntake) -> _AnyIntake:
+        """Return what was kept of a topic, or else fill an intake with it."""
+        kept = self._kept.pop(self.full_name(topic), None)
+        if isinstance(kept, kind):
+            return kept
+        self._fill({self.full_name(topic): intake})
+        return intake
 
     def hub_samples(self, topic: str = "hub/measured") -> HubSamples:
         """Return ``hub/measured`` or ``hub/applied`` as one signal.
@@ -317,11 +289,11 @@ class Bag:
             The topic is missing, or none of its messages can be read.
         """
         self.require(topic)
-        contents = self._read(topic, graph.JOINT_TRAJECTORY, decode_batch)
-        batches = self._stamped(topic, contents, "batch")
-        return replace(
-            join_batches(self.full_name(topic), batches, Unreadable()), unreadable=contents.unreadable
-        )
+        intake = self._filled(topic, HubIntake, HubIntake(self._types, self.full_name(topic)))
+        samples = intake.samples()
+        if samples is None:
+            raise self._nothing_readable(topic, intake.unreadable)
+        return samples
 
     def displacements(self, topic: str = "beam/displacement") -> Displacements:
         """Return the markers' displacements as one table.
@@ -332,21 +304,20 @@ class Bag:
             The topic is missing, or none of its messages can be read.
         """
         self.require(topic)
-        decode = self._message_decoder(graph.JOINT_STATE, read_displacement)
-        contents = self._read(topic, graph.JOINT_STATE, decode)
-        rows = self._stamped(topic, contents, "displacement")
-        return replace(join_displacements(rows, Unreadable()), unreadable=contents.unreadable)
+        intake = self._filled(topic, DisplacementIntake, DisplacementIntake(self._types))
+        table = intake.table()
+        if table is None:
+            raise self._nothing_readable(topic, intake.unreadable)
+        return table
 
     def clock_syncs(self, topic: str = "hub/clock_sync") -> tuple[ClockSync, ...]:
         """Return the comparisons of device and host clock, sorted by host time, if there are any."""
-        type_name = graph.TOPICS["hub/clock_sync"].type_name
-        syncs = self._read(topic, type_name, self._message_decoder(type_name, read_clock_sync))
-        return tuple(sorted(syncs, key=lambda sync: sync.host_ns))
+        return self._filled(topic, ClockIntake, ClockIntake(self._types)).syncs()
 
     def texts(self, topic: str) -> tuple[dict[str, Any], ...]:
         """Return the JSON objects of a String topic in their order; empty where there are none."""
-        contents = self._read(topic, graph.STRING, self._message_decoder(graph.STRING, read_json))
-        return tuple(contents)
+        texts = Intake(graph.STRING, message_decoder(self._types, graph.STRING, read_json))
+        return tuple(self._filled(topic, Intake, texts).items())
 
     def excitation_info(self) -> dict[str, Any] | None:
         """Return the newest recipe of the excitation, or None where none was recorded."""
@@ -357,27 +328,17 @@ class Bag:
         """Return what became of the sequences, in the order in which it was reported."""
         return self.texts("hub/sequence_state")
 
-    def _stamped(self, topic: str, contents: _Contents[_Stamped], what: str) -> Iterator[_Stamped]:
-        """Yield what has a stamp: a receive time never stands in for it.
-
-        Raises
-        ------
-        MissingTopicsError
-            Nothing has one.
-        """
-        is_empty = True
-        for item in contents:
-            if item.stamp_ns > 0:
-                is_empty = False
-                yield item
-            else:
-                contents.leave_out(f"{what} with stamp 0: expected the time of its first sample")
-        if is_empty:
-            unreadable = contents.unreadable
-            raise MissingTopicsError(
-                f"{self.path}: none of the {unreadable.count} messages on {self.full_name(topic)} can be read "
-                f"({unreadable.first_reason}); expected what the rig's nodes publish there"
+    def _nothing_readable(self, topic: str, unreadable: Unreadable) -> MissingTopicsError:
+        name = self.full_name(topic)
+        if not unreadable.count:
+            return MissingTopicsError(
+                f"{self.path} has no messages on {name} in the time that is asked for: it holds "
+                f"{self.duration_ns / SECOND_NS:.3f} s, expected a time within; choose others"
             )
+        return MissingTopicsError(
+            f"{self.path}: none of the {unreadable.count} messages on {name} can be read "
+            f"({unreadable.first_reason}); expected what the rig's nodes publish there"
+        )
 
     # --- its end
 
@@ -392,6 +353,7 @@ class Bag:
 
     def close(self) -> None:
         """Close the bag's files."""
+        self._source.close()
         self._reader.close()
 
     def __enter__(self) -> Bag:
@@ -445,6 +407,26 @@ def _open_reader(path: Path) -> Reader:
     return reader
 
 
+def _open_source(path: Path, reader: Reader) -> IndexedBag | ScannedBag:
+    """Return what reads the bag's messages: by their indexes where all of its files have them."""
+    files = [path] if path.is_file() else [path / name for name in read_file_names(path / METADATA_NAME)]
+    files = files or [_storage_file(path)]
+    if reader.compression_mode or any(file.suffix != ".mcap" for file in files):
+        return ScannedBag(reader)
+    opened: list[ChunkedFile] = []
+    try:
+        opened += [ChunkedFile(file.open("rb")) for file in files]
+    except Exception as err:  # a summary that is damaged leads the library anywhere
+        for chunked in opened:
+            chunked.close()
+        raise _damaged(path, err) from err
+    indexed = IndexedBag(opened)
+    if all(file.is_indexed for file in opened):
+        return indexed
+    indexed.close()
+    return ScannedBag(reader)
+
+
 def _check_is_bag(path: Path) -> Path:
     """Return what rosbags is to open, or say why nothing there is a bag."""
     if path.is_file():
@@ -491,136 +473,3 @@ def _find_namespace(bag: Bag) -> str:
             f"{bag.path} holds several rigs in the namespaces {names}: expected one; name the one to read"
         )
     return found.pop() if found else ""
-
-
-# --- joining ---------------------------------------------------------------------------------------------
-
-OWN_STAMPS_GAP = 5.0
-"""Samples that are asked for one by one come unevenly; further apart than so many usual steps, some are missing."""
-
-
-class _BatchColumns:
-    """Batches as they come, in a few long columns: an hour of them is no heap of small arrays."""
-
-    def __init__(self) -> None:
-        self.stamps, self.periods, self.epochs, self.lengths = (array("q") for _ in range(4))
-        self.quantities: dict[str, array[float]] = {}
-        self.n_samples = 0
-
-    def add(self, batch: SampleBatch) -> None:
-        """Take in a batch; a quantity that it lacks is NaN where others have it."""
-        n = len(batch)
-        for column, number in (
-            (self.stamps, batch.stamp_ns),
-            (self.periods, batch.period_ns),
-            (self.epochs, batch.epoch),
-            (self.lengths, n),
-        ):
-            column.append(number)
-        for name in BATCH_FIELDS:
-            values = getattr(batch, name)
-            if values is not None:
-                own = self.quantities.setdefault(name, array("d", [math.nan]) * self.n_samples)
-                own.frombytes(np.asarray(values, dtype=np.float64).tobytes())
-            elif name in self.quantities:
-                self.quantities[name].extend([math.nan] * n)
-        self.n_samples += n
-
-
-def join_batches(topic: str, batches: Iterable[SampleBatch], unreadable: Unreadable) -> HubSamples:
-    """Put batches together in the order of their stamps.
-
-    Parameters
-    ----------
-    topic : str -- for the result
-    batches : iterable of SampleBatch -- at least one
-    unreadable : Unreadable -- for the result
-
-    Returns
-    -------
-    HubSamples
-
-    Notes
-    -----
-    Within a batch, sample k lies at the stamp plus k periods; the host's map moves by less than a part in a
-    thousand of a period in that time. Loss is a distance of more than one and a half periods. Where every sample has
-    a stamp of its own and no period is named, loss is a distance of more than ``OWN_STAMPS_GAP`` usual ones.
-    """
-    found = _BatchColumns()
-    for batch in batches:
-        found.add(batch)
-    begun, periods, epochs, lengths = (
-        np.frombuffer(column, dtype=np.int64)
-        for column in (found.stamps, found.periods, found.epochs, found.lengths)
-    )
-    order = np.argsort(begun, kind="stable")
-    named = periods[periods > 0]
-    period_ns = int(np.median(named)) if len(named) else 0
-    # Which samples, in the order of the bag, stand where in the order of time.
-    offsets, sizes = (np.cumsum(lengths) - lengths)[order], lengths[order]
-    within = np.arange(found.n_samples) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    sources = np.repeat(offsets, sizes) + within
-    stamps = np.repeat(begun[order], sizes) + within * np.repeat(periods[order], sizes)
-    del within
-
-    latest_before = np.maximum.accumulate(stamps)
-    keep = np.ones(len(stamps), dtype=bool)
-    keep[1:] = stamps[1:] > latest_before[:-1]
-    stamps = stamps[keep]
-    epochs = np.repeat(epochs[order], sizes)[keep]
-    sources = sources[keep]
-    quantities: dict[str, FloatArray | None] = {
-        name: np.frombuffer(found.quantities[name])[sources] if name in found.quantities else None
-        for name in BATCH_FIELDS
-    }
-
-    steps = np.diff(stamps)
-    usual_ns = period_ns or (float(np.median(steps)) if len(steps) else 1.0)
-    widest_ns = 1.5 * period_ns or OWN_STAMPS_GAP * usual_ns
-    gaps = tuple(
-        Gap(
-            int(stamps[k]),
-            int(stamps[k + 1]),
-            max(1, round(int(steps[k]) / usual_ns) - 1),
-            bool(epochs[k + 1] != epochs[k]),
-        )
-        for k in np.flatnonzero(steps > widest_ns)
-    )
-    return HubSamples(
-        topic=topic,
-        stamps_ns=stamps,
-        period_ns=period_ns,
-        epochs=epochs,
-        gaps=gaps,
-        duplicates=int(np.count_nonzero(~keep)),
-        unreadable=unreadable,
-        **quantities,
-    )
-
-
-def join_displacements(rows: Iterable[Displacement], unreadable: Unreadable) -> Displacements:
-    """Put messages of ``beam/displacement`` together: a row for each distinct time, a column for each marker.
-
-    Parameters
-    ----------
-    rows : iterable of Displacement -- at least one
-    unreadable : Unreadable -- for the result
-
-    Returns
-    -------
-    Displacements
-    """
-    column: dict[str, int] = {}
-    stamps, columns, values = array("q"), array("q"), array("d")
-    for row in rows:
-        columns.extend(column.setdefault(name, len(column)) for name in row.names)
-        stamps.extend([row.stamp_ns] * len(row.names))
-        values.frombytes(row.positions.tobytes())
-    distinct, row_of = np.unique(np.frombuffer(stamps, dtype=np.int64), return_inverse=True)
-    # Of several values of a marker at one time the first one stays.
-    places, first = np.unique(
-        row_of * len(column) + np.frombuffer(columns, dtype=np.int64), return_index=True
-    )
-    positions = np.full((len(distinct), len(column)), np.nan)
-    positions.ravel()[places] = np.frombuffer(values)[first]
-    return Displacements(tuple(column), distinct, positions, len(values) - len(places), unreadable)

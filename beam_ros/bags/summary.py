@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from beam_ros.bags.errors import MissingTopicsError
-from beam_ros.bags.reading import Bag, HubSamples, TopicCount
+from beam_ros.bags.reading import Bag, TopicCount
+from beam_ros.bags.signals import HubSamples
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.hub.contract import ClockSync
 
@@ -110,6 +111,7 @@ def summarise(bag: Bag) -> BagInfo:
     BagTruncatedError
         The file is damaged further on.
     """
+    bag.read(*HUB_TOPICS, "beam/displacement", "hub/clock_sync", "hub/sequence_state", "excitation/info")
     signals = []
     for topic in HUB_TOPICS:
         if bag.count(topic):

@@ -39,7 +39,8 @@ from beam_ident.sensing.still_noise import StillNoise
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
-from beam_ros.bags.reading import OWN_STAMPS_GAP, Bag, Displacements, HubSamples
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.signals import OWN_STAMPS_GAP, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
@@ -117,6 +118,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     """
     with Bag(path) as bag:
         bag.require("beam/displacement")
+        bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC)
         info = bag.excitation_info() or {}
         if rig is None:
             rig = described_rig(path, info)
@@ -130,6 +132,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
         chosen = _STRUCTURE_OF_MODE[mode] if structure == "auto" else structure
         topic, quantity, unit = _INPUT_OF_STRUCTURE[chosen]
         bag.require(topic)
+        bag.read(topic, "beam/displacement", "hub/clock_sync")
         samples = bag.hub_samples(topic)
         commanded = bag.hub_samples("hub/applied") if samples.gaps and bag.count("hub/applied") else None
         displacements = bag.displacements()

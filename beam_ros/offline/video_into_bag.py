@@ -22,7 +22,8 @@ import numpy as np
 from beam_ros import messages
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import BagError, BagExistsError
-from beam_ros.bags.reading import Bag, HubSamples
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.signals import HubSamples
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.interfaces import graph

@@ -11,7 +11,8 @@ import numpy as np
 from beam_ident.data.stamp_order import StampOrder
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import BagError, MissingTopicsError
-from beam_ros.bags.reading import Bag, Unreadable
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.signals import Unreadable
 from beam_ros.errors import UsageError, suggestion
 from beam_ros.interfaces import graph
 from beam_ros.messages import BATCH_FIELDS, BagTypes

@@ -11,7 +11,8 @@ import pytest
 
 from beam_ros import messages
 from beam_ros.bags.batches import decode_batch
-from beam_ros.bags.reading import Bag, Unreadable, join_batches
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.signals import Unreadable, join_batches
 from beam_ros.bags.writing import BagWriter
 from beam_ros.cli.main import main
 from beam_ros.messages import BagTypes

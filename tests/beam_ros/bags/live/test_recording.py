@@ -13,8 +13,8 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.stream_reader import StreamReader
 
-from beam_ros.bags import recording as recording_module
 from beam_ros.bags.batches import encode_batch
+from beam_ros.bags.live import recording as recording_module
 from beam_ros.bags.live.recording import LossCounter, Recording
 from beam_ros.bags.reading import Bag
 from beam_ros.interfaces import graph
@@ -75,7 +75,7 @@ import resource, sys, time
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.live.recording import Recording
 from beam_ros.bags.recording_mark import is_being_written, is_marked
-from tests.beam_ros.bags.test_recording import _announce, _put
+from tests.beam_ros.bags.live.test_recording import _announce, _put
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 recording = Recording(__import__("pathlib").Path(sys.argv[1]))
@@ -97,7 +97,7 @@ assert is_marked(recording.path) and not is_being_written(recording.path)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
 def test_a_full_disk_is_said_and_leaves_a_recoverable_bag(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])}
     result = subprocess.run(
         [sys.executable, "-c", _FULL_DISK, str(tmp_path / "run")],
         capture_output=True,
