@@ -23,6 +23,9 @@ COMPILED = ["numba>=0.60"]
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
 DASK = ["distributed>=2024.1"]
 
+# Bags in an object store, by their URLs.
+REMOTE = ["fsspec>=2024.2", "s3fs>=2024.2"]
+
 # setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls; from 70.1 on it makes
 # wheels by itself, so that a package can be installed offline.
 TEST = [
@@ -121,6 +124,7 @@ setup(
         "test": TEST,
         "dask": DASK,
         "compiled": COMPILED,
+        "remote": REMOTE,
         "dev": DEV,
         "docs": DOCS,
     },

@@ -27,7 +27,7 @@ from beam_ros.bags.mcap_pieces import HEAD, MAGIC, chunk_at, chunk_content, reco
 READ_AT_ONCE = 8 * 2**20
 """Bytes of chunks that are in memory at a time; a larger chunk is alone."""
 
-_SMALLEST_PARTED = 2**20
+_MIN_PARTED = 2**20
 """Chunks below this size [bytes] are read whole and their checksum is compared."""
 
 _NEAR = 64 * 1024
@@ -214,7 +214,7 @@ class ChunkedFile:
         self, chunk: ChunkIndex, channels: Collection[int]
     ) -> tuple[bytes, dict[int, StampArray]] | None:
         """Return only what is wanted of a large chunk, unchecked; None where it is to be read whole."""
-        if chunk.compression or chunk.uncompressed_size < _SMALLEST_PARTED:
+        if chunk.compression or chunk.uncompressed_size < _MIN_PARTED:
             return None
         begin = chunk.chunk_start_offset + chunk.chunk_length
         data = self.read(begin, chunk.message_index_length)

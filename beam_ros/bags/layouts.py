@@ -22,10 +22,10 @@ from beam_ros.bags.errors import MessageDecodeError
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian, which is what every ROS 2 middleware on x86 and ARM writes."""
 
-_FEWEST_ALIKE = 4
+_MIN_ALIKE = 4
 """A shape that fewer messages of a block share is not worth the walk: they are decoded one by one."""
 
-_MOST_SHAPES = 16
+_MAX_SHAPES = 16
 """Shapes of one size that are tried in a block before the rest is decoded one by one."""
 
 _KINDS = {
@@ -225,12 +225,12 @@ class Shapes:
         for k, size in enumerate(sizes.tolist()):
             left = np.flatnonzero(of_size == k)
             known = self._known.setdefault(size, [])
-            if counts[k] >= _FEWEST_ALIKE or known:
+            if counts[k] >= _MIN_ALIKE or known:
                 for layout in known:
                     alike, left = _split(layout, block, left)
                     if alike is not None:
                         yield alike
-                while len(left) >= _FEWEST_ALIKE and len(known) < _MOST_SHAPES:
+                while len(left) >= _MIN_ALIKE and len(known) < _MAX_SHAPES:
                     try:
                         sample = block.message(int(left[0]))
                         layout = Layout(self._store, self._type_name, sample, self._free_texts)

@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from beam_ros.interfaces.graph import QualityOfService
+from beam_ros.process.remote_paths import AnyPath
 
 METADATA_NAME = "metadata.yaml"
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
@@ -84,7 +85,7 @@ def read_topics(path: Path) -> tuple[TopicRecord, ...]:
         return ()
 
 
-def read_file_names(path: Path) -> tuple[str, ...]:
+def read_file_names(path: AnyPath) -> tuple[str, ...]:
     """Return the storage files that a bag's ``metadata.yaml`` names, in its order; none where it cannot be read."""
     try:
         content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))

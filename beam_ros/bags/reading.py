@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from rosbags.rosbag2 import Reader, ReaderError
@@ -36,7 +36,7 @@ from beam_ros.bags.errors import (
 )
 from beam_ros.bags.mcap_pieces import MAGIC, damage_of, find_pieces, open_file
 from beam_ros.bags.metadata import METADATA_NAME, read_file_names
-from beam_ros.bags.recording_mark import is_being_written, is_marked
+from beam_ros.bags.recording_mark import MARK_NAME, is_being_written
 from beam_ros.bags.signals import (
     ClockIntake,
     DisplacementIntake,
@@ -50,6 +50,7 @@ from beam_ros.bags.signals import (
 from beam_ros.hub.contract import ClockSync
 from beam_ros.interfaces import graph
 from beam_ros.messages import SECOND_NS, BagTypes, read_json
+from beam_ros.process.remote_paths import AnyPath, any_path
 
 _AnyIntake = TypeVar("_AnyIntake", bound=Intake[Any])
 
@@ -87,8 +88,8 @@ class Bag:
 
     Parameters
     ----------
-    path : Path or str
-        The bag's folder, or a single ``.mcap`` or ``.db3`` file.
+    path : Path, RemotePath or str
+        The bag's folder, or a single ``.mcap`` or ``.db3`` file; a text with ``://`` is a URL, as of an object store.
     namespace : str, optional
         Of the rig whose topics are read; needed only where a bag holds several.
     start_s, end_s : float, optional
@@ -97,7 +98,7 @@ class Bag:
 
     Attributes
     ----------
-    path : Path
+    path : Path or RemotePath
     topics : tuple of TopicCount -- sorted by name
     message_count : int
     start_ns : int -- receive time of the first message [ns, UNIX]; 0 in an empty bag
@@ -118,13 +119,13 @@ class Bag:
 
     def __init__(
         self,
-        path: Path | str,
+        path: AnyPath | str,
         *,
         namespace: str | None = None,
         start_s: float | None = None,
         end_s: float | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path = any_path(path) if isinstance(path, str) else path
         self._types = BagTypes()
         self._reader = _open_reader(self.path)
         self._source = _open_source(self.path, self._reader)
@@ -141,6 +142,12 @@ class Bag:
             self.start_ns + round((start_s or 0.0) * SECOND_NS),
             FOREVER_NS if end_s is None else self.start_ns + round(end_s * SECOND_NS),
         )
+        if self.message_count and self._span.start_ns > self.start_ns + self.duration_ns:
+            self.close()
+            raise MissingTopicsError(
+                f"{self.path} has nothing after {start_s:g} s: expected a time before its end at "
+                f"{self.duration_ns / SECOND_NS:.3f} s; choose an earlier one"
+            )
         self.is_whole = start_s is None and end_s is None
         self._kept: dict[str, Intake[Any]] = {}
         self.storage = "sqlite3" if _storage_file(self.path).suffix == ".db3" else "mcap"
@@ -342,8 +349,21 @@ class Bag:
 
     # --- its end
 
+    @property
+    def is_checked(self) -> bool:
+        """Whether ``damage`` looks at the whole of it: it lies here, and no part of it is asked for."""
+        return self.is_whole and isinstance(self.path, Path)
+
     def damage(self) -> Iterator[str]:
-        """Yield what is amiss with the bag's files, in words: checksums, torn ends, bytes that are no record."""
+        """Yield what is amiss with the bag's files, in words: checksums, torn ends, bytes that are no record.
+
+        Notes
+        -----
+        Of a bag elsewhere, or of a part of one, only what is read is checked, when it is read.
+        """
+        if not self.is_checked:
+            return
+        assert isinstance(self.path, Path)
         files = [self.path] if self.path.is_file() else sorted(self.path.iterdir())
         for file in files:
             if file.suffix == ".mcap":
@@ -366,7 +386,7 @@ class Bag:
 # --- opening ---------------------------------------------------------------------------------------------
 
 
-def _damaged(path: Path, err: Exception) -> BagTruncatedError:
+def _damaged(path: AnyPath, err: Exception) -> BagTruncatedError:
     reason = str(err) or type(err).__name__
     return BagTruncatedError(
         f"{path} is cut off or damaged ({reason.rstrip('.')}): expected a whole bag; "
@@ -374,14 +394,14 @@ def _damaged(path: Path, err: Exception) -> BagTruncatedError:
     )
 
 
-def _storage_file(path: Path) -> Path:
+def _storage_file(path: AnyPath) -> AnyPath:
     if path.is_file():
         return path
-    files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
-    return files[0] if files else path
+    files = [file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES]
+    return min(files, key=str, default=path)
 
 
-def _open_reader(path: Path) -> Reader:
+def _open_reader(path: AnyPath) -> Reader:
     if not path.exists():
         raise BagNotFoundError(f"{path} does not exist: expected a bag's folder, or a .mcap or .db3 file")
     try:
@@ -391,7 +411,7 @@ def _open_reader(path: Path) -> Reader:
             raise
         raise BagError(f"{path} cannot be read: {err.strerror or err}; check its permissions") from err
     try:
-        reader = Reader(target)
+        reader = Reader(cast(Any, target))
         reader.open()
     except Exception as err:
         # rosbags raises ReaderError for what it expects, and whatever a damaged file leads it to.
@@ -407,7 +427,7 @@ def _open_reader(path: Path) -> Reader:
     return reader
 
 
-def _open_source(path: Path, reader: Reader) -> IndexedBag | ScannedBag:
+def _open_source(path: AnyPath, reader: Reader) -> IndexedBag | ScannedBag:
     """Return what reads the bag's messages: by their indexes where all of its files have them."""
     files = [path] if path.is_file() else [path / name for name in read_file_names(path / METADATA_NAME)]
     files = files or [_storage_file(path)]
@@ -427,17 +447,17 @@ def _open_source(path: Path, reader: Reader) -> IndexedBag | ScannedBag:
     return ScannedBag(reader)
 
 
-def _check_is_bag(path: Path) -> Path:
+def _check_is_bag(path: AnyPath) -> AnyPath:
     """Return what rosbags is to open, or say why nothing there is a bag."""
     if path.is_file():
         if path.suffix not in STORAGE_SUFFIXES:
             raise NotABagError(f"{path} is no bag: expected a bag's folder, or a .mcap or .db3 file")
         return path
-    if is_being_written(path):
+    if isinstance(path, Path) and is_being_written(path):
         raise BagTruncatedError(
             f"{path} is still being recorded: expected a finished bag; call recorder/stop or end the recorder"
         )
-    if is_marked(path):
+    if (path / MARK_NAME).is_file():
         raise BagTruncatedError(
             f"{path} was cut off while it was recorded: expected a finished bag; `beam recover {path}` saves "
             "what can be read"
@@ -453,7 +473,7 @@ def _check_is_bag(path: Path) -> Path:
     return storage
 
 
-def _begins_as_mcap(path: Path) -> bool:
+def _begins_as_mcap(path: AnyPath) -> bool:
     with path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC
 

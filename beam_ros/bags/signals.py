@@ -152,7 +152,7 @@ class Intake(Generic[_T]):
     Attributes
     ----------
     unreadable : Unreadable -- what was left out so far
-    is_filled : bool -- whoever reads has come to the end
+    is_filled : bool -- the bag has been read to its end
     """
 
     def __init__(self, type_name: str, decode: Callable[[bytes], _T]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from beam_ros.bags.reading import Bag, TopicCount
 from beam_ros.bags.signals import HubSamples
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.hub.contract import ClockSync
+from beam_ros.process.remote_paths import AnyPath, RemotePath
 
 HUB_TOPICS = ("hub/applied", "hub/measured")
 
@@ -62,7 +62,7 @@ class BagInfo:
 
     Attributes
     ----------
-    path : Path
+    path : Path or RemotePath
     storage : str -- "mcap" or "sqlite3"
     namespace : str -- of the rig's topics
     start_ns, duration_ns : int -- by receive times [ns]
@@ -73,9 +73,10 @@ class BagInfo:
     sequences : tuple of str -- "id: state" of each sequence, as last reported
     excitation : dict or None -- the recipe
     damage : tuple of str -- what is amiss with the file itself; ``beam recover`` says the same
+    remark : str -- what was not looked at, and how it can be; empty where everything was
     """
 
-    path: Path
+    path: AnyPath
     storage: str
     namespace: str
     start_ns: int
@@ -87,6 +88,7 @@ class BagInfo:
     sequences: tuple[str, ...]
     excitation: dict[str, Any] | None
     damage: tuple[str, ...] = ()
+    remark: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types."""
@@ -97,6 +99,8 @@ class BagInfo:
 
 def summarise(bag: Bag) -> BagInfo:
     """Read through a bag and say what is in it.
+
+    Of a whole bag elsewhere only the index and the latched texts are read: its signals may be gigabytes.
 
     Parameters
     ----------
@@ -111,13 +115,19 @@ def summarise(bag: Bag) -> BagInfo:
     BagTruncatedError
         The file is damaged further on.
     """
-    bag.read(*HUB_TOPICS, "beam/displacement", "hub/clock_sync", "hub/sequence_state", "excitation/info")
+    texts = ("hub/sequence_state", "excitation/info")
     signals = []
-    for topic in HUB_TOPICS:
-        if bag.count(topic):
-            signals.append(_hub_signal(bag, topic))
-    if bag.count("beam/displacement"):
-        signals.append(_displacement_signal(bag))
+    if bag.is_whole and isinstance(bag.path, RemotePath):
+        bag.read(*texts)
+        syncs: tuple[ClockSync, ...] = ()
+        remark = "only the index was read; --from 0 --to 60 looks at the signals of a minute"
+    else:
+        bag.read(*HUB_TOPICS, "beam/displacement", "hub/clock_sync", *texts)
+        signals = [_hub_signal(bag, topic) for topic in HUB_TOPICS if bag.count(topic)]
+        if bag.count("beam/displacement"):
+            signals.append(_displacement_signal(bag))
+        syncs = bag.clock_syncs()
+        remark = "" if bag.is_checked else "only a part was read, and no checksums but those of that part"
     states = {str(state.get("id")): str(state.get("state")) for state in bag.sequence_states()}
     return BagInfo(
         path=bag.path,
@@ -128,10 +138,11 @@ def summarise(bag: Bag) -> BagInfo:
         message_count=bag.message_count,
         topics=bag.topics,
         signals=tuple(signals),
-        clocks=summarise_clocks(bag.clock_syncs()),
+        clocks=summarise_clocks(syncs),
         sequences=tuple(f"{name}: {state}" for name, state in states.items()),
         excitation=bag.excitation_info(),
         damage=tuple(bag.damage()),
+        remark=remark,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from collections.abc import Callable, Collection
 from datetime import datetime
@@ -21,6 +22,44 @@ def add_rig_file(parser: argparse.ArgumentParser) -> None:
         help="ROS parameter file of the rig; what it leaves out comes from the packaged one",
     )
     add_parameters(parser)
+
+
+def add_bag(parser: argparse.ArgumentParser) -> None:
+    """Add the bag that is read, and which part of it."""
+    parser.add_argument(
+        "bag",
+        metavar="BAG",
+        help="folder of the bag, or a single .mcap or .db3 file; here, or by its URL (s3://...)",
+    )
+    add_span(parser)
+
+
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """Add the two times between which a bag is read."""
+    for option, what in (("from", "from this time on"), ("to", "before this time")):
+        parser.add_argument(
+            f"--{option}",
+            dest=f"{option}_s",
+            type=float,
+            metavar="SECONDS",
+            help=f"read only what was recorded {what}, counted from the bag's first message",
+        )
+
+
+def read_span(arguments: argparse.Namespace) -> tuple[float | None, float | None]:
+    """Return what ``add_span``'s options say: beginning and end [s], as ``Bag`` takes them.
+
+    Raises
+    ------
+    UsageError
+        Nothing lies between the two times.
+    """
+    start_s, end_s = arguments.from_s, arguments.to_s
+    if not 0.0 <= (start_s or 0.0) < (math.inf if end_s is None else end_s):
+        raise UsageError(
+            f"--from {start_s} --to {end_s}: expected 0 <= from < to, in seconds after the bag's first message"
+        )
+    return start_s, end_s
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:

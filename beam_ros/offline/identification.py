@@ -46,6 +46,7 @@ from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
 from beam_ros.process.folders import make_folder
+from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
@@ -78,7 +79,7 @@ class Experiment:
 
     Attributes
     ----------
-    path : Path -- the bag
+    path : Path or RemotePath -- the bag
     record : TimeRecord -- hub input and markers, on the host's clock
     rig : Rig -- the rig it was recorded on
     structure : str -- which model goes with the input
@@ -87,7 +88,7 @@ class Experiment:
     info : mapping -- what ``excitation/info`` said
     """
 
-    path: Path
+    path: AnyPath
     record: TimeRecord
     rig: Rig
     structure: str
@@ -96,14 +97,22 @@ class Experiment:
     info: Mapping[str, Any]
 
 
-def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto") -> Experiment:
+def load_experiment(
+    path: AnyPath,
+    rig: Rig | None = None,
+    structure: str = "auto",
+    *,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> Experiment:
     """Read a bag as one experiment.
 
     Parameters
     ----------
-    path : Path -- the bag
+    path : Path or RemotePath -- the bag
     rig : Rig, optional -- None: the rig that the bag itself describes
     structure : str -- base_motion, acceleration, velocity or force; "auto": by the hub's command mode
+    start_s, end_s : float, optional -- only what lies between these times after the bag's first message [s]
 
     Returns
     -------
@@ -116,7 +125,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     UsageError
         The bag does not say which rig it was recorded on, and no rig is given.
     """
-    with Bag(path) as bag:
+    with Bag(path, start_s=start_s, end_s=end_s) as bag:
         bag.require("beam/displacement")
         bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC)
         info = bag.excitation_info() or {}
@@ -168,7 +177,7 @@ def load_experiment(path: Path, rig: Rig | None = None, structure: str = "auto")
     return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
 
 
-def described_rig(path: Path, info: Mapping[str, Any]) -> Rig:
+def described_rig(path: AnyPath, info: Mapping[str, Any]) -> Rig:
     """Build the rig that a bag's ``excitation/info`` describes.
 
     Parameters
@@ -195,7 +204,9 @@ def described_rig(path: Path, info: Mapping[str, Any]) -> Rig:
         ) from err
 
 
-def _refuse_unrun_sequence(path: Path, info: Mapping[str, Any], states: Sequence[Mapping[str, Any]]) -> None:
+def _refuse_unrun_sequence(
+    path: AnyPath, info: Mapping[str, Any], states: Sequence[Mapping[str, Any]]
+) -> None:
     """Name the hub's refusal where the recorded excitation never ran."""
     for state in states:
         if state.get("id") == info.get("sequence_id") and state.get("state") == "refused":
@@ -400,7 +411,7 @@ def theoretical_modes(rig: Rig, structure: str) -> tuple[FloatArray, FloatArray]
 
 
 def identify_bag(
-    path: Path,
+    path: AnyPath,
     *,
     estimator: str = "modal",
     rig: Rig | None = None,
@@ -408,6 +419,8 @@ def identify_bag(
     n_modes: int | None = None,
     folder: Path | None = None,
     validation: Path | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
     progress: Progress = lambda phrase, share: None,
 ) -> dict[str, Any]:
     """Identify a model from a bag; write ``model.json`` and ``report.html`` where a folder is given.
@@ -421,6 +434,7 @@ def identify_bag(
     n_modes : int, optional -- None: from the data
     folder : Path, optional -- for model and report
     validation : Path, optional -- another bag, on which the model is scored
+    start_s, end_s : float, optional -- only what lies between these times after the first message of the bag [s]
     progress : callable -- called with a phrase and the share done
 
     Returns
@@ -432,7 +446,7 @@ def identify_bag(
     BagError, UsageError, IdentificationError
     """
     find_estimator(estimator)
-    experiment = load_experiment(path, rig, structure)
+    experiment = load_experiment(path, rig, structure, start_s=start_s, end_s=end_s)
     unseen = None if validation is None else load_experiment(validation, rig, structure)
     if folder is not None:
         make_folder(folder)

@@ -6,15 +6,15 @@ import argparse
 from pathlib import Path
 
 from beam_ros.bags.reading import Bag
+from beam_ros.cli.options import add_bag, read_span
 from beam_ros.offline.export import export_csv, export_flat_bag
 from beam_ros.process.progress import Progress
+from beam_ros.process.remote_paths import any_path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="folder of the bag, or a single .mcap or .db3 file"
-    )
+    add_bag(parser)
     target = parser.add_mutually_exclusive_group(required=True)
     target.add_argument("--csv", type=Path, metavar="DIR", help="new folder for one CSV file a signal")
     target.add_argument("--flat-bag", type=Path, metavar="BAG", help="new bag with one sample a message")
@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    with Bag(arguments.bag) as bag, Progress("export", 1.0) as stage:
+    start_s, end_s = read_span(arguments)
+    with Bag(any_path(arguments.bag), start_s=start_s, end_s=end_s) as bag, Progress("export", 1.0) as stage:
         if arguments.csv is not None:
             files = export_csv(bag, arguments.csv, stage.update)
             stage.finish(f"{len(files)} files in {arguments.csv}")

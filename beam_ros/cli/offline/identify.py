@@ -9,16 +9,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.cli.options import add_bag, add_rig_file, read_rig, read_span
 from beam_ros.process.progress import Progress
+from beam_ros.process.remote_paths import any_path
 from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="folder of the bag, or a single .mcap or .db3 file"
-    )
+    add_bag(parser)
     parser.add_argument("--validate", type=Path, metavar="BAG", help="another bag to score the model on")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for model.json and report.html")
     parser.add_argument(
@@ -54,14 +53,17 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ros.offline.identification import format_files, format_table, identify_bag
 
     rig = read_rig(arguments) if arguments.rig_file or arguments.parameters else None
+    start_s, end_s = read_span(arguments)
     with Progress("identify", 1.0) as stage:
         result = identify_bag(
-            arguments.bag,
+            any_path(arguments.bag),
             estimator=arguments.estimator,
             rig=rig,
             structure=arguments.structure,
             n_modes=arguments.modes,
             folder=arguments.report,
+            start_s=start_s,
+            end_s=end_s,
             validation=arguments.validate,
             progress=lambda phrase, share: stage.update(share, phrase),
         )

@@ -5,25 +5,25 @@ from __future__ import annotations
 import argparse
 import math
 from datetime import datetime, timezone
-from pathlib import Path
 
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import BagInfo, summarise
+from beam_ros.cli.options import add_bag, read_span
 from beam_ros.excitation.recipes import describe_excitation
+from beam_ros.process.remote_paths import any_path
 from beam_ros.process.strict_json import strict_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="folder of the bag, or a single .mcap or .db3 file"
-    )
+    add_bag(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    with Bag(arguments.bag) as bag:
+    start_s, end_s = read_span(arguments)
+    with Bag(any_path(arguments.bag), start_s=start_s, end_s=end_s) as bag:
         info = summarise(bag)
     print(strict_json(info.to_dict(), indent=2) if arguments.json else _text(info))
     return 1 if info.damage else 0
@@ -65,4 +65,6 @@ def _text(info: BagInfo) -> str:
     lines += [
         f"  damaged: {damage}; `beam recover {info.path}` saves what can be read" for damage in info.damage
     ]
+    if info.remark:
+        lines.append(f"  {info.remark}")
     return "\n".join(lines)

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader
 
 from beam_ros import messages
 from beam_ros.bags.blocks import ChunkedFile, IndexedBag, ScannedBag, Span, TypedTopic
-from beam_ros.bags.errors import BagTruncatedError
+from beam_ros.bags.errors import BagTruncatedError, MissingTopicsError
 from beam_ros.bags.reading import Bag
 from tests.beam_ros.bags.small_bags import START, TYPES, write_experiment
 
@@ -172,3 +172,9 @@ def test_a_bag_in_parts_is_read_as_one(tmp_path):
     first = int(np.flatnonzero(whole.positions == samples.positions[0])[0])
     np.testing.assert_array_equal(samples.positions, whole.positions[first : first + len(samples.positions)])
     assert len(samples.positions) == pytest.approx(400, abs=20)
+
+
+def test_a_time_behind_the_end_is_refused(tmp_path):
+    path = write_experiment(tmp_path / "run", batches=5)
+    with pytest.raises(MissingTopicsError, match="nothing after 2 s"):
+        Bag(path, start_s=2.0)
