@@ -12,3 +12,5 @@ ComplexArray = NDArray[np.complex128]
 IndexArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 AnyArray = NDArray[Any]
+StampArray = NDArray[np.int64]
+"""Stamps [ns]."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from beam_ros.arrays import IndexArray, StampArray
+from beam_ident.arrays import IndexArray, StampArray
 
 _FILLS = 0.5  # of a period from the nearest other stamp: the sample of a hole
 _NAMED = 3  # events in a sentence
