@@ -1,4 +1,4 @@
-"""Make the pictures of the README and of the pages: the rig, a frame, an identification, a stabilisation chart.
+"""Make the pictures of the README and of the pages: the rig, a frame, an identification, a chart, clocks.
 
     .venv/bin/python docs/make_pictures.py [FOLDER]          # default: docs/pictures
 
@@ -8,6 +8,7 @@ from the recorded bag of this tree, the chart from the code of its page.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -109,13 +110,60 @@ def identification_pictures() -> dict[str, Figure]:
     return {"frequency-response": frequency_response_figure(result), "fit": fit_figure(result)}
 
 
+def names_of_page(page: str, blocks: int) -> dict[str, Any]:
+    """Run the first blocks of code of a page, and return what they define."""
+    names: dict[str, Any] = {"print": lambda *_words: None}
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    before = Path.cwd()
+    os.chdir(ROOT)  # from where the pages name files
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)[:blocks]:
+        exec(compile(block, page, "exec"), names)
+    os.chdir(before)
+    return names
+
+
 def stabilisation_picture() -> Figure:
     """Draw the chart of the page on modal analysis, from the page's own code."""
-    page = (ROOT / "docs" / "modal-analysis.md").read_text(encoding="utf-8")
-    names: dict[str, Any] = {"print": lambda *_words: None}
-    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)[:2]:
-        exec(compile(block, "docs/modal-analysis.md", "exec"), names)
-    return stabilisation_figure(names["chart"], analyse_modes(names["chart"]))
+    chart = names_of_page("modal-analysis.md", 2)["chart"]
+    return stabilisation_figure(chart, analyse_modes(chart))
+
+
+def clocks_picture(rig: Rig) -> Figure:
+    """Draw what three ways with clocks leave of the tip's displacement, and by how much mode 1 is off."""
+    names = names_of_page("clocks.md", 1)
+    truth = float(rig.beam_model().natural_frequencies[0])
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(2.2, 1.0))
+    poles = figure.add_subplot(grid[:, 1])
+    for row, (way, unit, per_metre) in enumerate(
+        (("counted", "mm", 1e3), ("stamped", "um", 1e6), ("mapped", "um", 1e6))
+    ):
+        result = names[way]
+        tip = result.outputs[-1]
+        axes = figure.add_subplot(grid[row, 0])
+        axes.plot(tip.times_s - tip.times_s[0], per_metre * tip.residuals, ".", color=STEEL, markersize=2.5)
+        axes.set_ylabel(f"{way} [{unit}]")
+        axes.tick_params(labelbottom=row == 2)
+        omegas, _, omega_sd, _ = result.model.modes()
+        error, sd = 1e6 * (omegas[0] / truth - 1.0), 1e6 * omega_sd[0] / truth
+        if abs(error) < 1000.0:
+            poles.errorbar([row], [error], yerr=1.96 * sd, fmt="o", color=MARKER, capsize=5)
+        else:
+            poles.annotate(
+                f"{1e-4 * error:.1f} %",
+                (row, 0.0),
+                xytext=(row, -40.0),
+                ha="center",
+                color=MARKER,
+                arrowprops={"arrowstyle": "<-", "color": MARKER},
+            )
+    figure.axes[1].set_title("what the fit leaves of the tip's displacement", fontsize=11, color=INK)
+    axes.set_xlabel("time [s]")
+    poles.axhline(0.0, color=FAINT, linewidth=1.0)
+    poles.set(xlim=(-0.6, 2.6), ylim=(-100.0, 100.0), ylabel="error of the first natural frequency [ppm]")
+    poles.set_xticks(range(3), ["counted", "stamped", "mapped"])
+    poles.set_title("with 95 % intervals", fontsize=11, color=INK)
+    return figure
 
 
 def make_pictures(folder: Path) -> list[Path]:
@@ -125,6 +173,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "rig": rig_picture(Rig.from_file()),
         **identification_pictures(),
         "stabilisation": stabilisation_picture(),
+        "clocks": clocks_picture(Rig.from_file()),
     }
     files = []
     for name, figure in figures.items():

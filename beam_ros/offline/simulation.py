@@ -50,8 +50,8 @@ def simulate(
     ----------
     rig : Rig
     path : Path -- the bag's folder; must not exist
-    with_camera : bool -- render every frame and track it, for beam/markers too; else displacements carry white
-        noise
+    with_camera : bool -- render every frame and track it, for beam/markers too, and keep the frames where
+        ``recorder.images`` wants them; else displacements carry white noise
     on_frame : callable, optional -- given every exposure and its image; displacements stay out of the bag, as where
         a camera only leaves a file
     on_progress : callable -- called with simulated seconds so far and in all
@@ -199,9 +199,17 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     render = _rendered(rig, film)
     calibration = LinearCalibration.from_camera(film.camera, len(names))
     chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)
+    camera = film.camera
 
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
-        seen = chain.measure(exposure.stamp_ns, render(exposure))
+        frame = render(exposure)
+        if rig.recorder.images:
+            yield "camera/image_raw", messages.image(types, exposure.stamp_ns, frame)
+            yield (
+                "camera/camera_info",
+                messages.camera_info(types, exposure.stamp_ns, camera.width, camera.height),
+            )
+        seen = chain.measure(exposure.stamp_ns, frame)
         found = seen.displacement
         for _, message in messages.displacement_messages(types, names, seen.stamps_ns, found.x_m):
             yield "beam/displacement", message
