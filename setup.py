@@ -26,6 +26,9 @@ DASK = ["distributed>=2024.1"]
 # Bags in an object store, by their URLs.
 REMOTE = ["fsspec>=2024.2", "s3fs>=2024.2"]
 
+# The table of a study as a Parquet file (`beam study`; `--csv` does without).
+STUDY = ["pyarrow>=14"]
+
 # setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls; from 70.1 on it makes
 # wheels by itself, so that a package can be installed offline.
 TEST = [
@@ -38,6 +41,7 @@ TEST = [
     "colcon-ros",
     "setuptools>=70.1,<80",
     *DASK,
+    *STUDY,
 ]
 
 DEV = [
@@ -123,6 +127,7 @@ setup(
         "ros": ROS,
         "test": TEST,
         "dask": DASK,
+        "study": STUDY,
         "compiled": COMPILED,
         "remote": REMOTE,
         "dev": DEV,

@@ -100,6 +100,8 @@ TESTED_IN = (
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
     ("beam_ros/shell", "matched_subscription", "bags/test_bag_recorder"),
     ("beam_ros/shell", "node", "nodes/test_parameters"),
+    ("beam_ros/cli/offline", "study", "studies/test_study"),
+    ("beam_ros/studies", "rows statistics summary table", "studies/test_study"),
     ("beam_ros/vision/camera", "source", "vision/camera/test_capture"),
     ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),

@@ -8,9 +8,10 @@ the workers need this package as well.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from beam_ident.errors import EstimationError
 
@@ -79,9 +80,23 @@ def map_records(
         return [future.result() for future in futures]
 
 
-def _on_cluster(
-    function: Callable[[Item], Result], items: list[Item], scheduler: str, progress: Progress | None
-) -> list[Result]:
+@contextmanager
+def cluster(scheduler: str) -> Iterator[Any]:
+    """Connect to a Dask cluster for the length of a block.
+
+    Parameters
+    ----------
+    scheduler : str -- its address, such as ``tcp://192.168.1.5:8786``
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    EstimationError
+        No ``distributed`` package, no scheduler at the address, or no worker.
+    """
     try:
         import distributed
     except ImportError as err:
@@ -101,6 +116,15 @@ def _on_cluster(
             raise EstimationError(
                 f"the Dask scheduler at {scheduler!r} has no workers; start some with `dask worker {scheduler}`"
             )
+        yield client
+
+
+def _on_cluster(
+    function: Callable[[Item], Result], items: list[Item], scheduler: str, progress: Progress | None
+) -> list[Result]:
+    with cluster(scheduler) as client:
+        import distributed
+
         futures = client.map(function, items, pure=False)
         for done, future in enumerate(distributed.as_completed(futures, loop=client.loop)):
             future.result()

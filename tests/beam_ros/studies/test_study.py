@@ -1,0 +1,237 @@
+"""Studies of the recorded bags: rows, what is wrong with a bag, going on after an interruption, table and page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beam_ros.cli.main import main
+from beam_ros.errors import UsageError
+from beam_ros.studies.rows import Item, Row, Settings, find_bags, study_row
+from beam_ros.studies.statistics import mode_statistics
+from beam_ros.studies.study import open_study, run_study
+from beam_ros.studies.summary import format_study, study_page
+from beam_ros.studies.table import write_table
+
+BAGS = Path(__file__).resolve().parents[3] / "bags"
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    bad = tmp_path_factory.mktemp("bad") / "cut"
+    bad.mkdir()
+    (bad / "cut_0.mcap").write_bytes((BAGS / "step" / "step_0.mcap").read_bytes()[:5000])
+    return [study_row(Item(bag=bag), Settings()) for bag in (BAGS / "step", BAGS / "drifting", bad)]
+
+
+def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
+    expected = json.loads((BAGS / "expected.json").read_text())["drifting"]["identified"]
+    row = rows[1]
+    assert row["verdict"] == "passed"
+    assert row["mode1_frequency_hz"] == pytest.approx(expected["modes"][0]["frequency_hz"], rel=1e-6)
+    assert row["mode2_damping_ratio_sd"] == pytest.approx(expected["modes"][1]["damping_ratio_sd"], rel=0.1)
+    assert row["fit_percent_z285"] == pytest.approx(expected["fit_percent"]["z285"], abs=0.05)
+    assert (row["frames_lost"], row["markers_unseen"], row["hub_samples_lost"]) == (15, 91, 0)
+    assert row["hub_clock_ppm"] == pytest.approx(400.0, abs=1.0)
+    assert len(row["sha256"]) == 64
+    assert row["recorded"].startswith("2023-11-14T22:13:20")
+    assert "excitation.kind:=chirp" in row["excitation"]
+
+
+def test_a_bag_that_cannot_be_read_is_a_row_with_its_error(rows: list[Row]) -> None:
+    assert rows[2]["verdict"] == "failed"
+    assert "cut" in rows[2]["error"]
+    assert "mode1_frequency_hz" not in rows[2]
+
+
+def test_the_table_keeps_types_in_parquet_and_has_the_same_columns_in_csv(
+    rows: list[Row], tmp_path: Path
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(write_table(rows, tmp_path)).to_pylist()
+    assert [row["mode1_frequency_hz"] for row in table] == [row.get("mode1_frequency_hz") for row in rows]
+    assert table[0]["converged"] is True
+    assert table[2]["frames_lost"] is None
+    with write_table(rows, tmp_path, as_csv=True).open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert list(lines[0]) == list(table[0])
+    assert float(lines[1]["mode1_frequency_hz"]) == table[1]["mode1_frequency_hz"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["study.csv", "study.parquet"]
+
+
+def test_the_page_says_what_failed_and_how_the_modes_scatter(rows: list[Row], tmp_path: Path) -> None:
+    text = study_page(rows, Settings(), tmp_path / "study.csv").text()
+    assert "2 passed, 0 are doubtful and 1 failed" in text
+    assert str(rows[2]["error"]).split(":")[1][:20] in text
+    assert text.count("<svg") == 2
+    assert "1 failed" in format_study(rows)
+
+
+def test_coverage_counts_intervals_that_hold_the_truth() -> None:
+    rng = np.random.default_rng(5)
+    made: list[Row] = [
+        {
+            "mode1_frequency_hz": 10.0 + 0.1 * draw,
+            "mode1_frequency_sd_hz": 0.1,
+            "mode1_theory_frequency_hz": 10.0,
+            "mode1_damping_ratio": 0.005 * (1.0 + 0.02 * draw),
+            "mode1_damping_ratio_sd": 0.00005,
+            "mode1_theory_damping_ratio": 0.005,
+        }
+        for draw in rng.standard_normal(2000)
+    ]
+    frequency, damping = mode_statistics(made)
+    assert frequency.coverage == pytest.approx(0.95, abs=0.015)
+    assert frequency.coverage_range[0] < 0.95 < frequency.coverage_range[1]
+    assert frequency.scatter == pytest.approx(frequency.stated_sd, rel=0.05)
+    assert damping.coverage == pytest.approx(0.673, abs=0.03)  # half of the true deviation is stated
+
+
+def test_bags_are_found_by_path_folder_and_pattern(tmp_path: Path) -> None:
+    everything = find_bags([str(BAGS)])
+    assert {path.name for path in everything} == set(json.loads((BAGS / "expected.json").read_text()))
+    assert find_bags([str(BAGS / "s*"), str(BAGS / "step")]) == [BAGS / "step"]
+    with pytest.raises(UsageError, match="names no bag"):
+        find_bags([str(tmp_path)])
+
+
+def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tmp_path: Path) -> None:
+    shutil.copytree(BAGS / "step", tmp_path / "step")
+    items = [Item(bag=tmp_path / "step"), Item(bag=BAGS / "decay")]
+    folder, settings = tmp_path / "study", Settings(n_modes=1)
+    open_study(folder, settings)
+    first = run_study(items[:1], settings, folder)
+    stored = next((folder / "rows").iterdir())
+    stored.write_text(json.dumps({**json.loads(stored.read_text()), "verdict": "kept"}))
+    open_study(folder, settings)
+    assert [row["verdict"] for row in run_study(items, settings, folder)] == ["kept", first[0]["verdict"]]
+    os.utime(tmp_path / "step" / "step_0.mcap", ns=(0, 1))
+    assert run_study(items, settings, folder)[0]["verdict"] == first[0]["verdict"]
+    with pytest.raises(UsageError, match="another estimator, structure, number of modes or rig"):
+        open_study(folder, Settings(n_modes=2))
+    open_study(folder, Settings(n_modes=2), overwrite=True)
+    assert not list((folder / "rows").iterdir())
+    with pytest.raises(UsageError, match="holds no study"):
+        open_study(tmp_path / "step", settings, overwrite=True)
+
+
+def test_seeds_take_the_place_of_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = [
+        "-p",
+        "excitation.duration:=4.0",
+        "-p",
+        "excitation.still:=1.0",
+        "-p",
+        "excitation.end_frequency:=45.0",
+    ]
+    command = [
+        "study",
+        "--simulate",
+        "2",
+        "--csv",
+        "--jobs",
+        "1",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+        *short,
+    ]
+    assert main(command) == 0
+    statistics = json.loads(capsys.readouterr().out)["modes"]
+    assert [own["count"] for own in statistics[:2]] == [2, 2]
+    assert statistics[0]["largest_error"] < 1e-3
+    assert (tmp_path / "out" / "index.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--csv"], "either bags or --simulate N"),
+        (["nowhere", "--csv"], "nowhere names no bag"),
+        (["bags", "--jobs", "0", "--csv"], "--jobs is 0: expected at least 1"),
+    ],
+)
+def test_a_wrong_call_is_one_line(
+    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_without_pyarrow_one_line_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    assert main(["study", str(BAGS), "--out", str(tmp_path / "out")]) == 2
+    assert "the extra `study`" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that work for a study."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            words = stat.read_text().rpartition(")")[2].split()
+            command = (stat.parent / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if int(words[1]) == pid and b"spawn_main" in command:
+            found.append(int(stat.parent.name))
+    return found
+
+
+@pytest.mark.verify
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
+def test_a_thousand_bags_have_their_rows_though_workers_and_the_study_itself_are_killed(
+    tmp_path: Path,
+) -> None:
+    count = int(os.environ.get("BEAM_STUDY_BAGS", "1000"))
+    for number in range(count):
+        bag = tmp_path / "bags" / f"{number:04d}"
+        bag.mkdir(parents=True)
+        for file in (BAGS / "step").iterdir():
+            (bag / file.name).hardlink_to(file)
+    (tmp_path / "bags" / "0003" / "step_0.mcap").unlink()
+    (tmp_path / "bags" / "0003" / "step_0.mcap").write_bytes(b"no bag")
+    out = tmp_path / "study"
+    command = [sys.executable, "-c", "from beam_ros.cli.main import main; raise SystemExit(main())", "study"]
+    command += [str(tmp_path / "bags"), "--out", str(out), "--csv", "--jobs", "2", "--modes", "1"]
+    rng = random.Random(7)
+    killed = 0
+    for is_last in (False, True):
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            due = 5
+            while process.poll() is None:
+                time.sleep(0.2)
+                done = len(list(out.glob("rows/*.json")))
+                workers = children(process.pid)
+                if done >= due and workers:
+                    os.kill(rng.choice(workers), signal.SIGKILL)
+                    killed += 1
+                    due = done + rng.randrange(5, count // 10 + 6)
+                if not is_last and done > count // 2:
+                    process.kill()
+        finally:
+            process.kill()
+            process.wait(30.0)
+    assert process.returncode == 0
+    assert killed > 2
+    with (out / "study.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == count
+    assert [Path(row["bag"]).name for row in rows if row["error"]] == ["0003"]
+    assert len({row["mode1_frequency_hz"] for row in rows if not row["error"]}) == 1
