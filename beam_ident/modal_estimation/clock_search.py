@@ -27,7 +27,7 @@ from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.noise.scores import ScoreTest, Whiteness
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -258,10 +258,8 @@ def own_delays(
         score_of_theta += shared.T @ noise
         cross[:, j], spread[j], scores[j] = shared.T @ own, own @ own, own @ noise
         own_free = noise - own * (own @ noise) / max(spread[j], 1e-300)
-        correlation = autocorrelation(autoregression(own_free), len(noise))
-        colour[j] = max(
-            float(score_covariance(own[:, None], correlation)[0, 0]) / max(spread[j], 1e-300), 1.0
-        )
+        under_colour = float(score_covariance(own[:, None], autoregression(own_free))[0, 0])
+        colour[j] = max(under_colour / max(spread[j], 1e-300), 1.0)
     scale = np.sqrt(np.maximum(np.diag(of_theta), 1e-300))
     inverse = np.linalg.pinv(of_theta / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     inverse = inverse / np.outer(scale, scale)

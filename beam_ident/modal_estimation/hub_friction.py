@@ -16,7 +16,7 @@ import numpy as np
 
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _VISIBLE = 5.0  # standard deviations
@@ -61,10 +61,9 @@ class FrictionEstimate:
             column = -(triple @ gains) / fit.sigmas[j]
             column = column - basis @ (basis.T @ column)
             noise = left / fit.sigmas[j]
-            correlation = autocorrelation(autoregression(noise), len(noise))
             along += float(column @ noise)
             power += float(column @ column)
-            variance += float(score_covariance(column[:, None], correlation)[0, 0])
+            variance += float(score_covariance(column[:, None], autoregression(noise))[0, 0])
         if not power > 0.0:
             return FrictionEstimate(0.0, math.inf)
         return FrictionEstimate(along / power, math.sqrt(max(variance, 0.0)) / power)

@@ -32,7 +32,7 @@ from beam_ident.data.prior import Prior
 from beam_ident.modal.condensed_columns import CondensedColumns, residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock
-from beam_ident.noise.autoregression import ScoreExcess, autoregression
+from beam_ident.noise.autoregression import ScoreCovariance, autoregression
 from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -306,11 +306,7 @@ def _under_coloured_noise(
     """
     problem, n, n_theta = likelihood.problem, likelihood.n_modes, likelihood.n_theta
     colours = [autoregression(residuals) for residuals in whole]
-    sums = {
-        output: ScoreExcess(colour, len(whole[output]))
-        for output, colour in enumerate(colours)
-        if len(colour) > 1
-    }
+    sums = {output: ScoreCovariance(colour) for output, colour in enumerate(colours) if len(colour) > 1}
     if not sums:
         return covariance
     theta = state.theta
@@ -331,7 +327,7 @@ def _under_coloured_noise(
         here = np.concatenate([np.arange(n_theta), np.arange(place, place + len(found))])
         place += len(found)
         if output in sums:
-            excess[np.ix_(here, here)] += sums[output].total / variances[output]
+            excess[np.ix_(here, here)] += (sums[output].total - sums[output].white) / variances[output]
     result = covariance + covariance @ excess @ covariance
     return np.asarray(0.5 * (result + result.T))
 

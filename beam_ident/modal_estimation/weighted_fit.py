@@ -38,7 +38,7 @@ from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
-from beam_ident.noise.autoregression import ScoreExcess, autoregression
+from beam_ident.noise.autoregression import ScoreCovariance, autoregression
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.noise_model import NoisePass, RecordNoise, Whitening
 from beam_ident.noise.scores import are_rounding
@@ -757,11 +757,7 @@ def _sandwich(
     """
     # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations still have.
     colours = [autoregression(own) for own in innovations]
-    sums = {
-        output: ScoreExcess(colour, len(innovations[output]))
-        for output, colour in enumerate(colours)
-        if len(colour) > 1
-    }
+    sums = {output: ScoreCovariance(colour) for output, colour in enumerate(colours) if len(colour) > 1}
     grown = [output for output, own in enumerate(inflations) if np.any(own != 1.0)]
     if not sums and not grown:
         return inverse
@@ -775,5 +771,5 @@ def _sandwich(
             more = inflations[output][first : first + len(design)] - 1.0
             excess[np.ix_(touched[output], touched[output])] += design.T @ (design * more[:, None])
     for output, own in sums.items():
-        excess[np.ix_(touched[output], touched[output])] += own.total
+        excess[np.ix_(touched[output], touched[output])] += own.total - own.white
     return np.asarray(inverse + inverse @ excess @ inverse)

@@ -14,6 +14,8 @@ Equation numbers are those of docs/identification.md.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.signal import lfilter
@@ -22,7 +24,8 @@ from beam_ident.arrays import ComplexArray, FloatArray
 
 _MAX_ORDER = 40
 _MAX_LINE_ORDER = 30
-_FORGOTTEN = 1e-12  # correlation below which it is none
+_FORGOTTEN = 1e-14  # of all that an autoregression gives: what comes still later is rounding
+_DOUBLINGS = 40
 
 
 def autoregression(
@@ -46,106 +49,112 @@ def autoregression(
     # The autocovariance as the inverse transform of the periodogram, padded so that no lag wraps around.
     length = next_fast_len(n + max_order, real=True)
     if doubt is None:
-        power = np.square(np.abs(rfft(residuals - np.mean(residuals), length)))
+        power = _power(rfft(residuals - np.mean(residuals), length))
     else:
         every = np.concatenate([residuals[None], doubt.T])
-        power = np.sum(np.square(np.abs(rfft(every, length))), axis=0)
-    covariance = irfft(power, length)[: max_order + 1] / n
+        power = np.sum(_power(rfft(every, length)), axis=0)
+    covariance = irfft(power, length, overwrite_x=True)[: max_order + 1] / n
     if covariance[0] <= 0.0:
         return np.ones(1)
-    coefficients, variance = np.ones(1), covariance[0]
-    best, best_bic = coefficients, n * np.log(variance)
+    variance, log_n = float(covariance[0]), math.log(n)
+    coefficients = np.zeros(max_order + 1)
+    coefficients[0] = 1.0
+    best, best_bic = coefficients[:1].copy(), n * math.log(variance)
     for order in range(1, max_order + 1):
         # Levinson-Durbin: the reflection coefficient is the partial correlation at this lag, and the order
         # grows by one without solving anew.
-        reflection = -float(coefficients @ covariance[order:0:-1][: len(coefficients)]) / variance
-        extended = np.append(coefficients, 0.0)
-        coefficients = extended + reflection * extended[::-1]
+        reflection = -float(coefficients[:order] @ covariance[order:0:-1]) / variance
+        coefficients[: order + 1] += reflection * coefficients[order::-1]
         # What this lag explains of the variance; BIC charges log n for it.
         variance *= max(1.0 - reflection**2, 1e-12)
-        bic = n * np.log(variance) + order * np.log(n)
+        bic = n * math.log(variance) + order * log_n
         if bic < best_bic:
-            best, best_bic = coefficients, bic
-    return np.asarray(best)
+            best, best_bic = coefficients[: order + 1].copy(), bic
+    return best
 
 
-def autocorrelation(coefficients: FloatArray, n: int) -> FloatArray:
-    """Return the autocorrelation of an autoregression's noise at lags 0 .. n - 1."""
-    if len(coefficients) == 1:
-        result = np.zeros(n)
-        result[0] = 1.0
-        return result
-    impulse = np.zeros(n)
-    impulse[0] = 1.0
-    response = lfilter([1.0], coefficients, impulse)
-    length = next_fast_len(2 * n - 1, real=True)
-    result = irfft(np.square(np.abs(rfft(response, length))), length)[:n]
-    return np.asarray(result / result[0])
+def _power(spectra: ComplexArray) -> FloatArray:
+    return np.asarray(np.square(spectra.real) + np.square(spectra.imag))
 
 
-class ScoreExcess:
-    """``D^T R D - D^T D`` for the noise of an autoregression, D's rows coming piece by piece.
+class ScoreCovariance:
+    """``D^T R D`` for the correlation R of an autoregression's noise, D's rows coming piece by piece.
 
     Parameters
     ----------
-    coefficients : ndarray -- of the autoregression
-    n : int -- number of rows of D
+    coefficients : ndarray, shape (order + 1,) -- 1, c_1 .. c_p of a stable autoregression
 
-    Attributes
-    ----------
-    total : ndarray, shape (n_parameters, n_parameters) -- of the rows so far
+    Notes
+    -----
+    The noise is white noise that passed 1 / A. Its correlation at a lag is the inner product of two impulse
+    responses of 1 / A so far apart, and S of (I.11) that of D's columns behind 1 / A, over such noise's variance.
+    After the last row they ring on: the squares of what is still to come are a quadratic form of the filter's state,
+    whose matrix is the observability Gramian.
     """
 
-    def __init__(self, coefficients: FloatArray, n: int) -> None:
-        correlation = autocorrelation(coefficients, n)
-        # From some lag on rows do not know of each other.
-        reach = int(np.flatnonzero(np.abs(correlation) > _FORGOTTEN)[-1]) + 1
-        self._correlation = correlation[:reach]
-        self._before: FloatArray = np.empty((0, 0))
-        self.total: FloatArray = np.empty(0)
+    def __init__(self, coefficients: FloatArray) -> None:
+        self._colour = coefficients
+        self._state: FloatArray = np.empty(0)
+        self._products: FloatArray = np.empty(0)
+        self._white: FloatArray = np.empty(0)
 
     def add(self, design: FloatArray) -> None:
         """Take in more rows of D, shape (n, n_parameters)."""
-        if not len(self._before):
-            self.total = np.zeros((design.shape[1], design.shape[1]))
-            self._before = np.empty((0, design.shape[1]))
-        # With the rows before in front: theirs among themselves have been counted.
-        joined = np.concatenate([self._before, design])
-        self.total += self._score(joined) - self._score(self._before) - design.T @ design
-        self._before = joined[max(len(joined) - len(self._correlation), 0) :]
+        rows = np.ascontiguousarray(design.T)  # filters go along contiguous samples much faster
+        if not len(self._white):
+            self._state = np.zeros((len(rows), len(self._colour) - 1))
+            self._white = np.zeros((len(rows), len(rows)))
+            self._products = np.zeros_like(self._white)
+        self._white += rows @ rows.T
+        if len(self._colour) > 1:
+            passed, self._state = lfilter([1.0], self._colour, rows, zi=self._state)
+            self._products += passed @ passed.T
 
-    def _score(self, design: FloatArray) -> FloatArray:
-        if not len(design):
-            return np.zeros_like(self.total)
-        correlation = np.zeros(len(design))
-        known = self._correlation[: len(design)]
-        correlation[: len(known)] = known
-        return score_covariance(design, correlation)
+    @property
+    def white(self) -> FloatArray:
+        """``D^T D`` of the rows so far, what noise without colour would have, shape (n_parameters, n_parameters)."""
+        return self._white
+
+    @property
+    def total(self) -> FloatArray:
+        """``D^T R D`` of the rows so far, shape (n_parameters, n_parameters)."""
+        if len(self._colour) == 1:
+            return self._white
+        later = _rest_of_response(self._colour)
+        begun = self._colour[1:]  # the filter's state after an impulse, but for the sign
+        variance = 1.0 + float(begun @ later @ begun)
+        return np.asarray((self._products + self._state @ later @ self._state.T) / variance)
 
 
-def score_covariance(design: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Return ``D^T R D`` for a noise correlation R that depends on the lag alone.
+def _rest_of_response(coefficients: FloatArray) -> FloatArray:
+    """Return G for which ``z^T G z`` are the squares of all that 1 / A still gives from its state z on."""
+    order = len(coefficients) - 1
+    # The states of the transposed direct form move up by one, and the output z_1 is fed back.
+    step = np.eye(order, k=1)
+    step[:, 0] -= coefficients[1:]
+    total = np.zeros((order, order))
+    total[0, 0] = 1.0
+    # G = sum_k F^k^T e e^T F^k, twice as many terms each time.
+    for _ in range(_DOUBLINGS):
+        more = step.T @ total @ step
+        total += more
+        if not np.max(np.abs(more)) > _FORGOTTEN * np.max(np.abs(total)):
+            break
+        step = step @ step
+    return total
+
+
+def score_covariance(design: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return ``D^T R D`` for the correlation R of an autoregression's noise.
 
     Parameters
     ----------
     design : ndarray, shape (n, n_parameters)
-    correlation : ndarray, shape (n,) -- at lags 0 .. n - 1
-
-    Notes
-    -----
-    R is a corner of a circulant matrix, whose eigenvalues are the Fourier transform of its first
-    row: the product is a sum over frequencies.
+    coefficients : ndarray, shape (order + 1,)
     """
-    n = len(design)
-    length = next_fast_len(2 * n - 1, real=True)
-    # S of (I.11): the first row of the circulant that holds R as its corner, lags of both signs.
-    row = np.zeros(length)
-    row[:n] = correlation
-    row[length - n + 1 :] = correlation[:0:-1]
-    weights = rfft(row).real
-    weights[1 : (length + 1) // 2] *= 2.0  # and their mirror images
-    spectra = rfft(np.ascontiguousarray(design.T), length)
-    return np.asarray(np.real((spectra * (weights / length)) @ spectra.conj().T))
+    covariance = ScoreCovariance(coefficients)
+    covariance.add(design)
+    return covariance.total
 
 
 def line_autoregression(residuals: ComplexArray, max_order: int = _MAX_LINE_ORDER) -> ComplexArray:

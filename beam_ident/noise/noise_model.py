@@ -20,7 +20,7 @@ from scipy.linalg import LinAlgError
 from scipy.signal import lfilter
 
 from beam_ident.arrays import BoolArray, FloatArray
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.noise.continuous_noise import ContinuousWhitening, continuous_noise
 from beam_ident.noise.heavy_tails import HeavyTails
 from beam_ident.noise.outliers import outliers, spoiling
@@ -78,12 +78,8 @@ class Whitening:
 
     def score_covariance(self, design: FloatArray) -> FloatArray:
         """Return ``D^T R D`` for this noise's correlation R and the derivatives D, shape (n, n_parameters)."""
-        if not self.n_parameters:
-            return np.asarray(design.T @ design)
         parts = [design[start:end] for start, end in self._runs]
-        return np.asarray(
-            sum(score_covariance(own, autocorrelation(self.coefficients, len(own))) for own in parts)
-        )
+        return np.asarray(sum(score_covariance(own, self.coefficients) for own in parts))
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Return columns of shape (n, ...) as the noise's innovations see them."""

@@ -22,7 +22,6 @@ from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_ORDER = 40
 _ROWS_PER_LAG = 10
-_BLOCK = 16384  # rows at once: bounds the memory
 _SINGULAR = 1e-11  # of a column's power: what rounding leaves
 
 
@@ -50,12 +49,17 @@ def _criterion(values: FloatArray) -> float:
     if not power > 0.0:
         return -math.inf
     scaled = values / math.sqrt(power)
-    # Lags 1 .. most, then the present, over the same rows for every order.
-    windows = np.lib.stride_tricks.sliding_window_view(scaled, most + 1)
-    gram = np.zeros((most + 1, most + 1))
-    for first in range(0, len(windows), _BLOCK):
-        rows = windows[first : first + _BLOCK, [*range(most - 1, -1, -1), most]]
-        gram += rows.T @ rows / (n - most)
+    # Inner products of lags 0 .. most over the same rows for every order: from one lag to the next of both factors
+    # a row comes in at the beginning and one goes at the end.
+    present = scaled[most:]
+    gram = np.empty((most + 1, most + 1))
+    gram[0] = [float(present @ scaled[most - lag : n - lag]) for lag in range(most + 1)]
+    before, after = scaled[most - 1 :: -1][: most + 1], scaled[: n - most - 2 : -1]
+    for lag in range(most):
+        gram[lag + 1, 0] = gram[0, lag + 1]
+        gram[lag + 1, 1:] = gram[lag, :-1] + before[lag] * before[:most] - after[lag] * after[:most]
+    order = np.roll(np.arange(most + 1), -1)  # the present last
+    gram = gram[np.ix_(order, order)] / (n - most)
     try:
         last = np.linalg.cholesky(gram + _SINGULAR * np.eye(most + 1))[-1]
     except np.linalg.LinAlgError:

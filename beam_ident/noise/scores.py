@@ -16,7 +16,7 @@ from scipy.special import chdtrc as chi_squared_sf
 from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray, IndexArray
-from beam_ident.noise.autoregression import autocorrelation, autoregression, score_covariance
+from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _WHITENESS_LEVEL = 1e-3
@@ -216,10 +216,9 @@ class ScoreTest:
             # The noise is what is left with them: what was left out is no colour of it.
             own = LinearSolution.of(columns).basis
             noise = residuals - own @ (own.T @ residuals)
-            correlation = autocorrelation(autoregression(noise), len(noise))
             n_free = len(noise) - present.shape[1] - own.shape[1]
             variance = float(noise @ noise) / max(n_free, 1)
-            spread, axes = np.linalg.eigh(variance * score_covariance(columns, correlation))
+            spread, axes = np.linalg.eigh(variance * score_covariance(columns, autoregression(noise)))
             kept = spread > _RANK * spread[-1]
             scores = axes[:, kept].T @ (columns.T @ residuals)
             total += float(np.sum(np.square(scores) / spread[kept]))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.signal import lfilter
 from scipy.special import chdtrc as chi_squared_sf
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.records import InputSignal
 from beam_ident.noise.autoregression import autoregression
 from beam_ident.noise.outliers import outliers
@@ -43,7 +43,11 @@ _BESIDE = 3  # of them next to the line, which belong to it
 _FINER = 8  # steps between two lines
 _BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
 _MAINS_HZ = (50.0, 60.0)
+_AT_ONCE = 8192  # samples: what their columns need stays in the cache
 _NOTHING = 1e-10  # of a column's square: what remains of it then is rounding
+
+
+Column = Callable[[slice], FloatArray]  # what a cause leaves at some of the samples, shape (n,) or (k, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +55,8 @@ class _Cause:
     """A kind of cause, its columns where it explains most, and how it is said."""
 
     kind: str
-    columns: FloatArray  # (n, k)
-    beside: FloatArray  # (n, m), what other values of the fit's own parameters may leave
+    columns: tuple[str, ...]  # by name
+    beside: tuple[str, ...]  # what other values of the fit's own parameters may leave
     looks: float  # at how many places it was looked for, and how much more careful that has to be
     said: Callable[[FloatArray], str]  # of the coefficients
 
@@ -82,51 +86,59 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> l
         return []
     left = residuals.copy()
     left[outliers(left)] = 0.0  # they are named by themselves
-    model = (modelled - np.mean(modelled)) / size
-    slope = np.gradient(model, times)
+    columns = _columns(times, (modelled - np.mean(modelled)) / size)
     found: list[str] = []
     kinds: set[str] = set()
     for _ in range(_MOST_CAUSES):
         whitened = _Whitened.of(left)
-        causes = [c for c in _candidates(times, model, slope, left, whitened, size) if c.kind not in kinds]
+        causes = [c for c in _candidates(times, columns, left, whitened, size) if c.kind not in kinds]
         # White residuals have no colour that could have taken up a line or a step.
         apart = [c for c in causes if len(whitened.colour) > 1 and c.kind in _LIKE_COLOUR]
         together = [c for c in causes if c not in apart]
-        gains = list(zip(together, whitened.gains(together), strict=True))
-        gains += [(cause, _without(cause, left).gains([cause])[0]) for cause in apart]
+        gains = list(zip(together, whitened.gains(columns, together), strict=True))
+        gains += [(c, _without(c, columns, left).gains(columns, [c])[0]) for c in apart]
         best, best_gain = None, 0.0
         for cause, gain in gains:
-            if gain > best_gain and _stands_without_weights(cause, left, modelled):
+            if gain > best_gain and _stands_without_weights(cause, columns, left, modelled):
                 best, best_gain = cause, gain
         if best is None:
             break
         kinds.add(best.kind)
-        columns = np.column_stack([best.columns, best.beside])
-        coefficients = LinearSolution.of(columns).coefficients(left)
+        design = _stacked(columns, (*best.columns, *best.beside), n)
+        coefficients = LinearSolution.of(design).coefficients(left)
         found.append(best.said(coefficients))
-        left = left - columns @ coefficients
+        left = left - design @ coefficients
     return found
 
 
-def _without(cause: _Cause, left: FloatArray) -> _Whitened:
+def _stacked(columns: Mapping[str, Column], names: Sequence[str], n: int) -> FloatArray:
+    """Return columns side by side, shape (n, k)."""
+    return np.concatenate([np.atleast_2d(columns[name](slice(0, n))) for name in names]).T
+
+
+def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> _Whitened:
     """Return residuals whitened by the colour that they have without a cause.
 
     A line or a step is itself the limit of a colour, an autoregression with a pole on the unit circle, which would
     leave nothing of it.
     """
-    size = np.linalg.norm(cause.columns, axis=0)
-    basis = LinearSolution.of(cause.columns / np.where(size > 0.0, size, 1.0)).basis
+    own = _stacked(columns, cause.columns, len(left))
+    size = np.linalg.norm(own, axis=0)
+    basis = LinearSolution.of(own / np.where(size > 0.0, size, 1.0)).basis
     return _Whitened.of(left, left - basis @ (basis.T @ left))
 
 
-def _stands_without_weights(cause: _Cause, left: FloatArray, values: FloatArray) -> bool:
+def _stands_without_weights(
+    cause: _Cause, columns: Mapping[str, Column], left: FloatArray, values: FloatArray
+) -> bool:
     """Return whether a cause that a fit could take up itself stands out of residuals without weights as well.
 
     A fit that does not weigh by the colour of its noise errs by more than one that does, and along these columns.
     """
     if cause.kind not in ("late", "exposure"):
         return True
-    return ScoreTest.of([(cause.columns, cause.beside, left, values)]).p_value < _LEVEL
+    own, beside = (_stacked(columns, names, len(left)) for names in (cause.columns, cause.beside))
+    return ScoreTest.of([(own, beside, left, values)]).p_value < _LEVEL
 
 
 @dataclass(frozen=True)
@@ -144,35 +156,65 @@ class _Whitened:
     def of(left: FloatArray, noise: FloatArray | None = None) -> _Whitened:
         """Whiten residuals by the colour of their own, or of what is known to be noise."""
         colour = autoregression(left if noise is None else noise)
-        return _Whitened(colour, lfilter(colour, [1.0], left)[len(colour) - 1 :])
+        return _Whitened(
+            colour, left if len(colour) == 1 else lfilter(colour, [1.0], left)[len(colour) - 1 :]
+        )
 
-    def columns(self, columns: FloatArray) -> FloatArray:
-        """Whiten columns, shape (n, k)."""
+    def column(self, column: FloatArray) -> FloatArray:
+        """Whiten a column, shape (n,)."""
         if len(self.colour) == 1:
-            return columns
-        rows = np.ascontiguousarray(columns.T)  # filters go along contiguous samples much faster
-        return np.asarray(lfilter(self.colour, [1.0], rows)[:, len(self.colour) - 1 :].T)
+            return column
+        return np.asarray(lfilter(self.colour, [1.0], column)[len(self.colour) - 1 :])
 
-    def gains(self, causes: Sequence[_Cause]) -> list[float]:
+    def products(self, parts: Sequence[Column]) -> tuple[FloatArray, FloatArray, list[int]]:
+        """Return the inner products of whitened columns with each other and with residuals, and their numbers.
+
+        They are taken block by block: of a long record no column is kept.
+        """
+        n_before, n = len(self.colour) - 1, len(self.left)
+        squares, products, widths = np.zeros((0, 0)), np.zeros(0), [0] * len(parts)
+        for first in range(0, n, _AT_ONCE):
+            last = min(first + _AT_ONCE, n)
+            here = slice(first, last + n_before)  # a filter looks back by its order
+            columns = [np.atleast_2d(part(here)) for part in parts]
+            widths, rows = [len(own) for own in columns], np.concatenate(columns)
+            if n_before:
+                rows = lfilter(self.colour, [1.0], rows)[:, n_before:]
+            if not first:
+                squares, products = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
+            squares += rows @ rows.T
+            products += rows @ self.left[first:last]
+        return squares, products, widths
+
+    def gains(self, columns: Mapping[str, Column], causes: Sequence[_Cause]) -> list[float]:
         """Return each cause's gain in log-likelihood less what it costs, 0 where noise would gain as much."""
-        parts = list({id(part): part for cause in causes for part in (cause.columns, cause.beside)}.values())
-        ends = np.cumsum([part.shape[1] for part in parts])
-        places = {
-            id(part): np.arange(end - part.shape[1], end) for part, end in zip(parts, ends, strict=True)
+        names = list(dict.fromkeys(name for cause in causes for name in (*cause.columns, *cause.beside)))
+        squares, products, widths = self.products([columns[name] for name in names])
+        ends = np.cumsum(widths).tolist()
+        rows = {name: range(end - width, end) for name, width, end in zip(names, widths, ends, strict=True)}
+        return self.gains_of(squares, products, [_Places.of(cause, rows) for cause in causes])
+
+    def gains_of(self, squares: FloatArray, products: FloatArray, causes: Sequence[_Places]) -> list[float]:
+        """Return the same from the inner products of all columns, and the places of each cause's own among them."""
+        size = np.sqrt(np.diag(squares))
+        size[size == 0.0] = 1.0
+        squares, products, power = (
+            squares / np.outer(size, size),
+            products / size,
+            float(self.left @ self.left),
+        )
+        known = {
+            beside: np.linalg.pinv(squares[np.ix_(beside, beside)], rcond=_NOTHING, hermitian=True)
+            for beside in {cause.beside for cause in causes}
         }
-        white = self.columns(np.concatenate(parts, axis=1))
-        size = np.linalg.norm(white, axis=0)
-        white = white / np.where(size > 0.0, size, 1.0)
-        squares, products, power = white.T @ white, white.T @ self.left, float(self.left @ self.left)
         found = []
         for cause in causes:
-            own, beside = places[id(cause.columns)], places[id(cause.beside)]
+            own, beside = list(cause.own), list(cause.beside)
             # At right angles to what the fit's own parameters may leave.
-            known = np.linalg.pinv(squares[np.ix_(beside, beside)], rcond=_NOTHING, hermitian=True)
-            share = squares[np.ix_(own, beside)] @ known
+            share = squares[np.ix_(own, beside)] @ known[cause.beside]
             scores = products[own] - share @ products[beside]
             inner = squares[np.ix_(own, own)] - share @ squares[np.ix_(beside, own)]
-            left = power - float(products[beside] @ known @ products[beside])
+            left = power - float(products[beside] @ known[cause.beside] @ products[beside])
             found.append(self._gain(inner, scores, left, cause.looks))
         return found
 
@@ -190,24 +232,66 @@ class _Whitened:
         return float(0.5 * n * math.log(power / left_over) - 0.5 * k * math.log(n) - math.log(looks))
 
 
+@dataclass(frozen=True)
+class _Places:
+    """Where among all columns those of a cause stand."""
+
+    own: tuple[int, ...]
+    beside: tuple[int, ...]
+    looks: float
+
+    @staticmethod
+    def of(cause: _Cause, rows: Mapping[str, range]) -> _Places:
+        """Look the names up."""
+        own, beside = (
+            tuple(place for name in given for place in rows[name]) for given in (cause.columns, cause.beside)
+        )
+        return _Places(own, beside, cause.looks)
+
+
+def _columns(times: FloatArray, model: FloatArray) -> dict[str, Column]:
+    """Return what causes leave of a record, by name; those that no search is needed for."""
+    slope = np.gradient(model, times)
+    curvature = np.gradient(slope, times)
+    middle, half = 0.5 * float(times[0] + times[-1]), 0.5 * float(times[-1] - times[0])
+
+    def powers(here: slice) -> FloatArray:
+        share = (times[here] - middle) / half
+        return np.stack([np.ones_like(share), share, share**2, share**3])
+
+    def bent(here: slice) -> FloatArray:
+        own = model[here]
+        squared = np.square(own)
+        return np.stack([own * np.abs(own), squared, squared * own])
+
+    return {
+        "model": lambda here: model[here],
+        "slope": lambda here: slope[here],
+        "curvature": lambda here: curvature[here],
+        "slope by time": lambda here: (times[here] - middle) * slope[here],
+        "bent": bent,
+        "powers": powers,
+        "one": lambda here: np.ones(len(times[here])),
+    }
+
+
 def _candidates(
     times: FloatArray,
-    model: FloatArray,
-    slope: FloatArray,
+    columns: dict[str, Column],
     left: FloatArray,
     whitened: _Whitened,
     size: float,
 ) -> list[_Cause]:
-    """Return every kind of cause, with its columns at the instant or the frequency where it explains most."""
-    middle = 0.5 * float(times[0] + times[-1])
-    share = (times - middle) / (0.5 * float(times[-1] - times[0]))
-    curvature = np.gradient(slope, times)
-    own = np.column_stack([model, slope])
+    """Return every kind of cause, at the instant or the frequency where it explains most.
+
+    Columns of such an instant or frequency are added to the others.
+    """
+    n, own = len(times), ("model", "slope")
     causes = [
         _Cause(
             "late",
-            slope[:, None],
-            model[:, None],
+            ("slope",),
+            ("model",),
             1.0,
             lambda c: (
                 f"as if its stamps were {-1e3 * c[0] / size:.3g} ms late (its delay or latency, the input's hold or "
@@ -216,14 +300,14 @@ def _candidates(
         ),
         _Cause(
             "clock",
-            ((times - middle) * slope)[:, None],
+            ("slope by time",),
             own,
             1.0,
             lambda c: f"as if its clock ran {-100.0 * c[0] / size:+.2g} % fast",
         ),
         _Cause(
             "exposure",
-            curvature[:, None],
+            ("curvature",),
             own,
             1.0,
             lambda c: (
@@ -234,7 +318,7 @@ def _candidates(
         ),
         _Cause(
             "nonlinear",
-            np.column_stack([model * np.abs(model), np.square(model), model**3]),
+            ("bent",),
             own,
             1.0,
             lambda c: (
@@ -243,7 +327,7 @@ def _candidates(
         ),
         _Cause(
             "drift",
-            np.column_stack([np.ones_like(share), share, share**2, share**3]),
+            ("powers",),
             own,
             _CAREFUL,
             lambda c: (
@@ -251,47 +335,56 @@ def _candidates(
             ),
         ),
     ]
-    changes: list[tuple[str, FloatArray, Callable[..., str]]] = [
-        ("gain", model, lambda c, at: (
+    changes: list[tuple[str, str, Callable[..., str]]] = [
+        ("gain", "model", lambda c, at: (
             f"as if its gain changed by {c[0] / size:+.0%} at {at:.4g} s (a loose sensor, a channel dead or swapped)"
         )),
-        ("jump", np.ones_like(model), lambda c, at: f"as if its offset jumped by {c[0]:+.3g} at {at:.4g} s"),
-        ("clock jump", slope, lambda c, at: (
+        ("jump", "one", lambda c, at: f"as if its offset jumped by {c[0]:+.3g} at {at:.4g} s"),
+        ("clock jump", "slope", lambda c, at: (
             f"as if its stamps were {-1e3 * c[0] / size:.3g} ms late from {at:.4g} s on (a clock that jumped)"
         )),
     ]  # fmt: skip
-    for kind, column, said in changes:
-        white = whitened.columns(column[:, None])[:, 0]
-        place = (
-            _change(column, left)
-            if kind in _LIKE_COLOUR
-            else len(column) - len(white) + _change(white, whitened.left)
-        )
+    for kind, name, said in changes:
+        column = columns[name](slice(0, n))
+        if kind in _LIKE_COLOUR:
+            place = _change(column, left)
+        else:
+            white = whitened.column(column)
+            place = n - len(white) + _change(white, whitened.left)
         at = float(times[place])
-        after = np.where(np.arange(len(times)) >= place, column, 0.0)
-        beside = np.column_stack([own, column])
-        looks = len(times) * (_CAREFUL if kind in _LIKE_COLOUR else 1.0)
-        causes.append(_Cause(kind, after[:, None], beside, looks, functools.partial(said, at=at)))
+        columns[kind] = functools.partial(_after, columns[name], place)
+        looks = n * (_CAREFUL if kind in _LIKE_COLOUR else 1.0)
+        beside = tuple(dict.fromkeys((*own, name)))
+        causes.append(_Cause(kind, (kind,), beside, looks, functools.partial(said, at=at)))
     line = _line(times, left, own)
     if line is not None:
-        causes.append(line)
+        cause, columns["line"] = line
+        causes.append(cause)
     return causes
+
+
+def _after(column: Column, place: int, here: slice) -> FloatArray:
+    """Return a column that is nothing before some sample."""
+    result = np.array(column(here))
+    result[: max(place - here.start, 0)] = 0.0
+    return result
 
 
 def _change(column: FloatArray, left: FloatArray) -> int:
     """Return the sample from which on a column, freed of its whole, explains most of what is left."""
     n = len(column)
-    total, power = float(column @ left), float(column @ column)
-    product = np.cumsum((column * left)[::-1])[::-1]
-    squares = np.cumsum(np.square(column)[::-1])[::-1]
-    # The column from an instant on, at right angles to the whole column.
-    inner = squares * (1.0 - squares / power)
-    gain = np.square(product - squares / power * total) / np.maximum(inner, _NOTHING * power)
     margin = max(int(_MARGIN * n), 1)
-    return margin + int(np.argmax(gain[margin : n - margin]))
+    inside = slice(margin - 1, n - margin - 1)  # up to the sample before
+    before, squares = np.cumsum(column * left), np.cumsum(np.square(column))
+    total, power = float(before[-1]), float(squares[-1])
+    # The column from an instant on, or up to it, at right angles to the whole column: one is less the other.
+    own = squares[inside]
+    inner = own * (1.0 - own / power)
+    gain = np.square(before[inside] - own * (total / power)) / np.maximum(inner, _NOTHING * power)
+    return margin + int(np.argmax(gain))
 
 
-def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None:
+def _line(times: FloatArray, left: FloatArray, own: tuple[str, ...]) -> tuple[_Cause, Column] | None:
     """Return the line that stands highest above the noise beside it, None where stamps show no lines."""
     period = float(np.median(np.diff(times)))
     places = np.round((times - times[0]) / period).astype(np.intp)
@@ -301,29 +394,34 @@ def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None
     even = np.zeros(length)
     even[places] = left
     n_fft = next_fast_len(length, real=True)
-    power = np.square(np.abs(rfft(even * np.hanning(length), n_fft)))
+    spectrum = rfft(even * np.hanning(length), n_fft)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
     width = 2 * _AROUND + 1
     if len(power) <= width:
         return None
     sums = np.concatenate([[0.0], np.cumsum(power)])
-    lines = np.arange(_AROUND, len(power) - _AROUND)
-    around = sums[lines + _AROUND + 1] - sums[lines - _AROUND]
-    near = sums[lines + _BESIDE + 1] - sums[lines - _BESIDE]
-    level = np.maximum(around - near, 1e-12 * sums[-1]) / (width - 2 * _BESIDE - 1)
+    lines = slice(_AROUND, len(power) - _AROUND)
+    around = sums[width:] - sums[:-width]
+    nearest = 2 * _BESIDE + 1
+    near = (sums[nearest:] - sums[:-nearest])[_AROUND - _BESIDE : _BESIDE - _AROUND]
+    level = np.maximum(around - near, 1e-12 * sums[-1]) / (width - nearest)
     place = _AROUND + int(np.argmax(power[lines] / level))
     looks = 0.5 * length * _CAREFUL
     if power[place] < 0.5 * math.log(looks / _LEVEL) * level[place - _AROUND]:
         return None  # half of what a line needs to stand out, as those between two lines have less in each
-    finer = (place + np.linspace(-1.0, 1.0, 2 * _FINER + 1)) / (n_fft * period)
-    turning = np.exp(-2j * np.pi * np.outer(finer, times - times[0]))
-    hertz = float(finer[int(np.argmax(np.abs(turning @ left)))])
-    phase = 2.0 * np.pi * hertz * times
+    finer = (place + np.linspace(-1.0, 1.0, 2 * _FINER + 1)) / n_fft
+    hertz = float(finer[int(np.argmax(np.abs(_transform(even, finer))))]) / period
     seen = ", ".join(
         f"{mains:g} Hz at {abs(mains - round(mains * period) / period):.4g} Hz" for mains in _MAINS_HZ
     )
-    return _Cause(
+
+    def column(here: slice) -> FloatArray:
+        phase = 2.0 * np.pi * hertz * times[here]
+        return np.stack([np.cos(phase), np.sin(phase)])
+
+    cause = _Cause(
         "line",
-        np.column_stack([np.cos(phase), np.sin(phase)]),
+        ("line",),
         own,
         looks,
         lambda c: (
@@ -331,10 +429,22 @@ def _line(times: FloatArray, left: FloatArray, own: FloatArray) -> _Cause | None
             f"mains show {seen}), or a mode that the model lacks"
         ),
     )
+    return cause, column
 
 
-def _said(text: str, _: FloatArray) -> str:
-    return text
+def _transform(values: FloatArray, frequencies: FloatArray) -> ComplexArray:
+    """Return the Fourier transform of even samples at some frequencies, in cycles a sample.
+
+    The turn up to a sample is that to the row it stands in, times that within the row: few turns, and one product.
+    """
+    width = math.isqrt(len(values)) + 1
+    rows = np.zeros(width * width)
+    rows[: len(values)] = values
+    turns = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(width)))
+    within = rows.reshape(width, width) @ np.concatenate([turns.real, turns.imag]).T
+    inner = within[:, : len(frequencies)] + 1j * within[:, len(frequencies) :]
+    outer = np.exp(-2j * np.pi * width * np.outer(np.arange(width), frequencies))
+    return np.asarray(np.sum(inner * outer, axis=0))
 
 
 def input_misfit_warnings(
@@ -363,27 +473,35 @@ def input_misfit_warnings(
     model = (modelled - np.mean(modelled)) / size
     left = residuals.copy()
     left[outliers(left)] = 0.0
-    own = np.column_stack([model, np.gradient(model, times)])
+    own = np.stack([model, np.gradient(model, times)])
     bent = respond(replace(drive, values=(drive.values / moves) ** 3, sigma=0.0, gaps=()))
-    period = float(np.median(np.diff(times)))
-    lags = period * np.arange(-_BEFORE, _AFTER + 1)
-    around = np.interp(times[:, None] + lags, drive.times_s, drive.values)
+    lags = float(np.median(np.diff(times))) * np.arange(-_BEFORE, _AFTER + 1)
+
+    def around(here: slice) -> FloatArray:
+        return np.interp(times[here] + lags[:, None], drive.times_s, drive.values)
+
+    # What the input does later is freed of what it did before, whatever the colour of the residuals.
+    n_lately, n_around = _BEFORE + 1, len(lags)
+    plain, _, _ = _Whitened(np.ones(1), left).products([around])
+    known = LinearSolution.of(plain[:n_lately, :n_lately]).coefficients(plain[:n_lately, n_lately:])
     whitened = _Whitened.of(left)
-    lately = around[:, : _BEFORE + 1]
-    before = LinearSolution.of(lately).basis
-    later = around[:, _BEFORE + 1 :] - before @ (before.T @ around[:, _BEFORE + 1 :])
+    columns: list[Column] = [around, lambda here: bent[here], lambda here: own[:, here]]
+    squares, products, _ = whitened.products(columns)
+    free = np.eye(len(squares))
+    free[n_lately:n_around, :n_lately] = -known.T
+    squares, products = free @ squares @ free.T, free @ products
+    lately, later = tuple(range(n_lately)), tuple(range(n_lately, n_around))
+    beside = (n_around + 1, n_around + 2)
     acted = drive.name
     looks = {
-        f"as if {acted} were not what acted: they hold the answer to its cube (a saturating actuator)": bent[
-            :, None
-        ],
+        f"as if {acted} were not what acted: they hold the answer to its cube (a saturating actuator)": (
+            n_around,
+        ),
         f"like what {acted} does later: input and output are swapped, or a loop is closed around them": later,
         f"like what {acted} did just before: its delay, hold or clock or the output's exposure is not as stated, "
         "or the degrees are too low": lately,
     }
-    causes = [
-        _Cause("input", columns, own, 1.0, functools.partial(_said, said)) for said, columns in looks.items()
-    ]
-    gains = dict(zip(looks, whitened.gains(causes), strict=True))
+    causes = [_Places(places, beside, 1.0) for places in looks.values()]
+    gains = dict(zip(looks, whitened.gains_of(squares, products, causes), strict=True))
     best = max(gains, key=lambda said: gains[said])
     return [f"Misfit of {name}: the residuals look {best}."] if gains[best] > 0.0 else []

@@ -7,8 +7,7 @@ from scipy.signal import lfilter
 
 from beam_ident import FrequencyRecord, analyse_modes, fit_frequency_modes, stabilisation_chart
 from beam_ident.noise.autoregression import (
-    ScoreExcess,
-    autocorrelation,
+    ScoreCovariance,
     autoregression,
     excess_over_lines,
     line_autoregression,
@@ -20,12 +19,31 @@ HERTZES = np.array([12.0, 31.0])
 OMEGAS, ZETAS = 2.0 * np.pi * HERTZES, np.array([0.02, 0.015])
 
 
+def correlation(colour: np.ndarray, n: int) -> np.ndarray:
+    """Return the correlation of an autoregression's noise at lags 0 .. n - 1 (Yule-Walker, then its recursion)."""
+    order = len(colour) - 1
+    equations, right = np.zeros((order + 1, order + 1)), np.zeros(order + 1)
+    right[0] = 1.0
+    for k in range(order + 1):
+        for j, own in enumerate(colour):
+            equations[k, abs(k - j)] += own
+    found = np.linalg.solve(equations, right).tolist()
+    while len(found) < n:
+        found.append(-float(np.dot(colour[1:], found[: -order - 1 : -1])))
+    return np.array(found[:n]) / found[0]
+
+
+SLOW = np.poly([0.995 * np.exp(0.4j), 0.995 * np.exp(-0.4j), 0.9]).real  # rings on far beyond a short record
+COLOURS = [np.array([1.0, -0.9]), np.array([1.0, -0.9, 0.3]), SLOW]
+
+
 @pytest.mark.parametrize("n", [1, 2, 17, 60, 101])
-def test_the_covariance_of_a_score_is_that_of_the_full_correlation_matrix(n):
+@pytest.mark.parametrize("colour", COLOURS)
+def test_the_covariance_of_a_score_is_that_of_the_full_correlation_matrix(n, colour):
     design = np.random.default_rng(n).standard_normal((n, 3))
-    correlation = 0.9 ** np.arange(n) * np.cos(0.3 * np.arange(n))
-    expected = design.T @ toeplitz(correlation) @ design
-    np.testing.assert_allclose(score_covariance(design, correlation), expected, rtol=1e-11, atol=1e-11)
+    expected = design.T @ toeplitz(correlation(colour, n)) @ design
+    np.testing.assert_allclose(score_covariance(design, colour), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(score_covariance(design, np.ones(1)), design.T @ design, rtol=1e-12)
 
 
 def windowed_noise(rng: np.random.Generator, n: int, decay: float, pad: int) -> np.ndarray:
@@ -88,16 +106,13 @@ def test_intervals_cover_where_lines_share_their_errors(fit, decay, pad):
 
 
 def test_a_score_that_comes_in_pieces_has_the_covariance_of_the_whole():
-    colour = np.array([1.0, -0.9, 0.3])
     design = np.random.default_rng(1).standard_normal((900, 3))
-    whole = ScoreExcess(colour, len(design))
-    whole.add(design)
-    expected = design.T @ (toeplitz(autocorrelation(colour, len(design))) - np.eye(len(design))) @ design
-    np.testing.assert_allclose(whole.total, expected, rtol=1e-9, atol=1e-9)
-    pieces = ScoreExcess(colour, len(design))
+    pieces = ScoreCovariance(SLOW)
     for piece in np.split(design, [1, 5, 300, 600]):
         pieces.add(piece)
+    expected = design.T @ toeplitz(correlation(SLOW, len(design))) @ design
     np.testing.assert_allclose(pieces.total, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(pieces.white, design.T @ design, rtol=1e-12, atol=1e-12)
 
 
 def test_what_a_model_took_up_of_slow_noise_is_given_back():
