@@ -70,7 +70,7 @@ def autoregression(
         bic = n * math.log(variance) + order * log_n
         if bic < best_bic:
             best, best_bic = coefficients[: order + 1].copy(), bic
-    return best
+    return np.asarray(best)
 
 
 def _power(spectra: ComplexArray) -> FloatArray:
@@ -175,7 +175,7 @@ def line_autoregression(residuals: ComplexArray, max_order: int = _MAX_LINE_ORDE
     covariance = ifft(np.square(np.abs(fft(residuals, length))))[: max_order + 1] / n
     best, variance = np.ones(1, dtype=np.complex128), float(covariance[0].real)
     if variance <= 0.0:
-        return best
+        return np.asarray(best)
     # Each lag has a real and an imaginary part, and each line two values.
     coefficients, best_bic = best, 2.0 * n * np.log(variance)
     for order in range(1, max_order + 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from beam_ident.arrays import FloatArray, IndexArray
 
 _RANK_TOLERANCE = 1e-10
 _CHOLESKY_TOLERANCE = 1e-5
+_WELL_APART = 1e-3  # sine of a row's angle to those before it; the square of rounding is left of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,27 @@ def _cholesky_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         basis = solve_triangular(lower, basis.T, lower=True, check_finite=False).T
         triangle = lower.T @ triangle
     return basis, triangle
+
+
+def triangle_of_rows(matrix: FloatArray) -> FloatArray:
+    """Return the triangle R of ``A^T = Q R`` for a wide matrix A, shape (n_rows, n_columns).
+
+    Notes
+    -----
+    From the Cholesky factor of A A^T, ten times quicker than by reflections, where the rows point in so different
+    directions that the squared condition leaves more digits than data have; else by reflections. Signs of rows of R
+    are not fixed.
+    """
+    n_rows, n_columns = matrix.shape
+    squares = matrix @ matrix.T
+    scales = np.sqrt(np.diag(squares))
+    if n_rows <= n_columns and np.all(scales > 0.0):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            lower = np.linalg.cholesky(squares / np.outer(scales, scales))
+            if np.min(np.diag(lower)) > _WELL_APART:
+                return np.asarray(lower.T * scales)
+    triangle = qr(matrix.T, mode="r", check_finite=False)[0]
+    return np.asarray(triangle[: min(matrix.shape)])
 
 
 class StackedTriangle:

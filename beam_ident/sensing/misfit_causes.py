@@ -113,7 +113,7 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> l
 
 def _stacked(columns: Mapping[str, Column], names: Sequence[str], n: int) -> FloatArray:
     """Return columns side by side, shape (n, k)."""
-    return np.concatenate([np.atleast_2d(columns[name](slice(0, n))) for name in names]).T
+    return np.asarray(np.concatenate([np.atleast_2d(columns[name](slice(0, n))) for name in names]).T)
 
 
 def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> _Whitened:

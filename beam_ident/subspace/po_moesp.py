@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr, svd
 
-from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
-from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.arrays import AnyArray, ComplexArray, FloatArray
+from beam_ident.numerics.linear_least_squares import LinearSolution, triangle_of_rows
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses
 
@@ -167,31 +167,28 @@ def _estimate(sampled: Sequence[_Sampled], order: int, n_block_rows: int) -> Win
     step = max(1, n_columns // _MAX_COLUMNS)
     input_sizes = np.maximum(_spread([own.inputs for own in sampled]), 1e-300)
     output_sizes = np.maximum(_spread([own.outputs for own in sampled]), 1e-300)
-    blocks = []
-    for record, own in enumerate(sampled):
-        n_own = len(own.outputs) - 2 * rows + 1
-        at = np.arange(0, n_own, step)
+    counts = [-(-(len(own.outputs) - 2 * rows + 1) // step) for own in sampled]
+    n_drifts = 2 * len(sampled)
+    stacked = np.zeros((n_drifts + 2 * rows * (n_inputs + n_outputs), sum(counts)))
+    first_column = 0
+    for record, (own, count) in enumerate(zip(sampled, counts, strict=True)):
+        here = slice(first_column, first_column + count)
+        first_column = here.stop
         # A constant and a ramp in the outputs of a record are two more rows that only the future shares.
-        drifts = np.zeros((2 * len(sampled), len(at)))
-        drifts[2 * record] = 1.0
-        drifts[2 * record + 1] = at / max(n_own, 1) - 0.5
-        inputs, outputs = own.inputs / input_sizes, own.outputs / output_sizes
-        parts = [
-            drifts,
-            _hankel(inputs, rows, at + rows),
-            _hankel(inputs, rows, at),
-            _hankel(outputs, rows, at),
-            _hankel(outputs, rows, at + rows),
-        ]
-        # The rows in the order of (T.16): what is projected away, the past as instruments, the future
-        # outputs.
-        block = np.concatenate(parts)
-        # Every column of a record weighs by that record's noise.
-        block /= own.level
-        blocks.append(block)
-    stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+        n_own = len(own.outputs) - 2 * rows + 1
+        stacked[2 * record, here] = 1.0 / own.level
+        stacked[2 * record + 1, here] = (step * np.arange(count) / max(n_own, 1) - 0.5) / own.level
+        # The rows in the order of (T.16): what is projected away, the past as instruments, the future outputs; every
+        # column of a record weighs by that record's noise.
+        inputs, outputs = own.inputs / (input_sizes * own.level), own.outputs / (output_sizes * own.level)
+        row = n_drifts
+        for values, begin in ((inputs, rows), (inputs, 0), (outputs, 0), (outputs, rows)):
+            for k in range(begin, begin + rows):
+                seen = values[k : k + step * (count - 1) + 1 : step].T
+                stacked[row : row + len(seen), here] = seen
+                row += len(seen)
     # The data's LQ factorisation; only L is needed, and its size does not grow with the record.
-    triangle = qr(stacked.T, mode="r", overwrite_a=True, check_finite=False)[0]
+    triangle = triangle_of_rows(stacked)
     n_future_inputs = 2 * len(sampled) + rows * n_inputs
     n_past = rows * (n_inputs + n_outputs)
     # L_32 of (T.16): rows of the future outputs, columns of the past.
@@ -289,11 +286,6 @@ def _pole_columns(drive: PiecewisePolynomial, times: FloatArray, poles: ComplexA
     ]
     values = np.concatenate(responses)
     return np.asarray(np.stack([values.real, values.imag], axis=2).transpose(1, 0, 2).reshape(len(times), -1))
-
-
-def _hankel(values: FloatArray, rows: int, at: IndexArray) -> FloatArray:
-    """Return the blocks values[at], values[at + 1] .. as rows."""
-    return np.concatenate([values[at + i].T for i in range(rows)])
 
 
 def _continuous(discrete: AnyArray, period_s: float) -> ComplexArray:

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTriangle
+from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTriangle, triangle_of_rows
 
 
 def test_a_triangle_of_pieces_solves_what_the_whole_solves_for_nearly_dependent_columns():
@@ -19,3 +20,18 @@ def test_a_triangle_of_pieces_solves_what_the_whole_solves_for_nearly_dependent_
     np.testing.assert_allclose(triangle.rows.T @ triangle.rows, whole.T @ whole, rtol=1e-12, atol=1e-10)
     found = LinearSolution.of(triangle.rows[:, :4]).coefficients(triangle.rows[:, 4])
     np.testing.assert_allclose(found, truth, rtol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["apart", "nearly dependent", "zero", "few columns"])
+def test_the_triangle_of_rows_has_their_lengths_and_angles(kind):
+    rng = np.random.default_rng(3)
+    rows = rng.standard_normal((7, 4 if kind == "few columns" else 400)) * 10.0 ** np.arange(-3, 4)[:, None]
+    if kind == "nearly dependent":
+        rows[5] = rows[4] + 1e-7 * rows[5]  # the squared condition leaves no digit of the difference
+    if kind == "zero":
+        rows[2] = 0.0
+    triangle = triangle_of_rows(rows)
+    assert triangle.shape == (min(rows.shape), 7)
+    assert not np.any(np.tril(triangle[:, : len(triangle)], -1))
+    expected = np.abs(np.linalg.qr(rows.T, mode="r"))
+    np.testing.assert_allclose(np.abs(triangle), expected, rtol=1e-6, atol=1e-12 * np.max(expected))
