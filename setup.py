@@ -101,7 +101,10 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=["beam_*"]),
-    package_data={"": ["py.typed", "*.pyi"], PACKAGE: ["config/*.yaml", "config/*.xml", "config/*.rules"]},
+    package_data={
+        "": ["py.typed", "*.pyi"],
+        PACKAGE: ["config/*.yaml", "config/*.xml", "config/*.rules", "config/viewers/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -110,6 +113,7 @@ setup(
             f"share/{PACKAGE}/config",
             [path for path in glob(f"{PACKAGE}/config/*.*") if not path.endswith(".py")],
         ),
+        (f"share/{PACKAGE}/viewers", glob(f"{PACKAGE}/config/viewers/*")),
     ],
     options={"build_scripts": {"executable": f"{' '.join(BLOCKED)} {sys.executable}"}} if CAN_BLOCK else {},
     zip_safe=False,

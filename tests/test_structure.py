@@ -102,6 +102,7 @@ TESTED_IN = (
     ("beam_ros/shell", "node", "nodes/test_parameters"),
     ("beam_ros/cli/offline", "study", "studies/test_study"),
     ("beam_ros/studies", "rows statistics summary table", "studies/test_study"),
+    ("beam_ros/viewers", "curves foxglove plotjuggler ros_tools", "viewers/test_layouts"),
     ("beam_ros/vision/camera", "source", "vision/camera/test_capture"),
     ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),

@@ -24,10 +24,11 @@ def add_rig_file(parser: argparse.ArgumentParser) -> None:
     add_parameters(parser)
 
 
-def add_bag(parser: argparse.ArgumentParser) -> None:
+def add_bag(parser: argparse.ArgumentParser, nargs: str | None = None) -> None:
     """Add the bag that is read, and which part of it."""
     parser.add_argument(
         "bag",
+        nargs=nargs,
         metavar="BAG",
         help="folder of the bag, or a single .mcap or .db3 file; here, or by its URL (s3://...)",
     )

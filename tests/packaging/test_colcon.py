@@ -70,6 +70,7 @@ def test_ros2_finds_the_package_its_files_and_its_executables(
         "share/beam_ros/config/rig.yaml",
         "share/beam_ros/config/large_messages.xml",
         "share/beam_ros/config/70-beam-axis.rules",
+        "share/beam_ros/viewers/plotjuggler.xml",
     ):
         assert (prefix / path).is_file(), path
     executables = [path for path in (prefix / "lib" / "beam_ros").iterdir() if os.access(path, os.X_OK)]
