@@ -103,7 +103,13 @@ setup(
     packages=find_packages(include=["beam_*"]),
     package_data={
         "": ["py.typed", "*.pyi"],
-        PACKAGE: ["config/*.yaml", "config/*.xml", "config/*.rules", "config/viewers/*"],
+        PACKAGE: [
+            "config/*.yaml",
+            "config/*.xml",
+            "config/*.rules",
+            "config/viewers/*",
+            "experiments/plans/*.yaml",
+        ],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

@@ -58,6 +58,8 @@ TESTED_IN = (
     ("beam_ros/cli", "options", "cli/test_main"),
     ("beam_ros/cli/live", "call up", "launching/test_up"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
+    ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
+    ("beam_ros/experiments", "outcome steps", "experiments/test_conduct"),
     ("beam_ros/cli/offline", "export model recover simulate", "cli/test_main"),
     ("beam_ros/cli/offline", "design", "excitation/test_plan"),
     ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
@@ -83,7 +85,7 @@ TESTED_IN = (
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
     ("beam_ros/hub/simulated", "motion profiles sequence_buffer", "hub/simulated/test_axis"),
     ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),
-    ("beam_ros/launching", "client processes", "launching/test_demo"),
+    ("beam_ros/launching", "client processes recording", "launching/test_demo"),
     (
         "beam_ros/messages",
         "batches camera clocks commands health joint_states markers message_types stamps texts trajectories",

@@ -1,0 +1,204 @@
+"""The steps of a plan, in their order: each makes its outputs in one place, from what earlier steps have made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from beam_ident import restore, validate
+from beam_ros.errors import UsageError
+from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
+from beam_ros.offline.identification import identify_bag, load_experiment
+from beam_ros.offline.simulation import simulate
+from beam_ros.process.strict_json import strict_json
+from beam_ros.rig.rig import Rig
+
+CALIBRATION_FILE = "calibration.yaml"
+
+Report = Callable[[float, str], None]
+"""Called with the share done and a few words."""
+
+
+class Record(Protocol):
+    """Records the excitation of a rig into a bag."""
+
+    def __call__(self, rig: Rig, bag: Path, *, with_frames: bool, report: Report) -> None:
+        """Record; the bag does not exist yet, and is whole on return."""
+
+
+Calibrate = Callable[[Path, Rig, Path], int]
+"""Called with a bag of moves, its rig, and the calibration file to write; returns the positions."""
+
+
+@dataclass(frozen=True)
+class Means:
+    """What an experiment is carried out with.
+
+    Attributes
+    ----------
+    record : callable -- how this rig records
+    calibrate : callable -- how pixels become metres
+    """
+
+    record: Record
+    calibrate: Calibrate
+
+
+@dataclass(frozen=True)
+class PlanStep:
+    """One step of an experiment.
+
+    Attributes
+    ----------
+    name : str
+    outputs : tuple of str -- files or folders that it makes, in the experiment's folder
+    run : callable
+        Called with the folder of what is done, the folder to make the outputs in, and what to report to; returns
+        the result in a phrase.
+    keeps_pieces : bool -- what an interruption leaves of it is kept: a real axis has moved for it
+    """
+
+    name: str
+    outputs: tuple[str, ...]
+    run: Callable[[Path, Path, Report], str]
+    keeps_pieces: bool = False
+
+
+def bag_of(name: str) -> str:
+    """Return where a recording's bag lies in the experiment's folder."""
+    return f"bags/{name}"
+
+
+def estimate_of(estimation: str, bag: str) -> str:
+    """Return where the model that an estimation made of a bag lies, with its report."""
+    return f"estimates/{estimation}/{bag}"
+
+
+def validation_of(estimation: str, bag: str, unseen: str) -> str:
+    """Return where the scores of a model on another bag lie."""
+    return f"validations/{estimation}/{bag}-on-{unseen}.json"
+
+
+def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
+    """Return the steps of a plan but for its report.
+
+    Parameters
+    ----------
+    plan : Plan
+    means : Means
+    """
+    steps = []
+    if plan.calibration is not None and plan.calibration.recording is not None:
+        steps.append(_recording(plan, plan.calibration.recording, means.record))
+        steps.append(
+            PlanStep("calibrate", (CALIBRATION_FILE,), _calibrate(plan.calibration.recording, means))
+        )
+    steps += [_recording(plan, own, means.record) for own in plan.recordings]
+    for estimation in plan.estimations:
+        for bag in estimation.recordings:
+            output = estimate_of(estimation.name, bag)
+            steps.append(
+                PlanStep(f"estimate {estimation.name} from {bag}", (output,), _estimate(estimation, bag))
+            )
+    for hold_out in plan.validations:
+        estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
+        for bag in estimation.recordings:
+            for unseen in hold_out.recordings:
+                output = validation_of(estimation.name, bag, unseen)
+                steps.append(
+                    PlanStep(
+                        f"validate {estimation.name} from {bag} on {unseen}",
+                        (output,),
+                        _validate(estimation, bag, unseen),
+                    )
+                )
+    return steps
+
+
+def record_by_core(rig: Rig, bag: Path, *, with_frames: bool, report: Report) -> None:
+    """Record by the simulator's core, without ROS, as fast as the computer can."""
+    simulate(
+        rig,
+        bag,
+        with_camera=with_frames,
+        on_progress=lambda done_s, total_s: report(done_s / total_s, f"{done_s:.0f} s"),
+    )
+
+
+def _recording(plan: Plan, recording: PlannedRecording, record: Record) -> PlanStep:
+    def run(done: Path, place: Path, report: Report) -> str:
+        rig = recording.rig
+        if plan.calibration and plan.calibration.recording and (done / CALIBRATION_FILE).is_file():
+            rig = rig.with_values({"tracker.calibration": str((done / CALIBRATION_FILE).resolve())})
+        bag = place / bag_of(recording.name)
+        bag.parent.mkdir(parents=True, exist_ok=True)
+        record(rig, bag, with_frames=recording.with_frames, report=report)
+        return f"{recording.duration_s:.0f} s of {rig.excitation.kind}"
+
+    return PlanStep(f"record {recording.name}", (bag_of(recording.name),), run, keeps_pieces=plan.is_live)
+
+
+def _calibrate(recording: PlannedRecording, means: Means) -> Callable[[Path, Path, Report], str]:
+    def run(done: Path, place: Path, report: Report) -> str:
+        n_points = means.calibrate(done / bag_of(recording.name), recording.rig, place / CALIBRATION_FILE)
+        return f"{n_points} positions"
+
+    return run
+
+
+def _estimate(estimation: Estimation, bag: str) -> Callable[[Path, Path, Report], str]:
+    def run(done: Path, place: Path, report: Report) -> str:
+        found = identify_bag(
+            done / bag_of(bag),
+            estimator=estimation.estimator,
+            structure=estimation.structure,
+            n_modes=estimation.modes,
+            folder=place / estimate_of(estimation.name, bag),
+            progress=lambda phrase, share: report(share, phrase),
+        )
+        return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found["modes"]) or "no modes"
+
+    return run
+
+
+def _validate(estimation: Estimation, bag: str, unseen: str) -> Callable[[Path, Path, Report], str]:
+    def run(done: Path, place: Path, report: Report) -> str:
+        record = load_experiment(done / bag_of(unseen), structure=estimation.structure).record
+        scores = {}
+        for model in stored_models(done / estimate_of(estimation.name, bag)):
+            if not hasattr(model, "simulate"):
+                raise UsageError(
+                    f"validations: {estimation.estimator} gives a {type(model).__name__}, which predicts nothing; "
+                    f"leave the validation of {estimation.name} out, or take another estimator"
+                )
+            for output in validate(model, record).outputs:
+                scores[output.name] = {
+                    "fit_percent": output.scores.fit_percent,
+                    "r_squared": output.scores.r_squared,
+                    "deflection_fit_percent": output.deflection_scores.fit_percent,
+                    "fit_from_rest_percent": output.simulation_scores.fit_percent,
+                    "residual_over_noise": output.noise_ratio,
+                    "verdict": output.verdict,
+                }
+        path = place / validation_of(estimation.name, bag, unseen)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(strict_json(scores, indent=1), encoding="utf-8")
+        return ", ".join(f"{name} FIT {score['fit_percent']:.2f} %" for name, score in scores.items())
+
+    return run
+
+
+def stored_models(folder: Path) -> list[Any]:
+    """Return the models that ``identify_bag`` wrote into a folder."""
+    document: Mapping[str, Any] = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    stored = document.get("models") or [document["model"]]
+    return [restore(content) for content in stored]
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """Return what ``identify_bag`` said of its result in a folder."""
+    document: dict[str, Any] = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    return dict(document["summary"])
