@@ -10,10 +10,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from beam_ros.bags.export import export_flat_bag
 from ruamel.yaml import YAML
 
 from beam_ros import messages
-from beam_ros.bags.export import export_flat_bag
 from beam_ros.bags.metadata import parse_qos_profiles
 from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
