@@ -95,6 +95,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
+    ("beam_ros/offline", "seen_data", "offline/test_foreign_bags"),
     ("beam_ros/process", "executables folders progress", "cli/test_main"),
     ("beam_ros/process", "interruption", "nodes/test_endings"),
     ("beam_ros/shell", "axis_emulators axis_links trajectory_topics", "nodes/test_axis_links"),

@@ -326,13 +326,32 @@ class PlayerSettings:
 class IdentifierSettings:
     """The bag that is identified, and how."""
 
-    bag: str = live("folder of the bag")
+    bag: str = live("folder of the bag; several with ; between are one fit")
+    validate: str = live("bags that the model is scored on, with ; between")
     report: str = live("folder for report and model; empty: beside the bag")
+    overwrite: bool = live("write over a report that is there")
     estimator: str = live("how to estimate; `beam identify --help` lists the estimators")
     modes: int = live("number of modes; 0: from the data", "", 0, 20)
-    structure: Literal["auto", "base_motion", "acceleration", "velocity", "force"] = live(
-        "which model fits which input"
+    max_modes: int = live("most modes that are tried where modes is 0; 0: as many as usual", "", 0, 30)
+    orders: str = live(
+        "poles/zeros to choose from, 4/3,5/4, of transfer functions and po_moesp; empty: by modes"
     )
+    structure: Literal[
+        "auto", "base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"
+    ] = live("which model fits which input")
+    without: str = live("terms left out of the model: residual, offset, ramp, free_response")
+    delay: str = live("by how much the outputs are late [s]: auto, free, 0.004, or 0.004+-0.001")
+    clock: str = live("rate of the outputs' clock against the input's, less one: auto, free, 20e-6, 0+-50e-6")
+    hold: Literal["auto", "zoh", "linear", "cubic", "band_limited"] = live(
+        "what the input does between samples; auto: as the rig or the signal says"
+    )
+    noise: Literal["auto", "white", "modelled"] = live(
+        "of transfer functions: as it is, as if white, or coloured"
+    )
+    segments: str = live("parts of each bag that are used [s from its first sample], 0:10,12:20; empty: all")
+    input: str = live("TOPIC:FIELD of the input; empty: the hub")
+    outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
+    signals: str = live("YAML file of input and outputs")
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
         "recorder.start_at_launch": False,
         "identifier.bag": str((folder / "bag").resolve()),
         "identifier.report": str(folder.resolve()),
+        "identifier.overwrite": True,  # beside the bag, in the run's own folder
     }
     if kind is RigKind.EMULATED:
         port = str(scratch / "controller")

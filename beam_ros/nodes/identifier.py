@@ -6,11 +6,13 @@ The fit takes seconds, so it runs in a thread of its own; the executor keeps ans
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from beam_ros import messages
 from beam_ros.errors import faults_of_the_user
+from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.shell.node import RigNode, run_node
 
 _COLLECT_S = 0.1
@@ -29,37 +31,31 @@ class Identifier(RigNode):
         self.create_timer(_COLLECT_S, self._collect)
 
     def _on_identify(self, _request: Any, response: Any) -> Any:
-        bag = self.rig.identifier.bag
+        settings = self.rig.identifier
         if self._thread is not None:
             response.success, response.message = False, f"busy: {self._phrase}"
-        elif not bag:
+        elif not settings.bag:
             response.success = False
             response.message = "no bag: set the parameter identifier.bag to a recorded bag's folder"
         else:
-            self._thread = threading.Thread(target=self._identify, args=(Path(bag),), daemon=True)
+            self._thread = threading.Thread(target=self._identify, args=(settings,), daemon=True)
             self._thread.start()
-            response.success, response.message = True, f"identifying {bag}"
+            response.success, response.message = True, f"identifying {settings.bag}"
         return response
 
-    def _identify(self, bag: Path) -> None:
-        rig = self.rig
-        folder = rig.identifier.report or str(bag.with_name(f"{bag.name}_identified"))
+    def _identify(self, settings: IdentifierSettings) -> None:
+        if not settings.report:
+            first = Path(settings.bag.partition(";")[0].strip())
+            settings = replace(settings, report=str(first.with_name(f"{first.name}_identified")))
         try:
             # The estimators take more than a second to load: the node is there, and complains, before.
-            from beam_ros.offline.identification import identify_bag
+            from beam_ros.offline.identification import identify_told
 
-            self._outcome = identify_bag(
-                bag,
-                estimator=rig.identifier.estimator,
-                structure=rig.identifier.structure,
-                n_modes=rig.identifier.modes or None,
-                folder=Path(folder),
-                progress=self._on_progress,
-            )
+            self._outcome = identify_told(settings, progress=self._on_progress)
         except faults_of_the_user() as err:
-            self._outcome = {"bag": str(bag), "error": str(err)}
+            self._outcome = {"bag": settings.bag, "error": str(err)}
         except Exception as err:
-            self._outcome = {"bag": str(bag), "error": f"{type(err).__name__}: {err}"}
+            self._outcome = {"bag": settings.bag, "error": f"{type(err).__name__}: {err}"}
             raise
 
     def _on_progress(self, phrase: str, share: float) -> None:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from beam_ident import (
-    EstimatorSettings,
     IdentificationError,
     IdentificationResult,
     InputSignal,
@@ -26,6 +25,7 @@ from beam_ident import (
     OutputSignal,
     Prior,
     Result,
+    SeparateOutputsResult,
     TimeRecord,
     TimeResult,
     find_estimator,
@@ -45,10 +45,17 @@ from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
-from beam_ros.process.folders import make_folder
+from beam_ros.interfaces.rig_parameters import IdentifierSettings
+from beam_ros.offline.options import FitOptions, paths
+from beam_ros.offline.seen_data import refuse_shared
+from beam_ros.process.folders import new_folder
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
+from beam_ros.signals.descriptions import Signals, SignalSource
+from beam_ros.signals.fields import read_field
+from beam_ros.signals.records import SensorOutput, input_signal, output_signal, records_of_one_model
+from beam_ros.signals.stray_stamps import well_placed, without_stray_batches
 
 Progress = Callable[[str, float], None]
 
@@ -66,11 +73,16 @@ _STRUCTURE_OF_MODE = {
     "effort": "force",
 }
 _INPUT_OF_STRUCTURE = {
-    "base_motion": ("hub/measured", "positions", "m"),
-    "acceleration": ("hub/applied", "accelerations", "m/s^2"),
-    "velocity": ("hub/applied", "velocities", "m/s"),
-    "force": ("hub/applied", "efforts", "N"),
+    "base_motion": ("hub/measured", "positions", "m", "position"),
+    "acceleration": ("hub/applied", "accelerations", "m/s^2", "acceleration"),
+    "velocity": ("hub/applied", "velocities", "m/s", "velocity"),
+    "force": ("hub/applied", "efforts", "N", "force"),
 }
+_CLOCK_TOLERANCE = 50e-6
+_SAME_SHARE, _FEW_VALUES = (
+    0.5,
+    20,
+)  # of the samples of two bags, and moving ones among them, that make them one
 
 
 @dataclass(frozen=True)
@@ -80,27 +92,42 @@ class Experiment:
     Attributes
     ----------
     path : Path or RemotePath -- the bag
-    record : TimeRecord -- hub input and markers, on the host's clock
-    rig : Rig -- the rig it was recorded on
+    record : TimeRecord -- input and outputs, by default hub and markers, on the host's clock
+    rig : Rig or None -- the rig it was recorded on, None where nobody says
     structure : str -- which model goes with the input
     clock_rate : Prior -- what is known of the device's clock against the host's
     notes : tuple of str -- what a reader should know: gaps, lost samples, markers not seen
     info : mapping -- what ``excitation/info`` said
+    further : tuple of TimeRecord -- sensors of other kinds, and further segments
+    latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
     """
 
     path: AnyPath
     record: TimeRecord
-    rig: Rig
+    rig: Rig | None
     structure: str
     clock_rate: Prior
     notes: tuple[str, ...]
     info: Mapping[str, Any]
+    further: tuple[TimeRecord, ...] = ()
+    latency: Prior | None = None
+
+    @property
+    def records(self) -> tuple[TimeRecord, ...]:
+        """All records of the bag."""
+        return (self.record, *self.further)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs of all records, in order."""
+        return tuple(dict.fromkeys(name for one in self.records for name in one.output_names))
 
 
 def load_experiment(
     path: AnyPath,
     rig: Rig | None = None,
     structure: str = "auto",
+    options: FitOptions | None = None,
     *,
     start_s: float | None = None,
     end_s: float | None = None,
@@ -110,8 +137,9 @@ def load_experiment(
     Parameters
     ----------
     path : Path or RemotePath -- the bag
-    rig : Rig, optional -- None: the rig that the bag itself describes
+    rig : Rig, optional -- None: the rig that the bag itself describes, if it does
     structure : str -- base_motion, acceleration, velocity or force; "auto": by the hub's command mode
+    options : FitOptions, optional -- signals, segments and hold are taken from it
     start_s, end_s : float, optional -- only what lies between these times after the bag's first message [s]
 
     Returns
@@ -123,58 +151,154 @@ def load_experiment(
     BagError
         The bag is missing, damaged, or lacks a topic that identification needs.
     UsageError
-        The bag does not say which rig it was recorded on, and no rig is given.
+        A signal names no field, or its samples do not go together with the others.
     """
+    options = options or FitOptions()
+    signals = options.signals
+    notes: list[str] = []
     with Bag(path, start_s=start_s, end_s=end_s) as bag:
-        bag.require("beam/displacement")
+        if not signals.outputs:
+            bag.require("beam/displacement")
         bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC)
         info = bag.excitation_info() or {}
-        if rig is None:
-            rig = described_rig(path, info)
-        mode = str(info.get("mode", rig.hub.command_mode))
-        if mode not in _STRUCTURE_OF_MODE:
-            raise BagError(
-                f"{path}: excitation/info names the command mode {mode!r}; expected one of "
-                f"{', '.join(_STRUCTURE_OF_MODE)}: give the structure with --structure and the rig with --rig-file"
-            )
-        _refuse_unrun_sequence(path, info, bag.sequence_states())
-        chosen = _STRUCTURE_OF_MODE[mode] if structure == "auto" else structure
-        topic, quantity, unit = _INPUT_OF_STRUCTURE[chosen]
-        bag.require(topic)
-        bag.read(topic, "beam/displacement", "hub/clock_sync")
-        samples = bag.hub_samples(topic)
-        commanded = bag.hub_samples("hub/applied") if samples.gaps and bag.count("hub/applied") else None
-        displacements = bag.displacements()
-        syncs = bag.clock_syncs()
+        rig = rig or _rig_of(path, info, signals, notes)
+        drive = _hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
+        if drive is None:
+            assert signals.drive is not None
+            drive = _signal_drive(bag, signals.drive, notes)
+        if signals.outputs:
+            outputs = [_signal_output(bag, source, drive.origin_ns, notes) for source in signals.outputs]
+        else:
+            displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
+            markers = _outputs(displacements, drive.origin_ns, rig, notes)
+            outputs = [SensorOutput(marker) for marker in markers]
         videos = bag.texts(VIDEO_TOPIC)
+    clock_rate, tolerance = drive.clock_rate, rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
+    if videos:
+        # The frames run on the camera's own clock, which is known as well as the low marker tells.
+        tolerance = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
+    clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, tolerance))
+    signal = drive.signal if options.hold is None else replace(drive.signal, hold=options.hold)
+    chosen, records = records_of_one_model(
+        signal, drive.kind, outputs, drive.origin_ns, path.name, has_rigid_body=drive.is_hub
+    )
+    if structure != "auto" and not drive.is_hub:
+        if len(records) > 1 and structure != chosen:
+            raise UsageError(
+                f"structure {structure} with sensors of several kinds, which are fitted as {chosen}; leave "
+                "--structure out, or give outputs of one kind"
+            )
+        chosen, records = structure, (replace(records[0], inputs=(signal,)), *records[1:])
+    records = tuple(_trimmed(record, info) for record in records)
+    if options.segments:
+        records = tuple(part for record in records for part in _cut(record, options.segments))
+    shares_clock = {own.topic for own in signals.outputs} == {signals.drive.topic if signals.drive else ""}
+    latency = None if drive.is_hub or shares_clock else Prior(0.0, math.inf)
+    return Experiment(
+        path, records[0], rig, chosen, clock_rate, tuple(notes), info, further=records[1:], latency=latency
+    )
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """What drives an experiment: its signal, what that is, when its time axis begins, what is known of its clock."""
+
+    signal: InputSignal
+    kind: str
+    origin_ns: int
+    clock_rate: Prior
+    is_hub: bool
+
+
+def _rig_of(path: AnyPath, info: Mapping[str, Any], signals: Signals, notes: list[str]) -> Rig | None:
+    """Return the rig that a bag describes, None where it describes none or one that nobody knows any more."""
+    try:
+        return described_rig(path, info)
+    except UsageError as err:
+        if not (signals.drive and signals.outputs):
+            notes.append(
+                f"{err}: without it there is no theory to compare with, holds are those of the packaged rig, and "
+                "exposure and encoder are taken to be ideal"
+            )
+        return None
+
+
+def _hub_drive(
+    bag: Bag, rig: Rig | None, structure: str, info: Mapping[str, Any], notes: list[str]
+) -> _Drive:
+    """Read what the rig's hub did."""
+    path, known = bag.path, rig or Rig.from_file()
+    mode = str(info.get("mode", known.hub.command_mode))
+    if mode not in _STRUCTURE_OF_MODE:
+        raise BagError(
+            f"{path}: excitation/info names the command mode {mode!r}; expected one of "
+            f"{', '.join(_STRUCTURE_OF_MODE)}: give the structure with --structure and the rig with --rig-file"
+        )
+    _refuse_unrun_sequence(path, info, bag.sequence_states())
+    chosen = _STRUCTURE_OF_MODE[mode] if structure == "auto" else structure
+    if chosen not in _INPUT_OF_STRUCTURE:
+        raise UsageError(
+            f"structure {chosen} has a force of its own as input, and the hub is none; name it with --input "
+            "TOPIC:FIELD"
+        )
+    topic, quantity, unit, kind = _INPUT_OF_STRUCTURE[chosen]
+    bag.require(topic)
+    bag.read(topic, "beam/displacement", "hub/clock_sync")
+    samples = without_stray_batches(bag, bag.hub_samples(topic), notes)
+    commanded = bag.hub_samples("hub/applied") if samples.gaps and bag.count("hub/applied") else None
+    syncs = bag.clock_syncs()
     values = getattr(samples, quantity)
     if values is None:
         raise BagError(
             f"{path}: {topic} carries no {quantity}, which structure {chosen} needs; choose the structure that "
             f"goes with command mode {mode}"
         )
-    notes: list[str] = []
     part = _longest_epoch(samples, notes)
     rate, clock_rate = _device_clock(samples, syncs, part)
-    if videos:
-        # The frames run on the camera's own clock, which is known as well as the low marker tells.
-        drift_sd = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
-        clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, drift_sd))
-    else:
-        clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, rig.camera.clock_tolerance))
     origin_ns = int(samples.stamps_ns[part.start])
     times, filled = _on_every_tick(_device_times(samples, part, rate, origin_ns), values[part], samples, rate)
     _note_gaps(samples, part, origin_ns, notes)
-    hold = rig.hub.measured_hold if topic == "hub/measured" else rig.hub.applied_hold
+    hold = known.hub.measured_hold if topic == "hub/measured" else known.hub.applied_hold
     drive = InputSignal("hub", unit, times, filled, hold)
     if topic == "hub/measured":
-        drive = replace(drive, sigma=_encoder_noise(drive, rig.hub.encoder_resolution, notes))
+        resolution = rig.hub.encoder_resolution if rig else 0.0
+        drive = replace(drive, sigma=_encoder_noise(drive, resolution, notes))
         if commanded is not None and np.any(np.isnan(filled)):
-            reference = _commanded_position(commanded, rig.hub.applied_hold, times, origin_ns, rate)
+            reference = _commanded_position(commanded, known.hub.applied_hold, times, origin_ns, rate)
             drive = _filled_by_command(drive, times, filled, reference)
-    outputs = _outputs(displacements, origin_ns, rig, notes)
-    record = TimeRecord((drive,), outputs, origin_ns, path.name)
-    return Experiment(path, _trimmed(record, info), rig, chosen, clock_rate, tuple(notes), info)
+    return _Drive(drive, kind, origin_ns, clock_rate, is_hub=True)
+
+
+def _signal_drive(bag: Bag, source: SignalSource, notes: list[str]) -> _Drive:
+    """Read an input by its topic and field."""
+    samples = read_field(bag, source.topic, source.field)
+    origin_ns = int(samples.stamps_ns[0])
+    notes += samples.notes(origin_ns)
+    notes.append(f"input {source.title} is a {source.input_kind}, {source.held} between samples")
+    signal = input_signal(source, samples, origin_ns)
+    return _Drive(signal, source.input_kind, origin_ns, Prior(0.0, 0.0), is_hub=False)
+
+
+def _signal_output(bag: Bag, source: SignalSource, origin_ns: int, notes: list[str]) -> SensorOutput:
+    """Read an output by its topic and field."""
+    samples = read_field(bag, source.topic, source.field)
+    notes += samples.notes(origin_ns)
+    notes.append(f"output {source.title} is taken for {source.output_kind}, in {source.unit}")
+    return output_signal(source, samples, origin_ns)
+
+
+def _cut(record: TimeRecord, segments: Sequence[tuple[float, float]]) -> list[TimeRecord]:
+    """Return the segments of a record, each by itself."""
+    first, last = record.inputs[0].span_s
+    parts = []
+    for start, end in segments:
+        if start >= last or end <= first:
+            raise UsageError(
+                f"segment {start:g}:{end:g} lies outside of {record.name}, which spans {first:.3f} to {last:.3f} s; "
+                "give one inside"
+            )
+        parts.append(record.between(start, min(end, last)))
+    return parts
 
 
 def described_rig(path: AnyPath, info: Mapping[str, Any]) -> Rig:
@@ -354,13 +478,12 @@ def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int)
 
 
 def _outputs(
-    displacements: Displacements, origin_ns: int, rig: Rig, notes: list[str]
+    displacements: Displacements, origin_ns: int, rig: Rig | None, notes: list[str]
 ) -> tuple[OutputSignal, ...]:
+    readout, exposure = (rig.camera.readout, rig.camera.exposure) if rig else (0.0, 0.0)
     times: FloatArray = np.asarray((displacements.stamps_ns - origin_ns) * 1e-9, dtype=np.float64)
     # With a rolling shutter every marker has stamps of its own: those of the first one count the frames.
-    is_frame = (
-        np.isfinite(displacements.positions[:, 0]) if rig.camera.readout else np.ones(len(times), dtype=bool)
-    )
+    is_frame = np.isfinite(displacements.positions[:, 0]) if readout else np.ones(len(times), dtype=bool)
     lost, longest_s = _lost_frames(times[is_frame])
     if lost:
         notes.append(
@@ -376,9 +499,9 @@ def _outputs(
             continue
         missing = int(np.count_nonzero(~seen))
         # With a rolling shutter every marker has stamps of its own, and NaN at the others'.
-        if missing and rig.camera.readout == 0.0:
+        if missing and readout == 0.0:
             notes.append(f"{name} was not seen in {missing} of {len(values)} frames")
-        outputs.append(OutputSignal(name, "m", times[seen], values[seen], exposure_s=rig.camera.exposure))
+        outputs.append(OutputSignal(name, "m", times[seen], values[seen], exposure_s=exposure))
     return tuple(outputs)
 
 
@@ -395,7 +518,7 @@ def _trimmed(record: TimeRecord, info: Mapping[str, Any]) -> TimeRecord:
     """Leave out what happened long before the excitation began."""
     drive = record.inputs[0]
     first, last = drive.span_s
-    if "start_ns" in info:
+    if "start_ns" in info and drive.name == "hub":
         first = max(first, (int(info["start_ns"]) - record.start_ns) * 1e-9 - _LEAD_S)
     guard = 0.02
     outputs = tuple(output.between(first + guard, last - guard) for output in record.outputs)
@@ -411,30 +534,32 @@ def theoretical_modes(rig: Rig, structure: str) -> tuple[FloatArray, FloatArray]
 
 
 def identify_bag(
-    path: AnyPath,
+    path: AnyPath | Sequence[AnyPath],
     *,
-    estimator: str = "modal",
+    estimator: str | None = None,
     rig: Rig | None = None,
-    structure: str = "auto",
+    structure: str | None = None,
     n_modes: int | None = None,
+    options: FitOptions | None = None,
     folder: Path | None = None,
-    validation: Path | None = None,
+    overwrite: bool = False,
+    validation: AnyPath | Sequence[AnyPath] | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
     progress: Progress = lambda phrase, share: None,
 ) -> dict[str, Any]:
-    """Identify a model from a bag; write ``model.json`` and ``report.html`` where a folder is given.
+    """Identify a model from a bag, or several; write ``model.json`` and ``report.html`` where a folder is given.
 
     Parameters
     ----------
-    path : Path -- the bag
-    estimator : str -- its name in the table of ``beam_ident.estimators``
+    path : Path or sequence of Path -- the bag, or bags of one system that are one fit
     rig : Rig, optional -- None: as the bag says
-    structure : str -- "auto" or one of base_motion, acceleration, velocity, force
-    n_modes : int, optional -- None: from the data
+    options : FitOptions, optional
+    estimator, structure, n_modes : optional -- these options instead of those in ``options``
     folder : Path, optional -- for model and report
-    validation : Path, optional -- another bag, on which the model is scored
-    start_s, end_s : float, optional -- only what lies between these times after the first message of the bag [s]
+    overwrite : bool -- write where there is something already
+    validation : Path or sequence of Path, optional -- other bags, on which the model is scored
+    start_s, end_s : float, optional -- only what lies between these times after the first message of each bag [s]
     progress : callable -- called with a phrase and the share done
 
     Returns
@@ -445,40 +570,114 @@ def identify_bag(
     ------
     BagError, UsageError, IdentificationError
     """
-    find_estimator(estimator)
-    experiment = load_experiment(path, rig, structure, start_s=start_s, end_s=end_s)
-    unseen = None if validation is None else load_experiment(validation, rig, structure)
-    if folder is not None:
-        make_folder(folder)
-    settings = EstimatorSettings(
-        experiment.structure,  # type: ignore[arg-type]
-        n_modes,
-        experiment.clock_rate,
-        progress,
+    options = options or FitOptions()
+    options = replace(
+        options,
+        estimator=estimator or options.estimator,
+        structure=structure or options.structure,
+        n_modes=n_modes or options.n_modes,
     )
+    find_estimator(options.estimator)
+    experiments = [
+        load_experiment(one, rig, options.structure, options, start_s=start_s, end_s=end_s)
+        for one in _several(path)
+    ]
+    whole = replace(options, segments=())
+    unseen = [load_experiment(one, rig, options.structure, whole) for one in _several(validation)]
+    experiment = experiments[0]
+    for other in (*experiments[1:], *unseen):
+        if other.structure != experiment.structure:
+            raise UsageError(
+                f"{experiment.path} shows {experiment.structure} and {other.path} {other.structure}; expected bags "
+                "of one kind of drive, or a structure that fits all with --structure"
+            )
+    refuse_shared([(one.path, one.record) for one in experiments], [(one.path, one.record) for one in unseen])
+    if folder is not None:
+        new_folder(folder, overwrite)
+    settings = replace(
+        options.settings(experiment.structure, experiment.clock_rate, experiment.latency), progress=progress
+    )
+    records = [record for one in experiments for record in one.records]
     try:
-        result = run_estimator(estimator, experiment.record, settings)
+        result = run_estimator(options.estimator, records, settings)
     except IdentificationError as err:
-        if not experiment.notes:
+        notes = [note for one in experiments for note in one.notes]
+        if not notes:
             raise
-        raise type(err)(f"{err}. Of the bag: {'; '.join(experiment.notes)}") from err
-    content = describe(experiment, estimator, result)
-    if unseen is not None:
-        content["validation"] = _validate(unseen, result)
+        raise type(err)(f"{err}. Of the bag: {'; '.join(notes)}") from err
+    content = describe(experiments, options.estimator, result)
+    if unseen:
+        content["validation"] = [_validate(one, result) for one in unseen]
     if folder is not None:
         progress("writing the report", 1.0)
         _write(folder, experiment, result, content)
     return content
 
 
-def describe(experiment: Experiment, estimator: str, result: Result) -> dict[str, Any]:
+def identify_told(
+    settings: IdentifierSettings,
+    rig: Rig | None = None,
+    progress: Progress = lambda phrase, share: None,
+    checked: Callable[[AnyPath, FitOptions], None] = lambda bag, options: None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> dict[str, Any]:
+    """Identify what the parameters ``identifier.*`` name, as they say.
+
+    Parameters
+    ----------
+    settings : IdentifierSettings
+    rig : Rig, optional -- None: as the bags say
+    progress : callable -- called with a phrase and the share done
+    checked : callable -- called with every bag before anything is fitted
+    start_s, end_s : float, optional -- as for ``identify_bag``
+
+    Returns
+    -------
+    dict -- as from ``identify_bag``
+
+    Raises
+    ------
+    BagError, UsageError, ParameterFileError, IdentificationError
+    """
+    options = FitOptions.of(settings)
+    bags = paths(settings.bag)
+    if not bags:
+        raise UsageError("no bag is named; expected the folder of a recorded one")
+    folder = Path(settings.report) if settings.report else None
+    if folder is not None:
+        new_folder(folder, settings.overwrite)
+    for bag in bags:
+        checked(bag, options)
+    return identify_bag(
+        bags,
+        rig=rig,
+        options=options,
+        folder=folder,
+        overwrite=settings.overwrite,
+        validation=paths(settings.validate),
+        start_s=start_s,
+        end_s=end_s,
+        progress=progress,
+    )
+
+
+def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:
+    if given is None:
+        return []
+    return list(given) if isinstance(given, Sequence) else [given]
+
+
+def describe(experiments: Sequence[Experiment], estimator: str, result: Result) -> dict[str, Any]:
     """Summarise an identification in plain numbers, beside the theory of its rig."""
+    experiment = experiments[0]
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "bag": str(experiment.path),
+        "bags": [str(one.path) for one in experiments],
         "estimator": estimator,
         "structure": experiment.structure,
-        "outputs": list(experiment.record.output_names),
+        "outputs": list(experiment.output_names),
         "modes": _modes(experiment, result),
     }
     model = models_of(result)[0]
@@ -492,16 +691,19 @@ def describe(experiment: Experiment, estimator: str, result: Result) -> dict[str
     content["scores"] = _scores(experiment, result)
     if isinstance(result, LineResult):
         content["misfit"] = result.misfit.chi_squared / result.misfit.expected
-    return content | {
-        "converged": result.converged,
-        "warnings": list(result.warnings),
-        "notes": list(experiment.notes),
-    }
+    if isinstance(result, SeparateOutputsResult) and result.tables:
+        content["orders"] = list(result.tables)
+    notes = [
+        note if len(experiments) == 1 else f"{one.path.name}: {note}"
+        for one in experiments
+        for note in one.notes
+    ]
+    return content | {"converged": result.converged, "warnings": list(result.warnings), "notes": notes}
 
 
 def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
-    """Return every mode beside the nearest of theory; by output where each has poles of its own."""
-    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
+    """Return every mode, beside the nearest of theory where there is one; by output where each has its own poles."""
+    theory = theoretical_modes(experiment.rig, experiment.structure) if experiment.rig else None
     found: dict[tuple[float, ...], Any] = {}
     for model in models_of(result):
         modes = model.modes() if hasattr(model, "modes") else ((), (), (), ())
@@ -511,19 +713,23 @@ def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
     hertz = 2.0 * math.pi
     for model, modes in found.values():
         for omega, zeta, omega_sd, zeta_sd in zip(*modes, strict=True):
-            nearest = int(np.argmin(np.abs(np.log(omegas / omega))))
-            row = {
+            row: dict[str, Any] = {
                 "frequency_hz": float(omega / hertz),
                 "frequency_sd_hz": float(omega_sd / hertz),
                 "damping_ratio": float(zeta),
                 "damping_ratio_sd": float(zeta_sd),
-                "theory_mode": nearest + 1,
-                "theory_frequency_hz": float(omegas[nearest] / hertz),
-                "theory_damping_ratio": float(zetas[nearest]),
-                "frequency_z": float((omega - omegas[nearest]) / omega_sd),
-                "damping_ratio_z": float((zeta - zetas[nearest]) / zeta_sd),
-                "doubt": next(doubts, ""),
             }
+            if theory is not None:
+                omegas, zetas = theory
+                nearest = int(np.argmin(np.abs(np.log(omegas / omega))))
+                row |= {
+                    "theory_mode": nearest + 1,
+                    "theory_frequency_hz": float(omegas[nearest] / hertz),
+                    "theory_damping_ratio": float(zetas[nearest]),
+                    "frequency_z": float((omega - omegas[nearest]) / omega_sd),
+                    "damping_ratio_z": float((zeta - zetas[nearest]) / zeta_sd),
+                }
+            row["doubt"] = next(doubts, "")
             rows.append(row if len(found) == 1 else {"output": model.output_name, **row})
     return rows
 
@@ -541,7 +747,7 @@ def _scores(experiment: Experiment, result: Result) -> dict[str, dict[str, Any]]
             "residuals_are_white": whiteness.is_white,
         }
         for name, own, whiteness, residuals in zip(
-            experiment.record.output_names,
+            experiment.output_names,
             *(part if isinstance(part, tuple) else (part,) for part in parts),
             strict=True,
         )
@@ -573,7 +779,7 @@ def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
             "verdict": output.verdict,
         }
         for model in models_of(result)
-        for output in validate(model, unseen.record).outputs
+        for output in validate(model, list(unseen.records)).outputs
     }
     return {"bag": str(unseen.path), "scores": scores}
 
@@ -592,13 +798,15 @@ def _write(folder: Path, experiment: Experiment, result: Result, content: dict[s
         return
     from beam_ident.report.identification import write_report
 
-    omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
-    highest = 1.5 * float(np.max(result.model.natural_frequencies))
-    reference = [
-        (f"mode {k + 1}", float(omegas[k]), float(zetas[k]))
-        for k in range(len(omegas))
-        if omegas[k] < highest
-    ]
+    reference = []
+    if experiment.rig is not None:
+        omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
+        highest = 1.5 * float(np.max(result.model.natural_frequencies))
+        reference = [
+            (f"mode {k + 1}", float(omegas[k]), float(zetas[k]))
+            for k in range(len(omegas))
+            if omegas[k] < highest
+        ]
     write_report(
         report_path,
         f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
@@ -613,6 +821,8 @@ def _write(folder: Path, experiment: Experiment, result: Result, content: dict[s
 
 def _provenance(experiment: Experiment) -> dict[str, str]:
     rig = experiment.rig
+    if rig is None:
+        return {"bag": str(experiment.path)}
     return {
         "bag": str(experiment.path),
         "excitation": describe_excitation(experiment.info),
@@ -627,11 +837,16 @@ def _provenance(experiment: Experiment) -> dict[str, str]:
 
 
 def format_table(content: Mapping[str, Any]) -> str:
-    """Format the identified modes beside the theoretical ones for a terminal."""
-    lines = [
-        "mode    identified                    theory    off       identified            theory    off",
-        "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
-    ]
+    """Format the identified modes, beside the theoretical ones where there are some, for a terminal."""
+    has_theory = any("theory_mode" in mode for mode in content["modes"])
+    lines = (
+        [
+            "mode    identified                    theory    off       identified            theory    off",
+            "        natural frequency [Hz]                 [sd]      damping ratio [%]               [sd]",
+        ]
+        if has_theory
+        else ["mode    natural frequency [Hz]      damping ratio [%]"]
+    )
     for k, mode in enumerate(content["modes"], start=1):
         if mode.get("doubt"):
             # Deviations of a mode that is not there mean nothing, however small they come out.
@@ -641,12 +856,16 @@ def format_table(content: Mapping[str, Any]) -> str:
             continue
         f_sd, zeta_sd = mode["frequency_sd_hz"], 100 * mode["damping_ratio_sd"]
         decimals = min(max(4, 1 - math.floor(math.log10(f_sd))), 8) if 0.0 < f_sd < math.inf else 6
-        lines.append(
+        frequency = (
             f"{mode.get('output', k):>4} {mode['frequency_hz']:>13.{decimals}f} +- {_or_dash(f_sd, '<8.2g')} "
-            f"{mode['theory_frequency_hz']:>13.{decimals}f} {_deviations(mode['frequency_z'])}      "
-            f"{100 * mode['damping_ratio']:>8.5f} +- {_or_dash(zeta_sd, '<8.2g')} "
-            f"{100 * mode['theory_damping_ratio']:>7.4f} {_deviations(mode['damping_ratio_z'])}"
         )
+        damping = f"{100 * mode['damping_ratio']:>8.5f} +- {_or_dash(zeta_sd, '<8.2g')} "
+        if has_theory:
+            frequency += (
+                f"{mode['theory_frequency_hz']:>13.{decimals}f} {_deviations(mode['frequency_z'])}      "
+            )
+            damping += f"{100 * mode['theory_damping_ratio']:>7.4f} {_deviations(mode['damping_ratio_z'])}"
+        lines.append((frequency + damping).rstrip())
     return "\n".join(lines)
 
 

@@ -26,3 +26,21 @@ def make_folder(path: Path) -> Path:
             "you may write to"
         ) from err
     return path
+
+
+def new_folder(path: Path, overwrite: bool) -> Path:
+    """Make a folder for results where nothing is lost by it.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool -- whether results that are there may be written over
+
+    Raises
+    ------
+    UsageError
+        There is something at the path, or no folder can be made there.
+    """
+    if not overwrite and path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise UsageError(f"{path} exists and is not an empty folder; give another path, or --overwrite")
+    return make_folder(path)

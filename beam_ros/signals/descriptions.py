@@ -87,6 +87,11 @@ class SignalSource:
         )
 
     @property
+    def unit(self) -> str:
+        """Unit of an output, in which its samples are after scaling."""
+        return SENSOR_UNITS[self.output_kind]
+
+    @property
     def held(self) -> str:
         """What an input does between samples, where nobody said: a force is held, a measured motion is smooth."""
         return self.hold or ("zoh" if self.input_kind == FORCE else "cubic")

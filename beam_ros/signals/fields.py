@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +16,11 @@ from beam_ros.bags.reading import Bag
 from beam_ros.bags.signals import Unreadable
 from beam_ros.errors import UsageError, suggestion
 from beam_ros.interfaces import graph
-from beam_ros.messages import BATCH_FIELDS, BagTypes
+from beam_ros.messages import BATCH_FIELDS, SECOND_NS, BagTypes
 from beam_ros.signals.field_paths import FieldPath, element_names, fields_sentence, numeric_fields
+
+_HEADER_BYTES = 12  # of encapsulation and stamp
+_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
 
 
 @dataclass(frozen=True)
@@ -217,3 +221,22 @@ def _store_of(bag: Bag, type_name: str) -> Any:
 
 def _is_same(store: Any, type_name: str, type_hash: str) -> bool:
     return not type_hash or bool(store.hash_rihs01(type_name) == type_hash)
+
+
+def message_stamps(bag: Bag, topic: str) -> tuple[StampArray, StampOrder]:
+    """Return the stamps of a topic's messages in the order of the bag [ns], and what is to be said of that order.
+
+    Messages without a header, and those with stamp 0, are left out.
+    """
+    name, type_name = find_topic(bag, topic)
+    fields = _store_of(bag, type_name).fielddefs[type_name][1]
+    if not fields or fields[0][0] != "header":
+        return np.zeros(0, dtype=np.int64), StampOrder.of(np.zeros(0, dtype=np.int64))
+    # In CDR the header comes first, behind four bytes that say which end of a number does.
+    found = []
+    for raw in bag.raw_messages(name):
+        if len(raw.data) >= _HEADER_BYTES:
+            seconds, rest = (_LITTLE if raw.data[1] & 1 else _BIG).unpack_from(raw.data, 4)
+            found.append(seconds * SECOND_NS + rest)
+    stamps = np.array([stamp for stamp in found if stamp > 0], dtype=np.int64)
+    return stamps, StampOrder.of(stamps)

@@ -21,7 +21,10 @@ from beam_ident import (
     restore,
     run_estimator,
 )
+from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
+from beam_ros.offline.simulation import simulate
+from beam_ros.rig.rig import Rig
 from tests.beam_ident import result_cases
 from tests.beam_ident.test_exports import loaded_after
 
@@ -43,6 +46,16 @@ def nothing(record, settings):
 """
 
 
+@pytest.fixture(scope="module")
+def unseen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording's experiment once more, with other noise."""
+    path = tmp_path_factory.mktemp("unseen") / "bag"
+    with Bag(BAG) as bag:
+        rig = Rig.from_nested((bag.excitation_info() or {})["rig"])
+    simulate(rig.with_values({"simulation.seed": 21}), path)
+    return path
+
+
 @pytest.fixture
 def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A package of a laboratory, installed as pip leaves one."""
@@ -60,14 +73,14 @@ def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("laboratory")
 def test_the_estimator_of_another_package_identifies_a_bag(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["identify", str(BAG), "--estimator", "peak", "--report", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "note: the largest sample of z010 is at" in printed
     assert "report   none" in printed
     assert '"type": "toy"' in (tmp_path / "out" / "model.json").read_text()
-    assert main(["identify", str(BAG), "--estimator", "peak", "--validate", str(BAG)]) == 2
+    assert main(["identify", str(BAG), "--estimator", "peak", "--validate", str(unseen)]) == 2
     assert "take the estimator modal" in capsys.readouterr().err
     assert main(["identify", "--help"]) == 0
     assert "peak               added by toy-lab" in capsys.readouterr().out
@@ -94,10 +107,10 @@ def test_an_unknown_name_is_answered_with_the_likeliest(name: str, hint: str) ->
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_estimator_identifies_the_recorded_bag(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    validation = () if name == "po_moesp" else ("--validate", str(BAG))
+    validation = () if name == "po_moesp" else ("--validate", str(unseen))
     options = ("--estimator", name, "--modes", "2", "--report", str(out))
     assert main(["identify", str(BAG), *options, *validation]) == 0
     printed = capsys.readouterr().out

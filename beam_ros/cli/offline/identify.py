@@ -1,40 +1,67 @@
-"""Identify a continuous-time model from a recorded bag.
+"""Identify a continuous-time model from recorded bags.
 
-Prints the natural frequencies and damping ratios beside the theory of the rig that the bag describes; writes
-model.json into the folder of --report and, with the estimator modal, a self-contained report.html.
+Prints the natural frequencies and damping ratios, beside the theory of the rig where the bag describes it; writes
+model.json into the folder of --report and, with the estimator modal, a self-contained report.html. Several bags are
+one fit. Every flag is a parameter of the node `identifier`, too, and a rig file may set it.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from beam_ros.cli.options import add_bag, add_rig_file, read_rig, read_span
+from beam_ros.cli.options import add_rig_file, add_span, read_rig, read_span
+from beam_ros.interfaces.parameter import Parameter, parameters_of
+from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.process.progress import Progress
-from beam_ros.process.remote_paths import any_path
 from beam_ros.process.strict_json import strict_json
+
+_GROUP = "identifier"
+_SEVERAL = {"outputs": "--output", "validate": "--validate"}
+"""Parameters whose parts are given one by one here, and their flags."""
+_METAVARS = {
+    "report": "DIR",
+    "estimator": "NAME",
+    "validate": "BAG",
+    "input": "TOPIC:FIELD",
+    "outputs": "TOPIC:FIELD",
+    "signals": "FILE",
+    "modes": "N",
+    "max_modes": "N",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verb's arguments."""
-    add_bag(parser)
-    parser.add_argument("--validate", type=Path, metavar="BAG", help="another bag to score the model on")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for model.json and report.html")
+    """Declare the verb's arguments: the parameters of the node."""
     parser.add_argument(
-        "--estimator",
-        default="modal",
-        metavar="NAME",
-        help="how to estimate (default: modal); they are listed below",
+        "bag",
+        nargs="+",
+        metavar="BAG",
+        help="folder of the bag, or a single .mcap or .db3 file, here or by its URL; several are one fit",
     )
-    parser.add_argument("--modes", type=int, help="number of modes (default: from the data)")
-    parser.add_argument(
-        "--structure",
-        choices=["auto", "base_motion", "acceleration", "velocity", "force"],
-        default="auto",
-        help="which model goes with which input (default: by the hub's command mode)",
-    )
+    add_span(parser)
+    for name, row in parameters().items():
+        flag = _SEVERAL.get(name, f"--{name.replace('_', '-')}")
+        more: dict[str, Any] = {"metavar": _METAVARS.get(name, name.upper())}
+        if row.kind is bool:
+            more = {"action": "store_true", "default": None}
+        elif name in _SEVERAL:
+            more["action"] = "append"
+        elif row.kind is int:
+            more["type"] = int
+        elif row.choices:
+            more = {"choices": row.choices}
+        parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def parameters() -> dict[str, Parameter]:
+    """Return the parameters that are flags, by their names without the group."""
+    rows = parameters_of(IdentifierSettings, _GROUP)
+    return {name: row for row in rows if (name := row.name.partition(".")[2]) != "bag"}
 
 
 def epilog() -> str:
@@ -50,27 +77,30 @@ def epilog() -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    from beam_ros.offline.identification import format_files, format_table, identify_bag
+    from beam_ros.offline.identification import format_files, format_table, identify_told
 
-    rig = read_rig(arguments) if arguments.rig_file or arguments.parameters else None
+    told = read_rig(arguments)
+    of_the_rig = [text for text in arguments.parameters if not text.startswith(f"{_GROUP}.")]
+    rig = told if arguments.rig_file or of_the_rig else None
+    given = {name: getattr(arguments, name) for name in parameters()}
+    given |= {name: _joined(given[name]) for name in _SEVERAL}
+    changes = {f"{_GROUP}.{name}": value for name, value in given.items() if value is not None}
+    settings = told.with_values({**changes, f"{_GROUP}.bag": _joined(arguments.bag)}).identifier
     start_s, end_s = read_span(arguments)
     with Progress("identify", 1.0) as stage:
-        result = identify_bag(
-            any_path(arguments.bag),
-            estimator=arguments.estimator,
-            rig=rig,
-            structure=arguments.structure,
-            n_modes=arguments.modes,
-            folder=arguments.report,
+        result = identify_told(
+            settings,
+            rig,
+            progress=lambda phrase, share: stage.update(share, phrase),
             start_s=start_s,
             end_s=end_s,
-            validation=arguments.validate,
-            progress=lambda phrase, share: stage.update(share, phrase),
         )
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
     if arguments.json:
         print(strict_json(result, indent=2))
         return 0
+    for table in result.get("orders", ()):
+        print(f"{table}\n")
     print(format_table(result))
     for name, score in result["scores"].items():
         deflection = score.get("deflection_fit_percent")
@@ -78,10 +108,15 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{name}   FIT {score['fit_percent']:.3f} %{of_deflection}")
     if result.get("misfit"):
         print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
-    for name, score in result.get("validation", {}).get("scores", {}).items():
-        print(f"{name} on {arguments.validate}: {score['verdict']}")
+    for unseen in result.get("validation", ()):
+        for name, score in unseen["scores"].items():
+            print(f"{name} on {unseen['bag']}: {score['verdict']}")
     for line in (*result["notes"], *result["warnings"]):
         print(f"note: {line}")
-    if arguments.report is not None:
+    if "model" in result:
         print(format_files(result))
     return 0
+
+
+def _joined(parts: Sequence[str | Path] | None) -> str | None:
+    return None if parts is None else ";".join(map(str, parts))

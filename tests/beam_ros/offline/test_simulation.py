@@ -94,7 +94,7 @@ def test_model_and_report_are_written_whole_and_the_model_reads_back(bag: Path, 
 def test_a_model_is_scored_on_data_that_it_has_not_seen(rig: Rig, bag: Path, tmp_path: Path) -> None:
     simulate(rig.with_values({"simulation.seed": 5}), tmp_path / "unseen")
     result = identify_bag(bag, validation=tmp_path / "unseen")
-    for name, score in result["validation"]["scores"].items():
+    for name, score in result["validation"][0]["scores"].items():
         fitted = result["scores"][name]["fit_percent"]
         assert score["fit_percent"] == pytest.approx(fitted, abs=0.1)
         assert score["residual_over_noise"] == pytest.approx(1.0, abs=0.1)
