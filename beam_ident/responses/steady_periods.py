@@ -26,7 +26,7 @@ _CHANGING = 1e-3  # chance that noise alone changes a response as much
 _MUCH = 2.0  # times the power that noise explains: below this deviations grow little
 _BLOCKS = 16  # of a period, in each of which the input's periods are compared
 _UNLIKE = 10.0  # times the power of the usual block: what noise does not differ by
-_FEWEST = 2  # stretches of which one can be told from the others
+_MIN_STRETCHES = 2  # stretches of which one can be told from the others
 _STRETCHES = 10  # of a record that is not periodic; into the first and last its ends leak
 SHARED_BY_HANN = 35.0 / 18.0
 """Over how many lines an error reaches under a Hann window: ``n sum w^4 / (sum w^2)^2``."""
@@ -102,7 +102,7 @@ def changing_warnings(
     the level of ``_CHANGING`` for all of them together.
     """
     n = len(modelled)
-    if n < _FEWEST or not modelled.shape[1]:
+    if n < _MIN_STRETCHES or not modelled.shape[1]:
         return []
     power = np.abs(modelled) ** 2
     both = np.conj(modelled) * answers

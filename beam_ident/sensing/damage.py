@@ -1,6 +1,6 @@
-"""Channels that cannot be what they seem, told from their samples alone: stuck, repeated, one another's copy.
+"""Channels that cannot be what they seem, by their samples alone: stuck, repeated, one another's copy.
 
-An exposure longer than the time between samples is told as well: a shutter opens once for every frame.
+An exposure longer than the time between samples is named as well: a shutter opens once for every frame.
 
 None of these needs a model, and each biases one in silence.  A signal that is measured never has the same value twice
 while it moves, but for rounding: so a value that stays where its neighbours differ by many steps is no measurement.

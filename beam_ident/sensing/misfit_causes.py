@@ -432,7 +432,7 @@ def _line(times: FloatArray, left: FloatArray, own: tuple[str, ...]) -> tuple[_C
     return cause, column
 
 
-def _transform(values: FloatArray, frequencies: FloatArray) -> ComplexArray:
+def _transform(values: FloatArray, cycles: FloatArray) -> ComplexArray:
     """Return the Fourier transform of even samples at some frequencies, in cycles a sample.
 
     The turn up to a sample is that to the row it stands in, times that within the row: few turns, and one product.
@@ -440,10 +440,10 @@ def _transform(values: FloatArray, frequencies: FloatArray) -> ComplexArray:
     width = math.isqrt(len(values)) + 1
     rows = np.zeros(width * width)
     rows[: len(values)] = values
-    turns = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(width)))
+    turns = np.exp(-2j * np.pi * np.outer(cycles, np.arange(width)))
     within = rows.reshape(width, width) @ np.concatenate([turns.real, turns.imag]).T
-    inner = within[:, : len(frequencies)] + 1j * within[:, len(frequencies) :]
-    outer = np.exp(-2j * np.pi * width * np.outer(np.arange(width), frequencies))
+    inner = within[:, : len(cycles)] + 1j * within[:, len(cycles) :]
+    outer = np.exp(-2j * np.pi * width * np.outer(np.arange(width), cycles))
     return np.asarray(np.sum(inner * outer, axis=0))
 
 

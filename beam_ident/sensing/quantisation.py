@@ -30,7 +30,7 @@ _PILE = 2.5  # times as many as at the level before: a sine that is only rounded
 _BEYOND = 2.0  # standard deviations by which the model must pass the end on average
 _MIN_BEYOND = 1e-6  # of the output's size: less is rounding
 _COARSE = 1000.0  # steps in the whole swing: with more, errors are below 0.03 % of it
-_LEAST = 32  # samples whose differences tell noise
+_MIN_SAMPLES = 32  # samples whose differences tell noise
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
 
 FitT = TypeVar("FitT")
@@ -154,7 +154,7 @@ def coarse_warnings(outputs: Sequence[OutputSignal]) -> list[str]:
     for output in outputs:
         values = output.values[output.is_valid]
         step = quantum(values)
-        if not step or len(values) < _LEAST:
+        if not step or len(values) < _MIN_SAMPLES:
             continue
         most = math.sqrt(float(np.mean(np.square(np.diff(values, 3)))) / 20.0)
         if dither(np.array([most]), step) < DITHER and float(np.ptp(values)) < _COARSE * step:

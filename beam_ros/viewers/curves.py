@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from beam_ros.bags.export import QUANTITY_COLUMNS
 from beam_ros.interfaces.graph import HUB_JOINT
+from beam_ros.offline.export import QUANTITY_COLUMNS
 
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce", "#b45309", "#4b5563")
 

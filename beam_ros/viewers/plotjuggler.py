@@ -19,7 +19,7 @@ def plotjuggler_layout(markers: Sequence[str], namespace: str = "") -> str:
     namespace : str -- of the rig; empty for none
     """
     root = ElementTree.Element("root")
-    tabs = ElementTree.SubElement(root, "tabbed_widget", parent="main_window", name="Main Window")
+    tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     for name, plots in (("rig", live_plots(markers)), ("flat bag", flat_plots(markers))):
         tab = ElementTree.SubElement(tabs, "Tab", tab_name=name, containers="1")
         container = ElementTree.SubElement(tab, "Container")

@@ -1,4 +1,4 @@
-"""What RViz and `ros2 bag` read: displays of the beam, and qualities of service for recording."""
+"""What RViz and ``ros2 bag`` read: displays of the beam, and qualities of service for recording."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def qos_overrides(_markers: Sequence[str], namespace: str = "") -> str:
 
     Notes
     -----
-    Left to itself, `ros2 bag record` asks for what publishers offer when it begins, and a topic whose publisher comes
+    Left to itself, ``ros2 bag record`` asks for what publishers offer when it begins, and a topic whose publisher comes
     later is not kept for late subscribers. Drawings are left out: they are made only while somebody listens.
     """
     return to_yaml(

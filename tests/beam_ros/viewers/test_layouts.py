@@ -10,7 +10,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from beam_ros.bags.export import export_flat_bag
 from ruamel.yaml import YAML
 
 from beam_ros import messages
@@ -19,6 +18,7 @@ from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
 from beam_ros.interfaces.graph import JOINT_STATE, TOPICS
 from beam_ros.messages import BagTypes
+from beam_ros.offline.export import export_flat_bag
 from beam_ros.rig.rig import Rig
 from beam_ros.viewers.layouts import LAYOUTS
 
