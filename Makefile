@@ -31,7 +31,7 @@ test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest $(WORKERS) $(ARGS)
 
 verify: ## the figures of the documentation at full length, an hour at most
-	@$(SETUP) --extras ros,test -- python -m pytest --verify $(ARGS)
+	@$(SETUP) --extras ros,test,browser -- python -m pytest --verify $(ARGS)
 
 lint: ## style, types, and which room imports which
 	@$(SETUP) --extras ros,test,dev -- ruff check .

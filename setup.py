@@ -44,6 +44,9 @@ TEST = [
     *STUDY,
 ]
 
+# Pages in a real browser (`make verify`); a Chromium must be installed, and is not brought along.
+BROWSER = ["playwright>=1.44", "axe-playwright-python>=0.1.4"]
+
 DEV = [
     "ruff>=0.17,<0.18",
     "mypy>=2.4,<3",
@@ -141,6 +144,7 @@ setup(
         "compiled": COMPILED,
         "remote": REMOTE,
         "dev": DEV,
+        "browser": BROWSER,
         "docs": DOCS,
     },
     entry_points={

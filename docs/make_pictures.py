@@ -21,6 +21,7 @@ from PIL import Image
 
 from beam_ident import analyse_modes, identify
 from beam_ident.figures import fit_figure, frequency_response_figure, stabilisation_figure
+from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ros.offline.identification import load_experiment
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.measurement.overlay import draw_overlay
@@ -107,7 +108,9 @@ def identification_pictures() -> dict[str, Figure]:
     """Identify the recorded bag and draw its responses and its fit."""
     recorded = load_experiment(ROOT / "bags" / "chirp_6s")
     result = identify(recorded.record, recorded.structure, clock_rate=recorded.clock_rate)
-    return {"frequency-response": frequency_response_figure(result), "fit": fit_figure(result)}
+    lines = drawing_lines((result.model,), 1.0, 350.0)
+    curves = response_curves(result.model, lines)
+    return {"frequency-response": frequency_response_figure(curves), "fit": fit_figure(result.outputs)}
 
 
 def names_of_page(page: str, blocks: int) -> dict[str, Any]:

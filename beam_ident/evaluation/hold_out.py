@@ -42,6 +42,7 @@ class OutputValidation:
     ----------
     name, unit : str
     times_s, measured, simulated, residuals : ndarray, shape (n_used,)
+    simulated_from_rest : ndarray, shape (n_used,) -- the plain simulation, offset and ramp alone fitted
     scores : Scores -- on the output
     deflection_scores : Scores
         On the output less its direct part, offset and ramp: the sterner test where an
@@ -62,6 +63,7 @@ class OutputValidation:
     measured: FloatArray
     simulated: FloatArray
     residuals: FloatArray
+    simulated_from_rest: FloatArray
     scores: Scores
     deflection_scores: Scores
     simulation_scores: Scores
@@ -244,9 +246,9 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
     if len(parts) > 1:
         drives = [drive - np.mean(drive) for drive in drives]
     correlation = InputCorrelation.of(noise, np.concatenate(drives))
-    times, measured, residuals = (
+    times, measured, residuals, plain_residuals = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("times_s", "measured", "residuals")
+        for name in ("times_s", "measured", "residuals", "plain_residuals")
     )
     ratio = float(np.std(residuals)) / first.noise_sd if first.noise_sd > 0.0 else math.nan
     against = "" if math.isnan(ratio) else f", residuals {ratio:.2f} times those of the estimation"
@@ -269,6 +271,7 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
         measured,
         measured - residuals,
         residuals,
+        measured - plain_residuals,
         scores,
         of_deflection,
         simulation,

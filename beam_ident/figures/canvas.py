@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import FloatArray, IndexArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +17,7 @@ REFERENCE = "#0f766e"
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce", "#a16207", "#be185d")
 
 _MAX_POINTS = 4000
+_GAP = 1.5  # times the usual step: samples are missing
 
 
 def axes_grid(
@@ -49,6 +50,40 @@ def readable(values: FloatArray, unit: str) -> tuple[float, str]:
     return (1e3, "mm") if size >= 1e-4 else (1e6, "um")
 
 
-def thinned(n: int) -> slice:
-    """Return the slice that leaves at most some thousand of ``n`` points to draw."""
-    return slice(None, None, max(1, n // _MAX_POINTS))
+def drawn(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return samples as they are drawn: broken where some are missing, and few enough for a page.
+
+    Parameters
+    ----------
+    times_s : ndarray, shape (n,) -- stamps [s]; where they run back, another record begins behind the last one
+    values : ndarray, shape (n,) -- NaN where nothing was seen
+
+    Returns
+    -------
+    tuple of ndarray
+        Stamps and values, NaN in every gap.  Of long records the least and the greatest value of every bin, so that
+        no peak is lost and no oscillation looks slower than it is.
+    """
+    if len(times_s) < 2:
+        return times_s, values
+    steps = np.diff(times_s)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
+    later = np.where(steps > 0.0, 0.0, 10.0 * usual - steps)
+    times = np.asarray(times_s + np.concatenate([[0.0], np.cumsum(later)]))
+    holes = np.flatnonzero(np.diff(times) > _GAP * usual)
+    keep = np.union1d(_extremes(values), np.concatenate([holes, holes + 1]))
+    places = np.searchsorted(keep, holes) + 1
+    middles = 0.5 * (times[holes] + times[holes + 1])
+    return np.insert(times[keep], places, middles), np.insert(values[keep], places, np.nan)
+
+
+def _extremes(values: FloatArray) -> IndexArray:
+    """Return where the least and the greatest value of every bin stand; of few values, every place."""
+    size = -(-2 * len(values) // _MAX_POINTS)
+    if size <= 2:
+        return np.arange(len(values))
+    bins = np.pad(values, (0, -len(values) % size), constant_values=np.nan).reshape(-1, size)
+    first = size * np.arange(len(bins))
+    lowest = np.argmin(np.where(np.isnan(bins), np.inf, bins), axis=1)
+    highest = np.argmax(np.where(np.isnan(bins), -np.inf, bins), axis=1)
+    return np.unique(np.concatenate([first + lowest, first + highest]))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,43 +16,99 @@ from beam_ident.figures.canvas import (
     MODEL,
     REFERENCE,
     axes_grid,
+    drawn,
     readable,
     stacked_axes,
-    thinned,
 )
-from beam_ident.modal.identification_result import IdentificationResult, OutputFit
+from beam_ident.figures.response_curves import ResponseCurve
+from beam_ident.modal.identification_result import OutputFit
+from beam_ident.noise.scores import Scores, Whiteness
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LINES = ("-", "--", ":", "-.")  # of one input after the other
+_LINES = ("-", "--", ":", "-.")  # of one input, or of one model, after the other
+_MANY = 12  # gaps beyond which they are not shaded one by one
+
+Modes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Natural frequencies [rad/s], damping ratios, and the standard deviations of both, as ``modes()`` gives them."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedOutput:
+    """One output as these figures draw it, of estimators whose results have no ``OutputFit``.
+
+    Attributes
+    ----------
+    name, unit : str
+    times_s, measured, residuals : ndarray, shape (n_used,)
+    deflection : ndarray, shape (n_used,) -- what is drawn: measured less its mean
+    scores, deflection_scores : Scores -- both on the output
+    whiteness : Whiteness
+    noise_sd : float -- of the residuals
+    """
+
+    name: str
+    unit: str
+    times_s: FloatArray
+    measured: FloatArray
+    residuals: FloatArray
+    deflection: FloatArray
+    scores: Scores
+    deflection_scores: Scores
+    whiteness: Whiteness
+    noise_sd: float
+
+
+Fitted = Sequence[OutputFit | FittedOutput]
 
 
 def time_figure(record: TimeRecord) -> Figure:
-    """Draw every signal of a record over time."""
+    """Draw every signal of a record over time, broken and shaded where samples are missing."""
     signals: list[InputSignal | OutputSignal] = [*record.inputs, *record.outputs]
     figure, axes = stacked_axes(len(signals), 1.5 * len(signals) + 0.6)
-    for number, (axis, signal) in enumerate(zip(axes, signals, strict=True)):
+    for axis, signal in zip(axes, signals, strict=True):
         factor, unit = readable(signal.values, signal.unit)
-        keep = thinned(len(signal.values))
-        colour = MEASURED if number < len(record.inputs) else COLOURS[0]
-        axis.plot(signal.times_s[keep], factor * signal.values[keep], color=colour, linewidth=0.7)
+        values = np.array(signal.values)
+        is_input = isinstance(signal, InputSignal)
+        if isinstance(signal, InputSignal):  # what was filled in was not measured
+            for gap in signal.gaps:
+                values[(signal.times_s > gap.start_s) & (signal.times_s < gap.end_s)] = np.nan
+        times, values = drawn(signal.times_s, values)
+        axis.plot(times, factor * values, color=MEASURED if is_input else COLOURS[0], linewidth=0.7)
+        for start, end in _holes(signal)[:_MANY]:
+            axis.axvspan(start, end, color=MODEL, alpha=0.25, linewidth=0.0)
         axis.set_ylabel(f"{signal.name} [{unit}]")
     axes[-1].set_xlabel("time [s]")
     return figure
 
 
-def fit_figure(result: IdentificationResult, deflection: bool = True) -> Figure:
-    """Draw the measured and the modelled outputs, or their deflections, over time."""
-    outputs = result.outputs
+def _holes(signal: InputSignal | OutputSignal) -> list[tuple[float, float]]:
+    """Return between which instants a signal has no samples, the longest first."""
+    if isinstance(signal, InputSignal):
+        found = [(gap.start_s, gap.end_s) for gap in signal.gaps]
+    else:
+        times = signal.times_s[signal.is_valid]
+        steps = np.diff(times)
+        wide = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else np.empty(0, dtype=np.intp)
+        found = [(float(times[k]), float(times[k + 1])) for k in wide]
+    return sorted(found, key=lambda hole: hole[0] - hole[1])
+
+
+def fit_figure(outputs: Fitted, deflection: bool = True) -> Figure:
+    """Draw the measured and the modelled outputs, or their deflections, over time (``result.outputs``)."""
     figure, axes = stacked_axes(len(outputs), 1.8 * len(outputs) + 0.6)
     for axis, output in zip(axes, outputs, strict=True):
         measured = output.deflection if deflection else output.measured
-        modelled = measured - output.residuals
         factor, unit = readable(measured, output.unit)
-        axis.plot(output.times_s, factor * measured, color=MEASURED, linewidth=1.4, label="measured")
-        axis.plot(output.times_s, factor * modelled, color=MODEL, linewidth=0.6, label="model")
-        axis.set_ylabel(f"{'w ' if deflection else ''}{output.name} [{unit}]")
+        for values, colour, width, label in (
+            (measured, MEASURED, 1.4, "measured"),
+            (measured - output.residuals, MODEL, 0.6, "model"),
+        ):
+            times, shown = drawn(output.times_s, factor * values)
+            axis.plot(times, shown, color=colour, linewidth=width, label=label)
+        is_deflection = deflection and isinstance(output, OutputFit)
+        axis.set_ylabel(f"{'w ' if is_deflection else ''}{output.name} [{unit}]")
         scores = output.deflection_scores if deflection else output.scores
         axis.set_title(f"FIT {scores.fit_percent:.2f} %, R² {scores.r_squared:.6f}", fontsize=9, loc="left")
     axes[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
@@ -59,28 +116,27 @@ def fit_figure(result: IdentificationResult, deflection: bool = True) -> Figure:
     return figure
 
 
-def _density(output: OutputFit, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _density(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     from scipy.signal import welch
 
-    steps = np.diff(output.times_s)
+    steps = np.diff(times_s)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
     frequencies, density = welch(values, rate, nperseg=min(len(values), 512))
     return frequencies[1:], np.sqrt(density[1:])
 
 
-def spectrum_figure(result: IdentificationResult) -> Figure:
-    """Draw the spectra of the deflections and of the residuals, up to half the outputs' rate."""
-    outputs = result.outputs
+def spectrum_figure(outputs: Fitted, modes_hz: FloatArray) -> Figure:
+    """Draw the spectra of the deflections and of the residuals, up to half the outputs' rate, with the modes."""
     figure, axes = stacked_axes(len(outputs), 1.8 * len(outputs) + 0.6)
     for axis, output in zip(axes, outputs, strict=True):
         for values, colour, label in (
-            (output.deflection, MEASURED, "measured deflection"),
+            (output.deflection, MEASURED, "measured"),
             (output.residuals, MODEL, "residual"),
         ):
-            frequencies, density = _density(output, values)
+            frequencies, density = _density(output.times_s, values)
             axis.semilogy(frequencies, density, color=colour, linewidth=0.9, label=label)
         rate = 1.0 / float(np.median(np.abs(np.diff(output.times_s))))
-        for number, hertz in enumerate(result.model.frequencies_hz):
+        for number, hertz in enumerate(modes_hz):
             alias = abs(hertz - rate * round(hertz / rate))
             axis.axvline(alias, color=REFERENCE, linewidth=0.7, linestyle="-" if hertz < rate / 2 else ":")
             axis.annotate(
@@ -96,31 +152,41 @@ def spectrum_figure(result: IdentificationResult) -> Figure:
     return figure
 
 
-def frequency_response_figure(result: IdentificationResult, n_points: int = 1500) -> Figure:
-    """Draw magnitude and phase of the model with 95 % bands over the searched band, from every input."""
-    model = result.model
-    low = max(result.band.low_hz, 1e-3)
-    high = max(result.band.high_hz, 1.2 * float(model.frequencies_hz[-1]))
-    near = [
-        f * (1.0 + max(z, 1e-4) * np.linspace(-8.0, 8.0, 121))
-        for f, z in zip(model.frequencies_hz, model.damping_ratios, strict=True)
-    ]
-    hertz = np.unique(np.concatenate([np.geomspace(low, high, n_points), *near]))
-    hertz = hertz[hertz > 0.0]
+def input_spectrum_figure(record: TimeRecord) -> Figure:
+    """Draw the spectrum of every input: what it excites, and what it cannot."""
+    figure, (axis,) = stacked_axes(1, 2.6)
+    for number, drive in enumerate(record.inputs):
+        frequencies, density = _density(drive.times_s, drive.values - np.mean(drive.values))
+        colour = COLOURS[number % len(COLOURS)]
+        axis.loglog(
+            frequencies, density, color=colour, linewidth=0.9, label=f"{drive.name} [{drive.unit}/√Hz]"
+        )
+    axis.set_ylabel("input")
+    axis.legend(loc="upper right", fontsize=8, frameon=False)
+    axis.set_xlabel("frequency [Hz]")
+    return figure
+
+
+def frequency_response_figure(curves: Sequence[ResponseCurve]) -> Figure:
+    """Draw magnitude and phase of models with 95 % bands (``figures.response_curves`` gives the curves)."""
     figure, axes = stacked_axes(2, 5.0)
-    responses = [(path.input_name, path.frequency_response(2.0 * np.pi * hertz)) for path in model.paths]
-    for number, (drive, response) in enumerate(responses):
-        style = _LINES[number % len(_LINES)]
-        for j, name in enumerate(model.output_names):
-            colour = COLOURS[j % len(COLOURS)]
-            label = f"{name} over {drive}" if len(responses) > 1 else name
-            size, spread = np.abs(response.response[:, j]), 1.96 * response.magnitude_sd[:, j]
-            axes[0].loglog(hertz, size, color=colour, linewidth=1.0, linestyle=style, label=label)
+    names = list(dict.fromkeys(curve.output_name for curve in curves))
+    styles = list(dict.fromkeys((curve.label, curve.input_name) for curve in curves))
+    several_inputs = len({curve.input_name for curve in curves}) > 1
+    for curve in curves:
+        colour = COLOURS[names.index(curve.output_name) % len(COLOURS)]
+        style = _LINES[styles.index((curve.label, curve.input_name)) % len(_LINES)]
+        label = f"{curve.output_name} over {curve.input_name}" if several_inputs else curve.output_name
+        label = f"{curve.label}: {label}" if curve.label else label
+        size, spread = np.abs(curve.response), 1.96 * curve.magnitude_sd
+        hertz = curve.frequencies_hz
+        axes[0].loglog(hertz, size, color=colour, linewidth=1.0, linestyle=style, label=label)
+        if np.all(np.isfinite(spread)):
             axes[0].fill_between(
                 hertz, np.maximum(size - spread, size * 1e-3), size + spread, color=colour, alpha=0.2
             )
-            phase = np.unwrap(np.angle(response.response[:, j])) * 180.0 / np.pi
-            axes[1].semilogx(hertz, phase, color=colour, linewidth=1.0, linestyle=style)
+        phase = np.unwrap(np.angle(curve.response)) * 180.0 / np.pi
+        axes[1].semilogx(hertz, phase, color=colour, linewidth=1.0, linestyle=style)
     axes[0].set_ylabel("magnitude")
     axes[0].legend(loc="best", fontsize=8, frameon=False, ncols=3)
     axes[1].set_ylabel("phase [deg]")
@@ -129,49 +195,56 @@ def frequency_response_figure(result: IdentificationResult, n_points: int = 1500
 
 
 def pole_figure(
-    result: IdentificationResult, reference_modes: Sequence[tuple[str, float, float]] | None = None
+    modes: Mapping[str, Modes], reference_modes: Sequence[tuple[str, float, float]] | None = None
 ) -> Figure:
-    """Draw damping ratio over frequency with 95 % intervals, and reference modes where given."""
+    """Draw damping ratio over frequency with 95 % intervals, and reference modes where given.
+
+    Parameters
+    ----------
+    modes : mapping from a name to what ``modes()`` of a model returns
+    reference_modes : sequence of (name, omega [rad/s], zeta), optional
+    """
     from matplotlib.ticker import LogFormatter
 
-    model = result.model
     figure, (axis,) = stacked_axes(1, 3.2)
-    axis.errorbar(
-        model.frequencies_hz,
-        100.0 * model.damping_ratios,
-        xerr=1.96 * model.natural_frequency_sd / (2.0 * np.pi),
-        yerr=196.0 * model.damping_ratio_sd,
-        fmt="o",
-        color=MODEL,
-        capsize=3,
-        markersize=5,
-        label="identified, 95 %",
-    )
+    colours = (MODEL, *COLOURS) if len(modes) == 1 else COLOURS
+    for number, (label, (omegas, zetas, omega_sd, zeta_sd)) in enumerate(modes.items()):
+        axis.errorbar(
+            omegas / (2.0 * np.pi),
+            100.0 * zetas,
+            xerr=1.96 * np.nan_to_num(omega_sd) / (2.0 * np.pi),
+            yerr=196.0 * np.nan_to_num(zeta_sd),
+            fmt="osd^v*"[number % 6],
+            color=colours[number % len(colours)],
+            capsize=3,
+            markersize=5,
+            label=label,
+        )
     for number, (name, omega, zeta) in enumerate(reference_modes or ()):
-        label = "reference" if number == 0 else None
-        axis.plot(omega / (2.0 * np.pi), 100.0 * zeta, "x", color=REFERENCE, markersize=8, label=label)
+        first = "reference" if number == 0 else None
+        axis.plot(omega / (2.0 * np.pi), 100.0 * zeta, "x", color=REFERENCE, markersize=8, label=first)
         axis.annotate(
             name, (omega / (2.0 * np.pi), 100.0 * zeta), textcoords="offset points", xytext=(6, 6), fontsize=8
         )
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter(LogFormatter())
     axis.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.4)))
-    axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
+    axis.set_ylim(min(0.0, axis.get_ylim()[0]), 1.15 * axis.get_ylim()[1])
     axis.set_xlabel("natural frequency [Hz]")
     axis.set_ylabel("damping ratio [%]")
     axis.legend(loc="best", fontsize=8, frameon=False)
     return figure
 
 
-def residual_figure(result: IdentificationResult) -> Figure:
+def residual_figure(outputs: Fitted) -> Figure:
     """Draw the residuals over time beside their autocorrelation."""
-    outputs = result.outputs
     figure, axes = axes_grid(
         len(outputs), 2, (9.0, 1.8 * len(outputs) + 0.6), width_ratios=(2, 1), sharex="col"
     )
     for (left, right), output in zip(axes, outputs, strict=True):
         factor, unit = readable(output.residuals, output.unit)
-        left.plot(output.times_s, factor * output.residuals, ".", color=MODEL, markersize=1.5)
+        times, values = drawn(output.times_s, factor * output.residuals)
+        left.plot(times, values, ".", color=MODEL, markersize=1.5)
         left.set_ylabel(f"{output.name} [{unit}]")
         lags = np.arange(1, len(output.whiteness.autocorrelation) + 1)
         right.bar(lags, output.whiteness.autocorrelation, color=MEASURED, width=0.7)

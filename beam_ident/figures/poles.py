@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.figures.canvas import MODEL, REFERENCE, axes_grid
+from beam_ident.figures.canvas import COLOURS, MODEL, REFERENCE, axes_grid
 from beam_ident.modal.model import ModalModel
 from beam_ident.numerics.root_uncertainty import root_covariances
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -16,9 +16,11 @@ from beam_ident.transfer_function.model import TransferFunctionModel
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_REACH = 1.5  # times the farthest pole: zeros beyond it stand for what the model leaves out
+
 
 def pole_zero_figure(model: ModalModel | TransferFunctionModel) -> Figure:
-    """Draw the poles, and the zeros of a transfer function, of the upper half plane with 95 % ellipses.
+    """Draw the poles of the upper half plane with 95 % ellipses, and the zeros, of a transfer function with theirs.
 
     The left panel shows where they are; the right panels look at the first six complex poles
     as closely as their ellipses need, relative to the estimate [rad/s].
@@ -40,6 +42,12 @@ def pole_zero_figure(model: ModalModel | TransferFunctionModel) -> Figure:
         _mark(left, zeros[keep], "o", REFERENCE, "zeros")
         for zero, spread in zip(zeros[keep], of_zeros[keep], strict=True):
             _ellipse(left, zero, spread, REFERENCE)
+    if isinstance(model, ModalModel) and not model.further_inputs:
+        farthest = _REACH * float(np.max(np.abs(poles)))
+        for number, name in enumerate(model.output_names):
+            zeros = model.zpk(name)[0]
+            near = zeros[(zeros.imag >= 0.0) & (np.abs(zeros) < farthest)]
+            _mark(left, near, "o", COLOURS[number % len(COLOURS)], f"zeros of {name}")
     left.set_xlabel("real part [rad/s]")
     left.set_ylabel("imaginary part [rad/s]")
     left.legend(loc="best", fontsize=8, frameon=False)

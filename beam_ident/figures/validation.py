@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from beam_ident.evaluation.hold_out import ValidationResult
-from beam_ident.figures.canvas import MEASURED, MODEL, axes_grid, readable, thinned
+from beam_ident.figures.canvas import MEASURED, MODEL, REFERENCE, axes_grid, drawn, readable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,10 +19,13 @@ def validation_figure(result: ValidationResult) -> Figure:
     )
     for (left, right), output in zip(axes, outputs, strict=True):
         factor, unit = readable(output.measured, output.unit)
-        keep = thinned(len(output.times_s))
-        times = output.times_s[keep]
-        left.plot(times, factor * output.measured[keep], color=MEASURED, linewidth=1.4, label="measured")
-        left.plot(times, factor * output.simulated[keep], color=MODEL, linewidth=0.6, label="predicted")
+        for values, colour, width, label in (
+            (output.measured, MEASURED, 1.4, "measured"),
+            (output.simulated_from_rest, REFERENCE, 0.6, "simulated from rest"),
+            (output.simulated, MODEL, 0.6, "with its own initial motion"),
+        ):
+            times, shown = drawn(output.times_s, factor * values)
+            left.plot(times, shown, color=colour, linewidth=width, label=label)
         left.set_ylabel(f"{output.name} [{unit}]")
         left.set_title(
             f"FIT {output.scores.fit_percent:.2f} %, of the deflection "
@@ -34,7 +37,7 @@ def validation_figure(result: ValidationResult) -> Figure:
         right.bar(correlation.lags, correlation.correlation, color=MEASURED, width=0.7)
         for bound in (-correlation.band, correlation.band):
             right.axhline(bound, color=MODEL, linewidth=0.8, linestyle="--")
-    axes[0][0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
+    axes[0][0].legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
     axes[0][1].set_title("residual with input, 99 % band", fontsize=9, loc="left")
     axes[-1][0].set_xlabel("time [s]")
     axes[-1][1].set_xlabel("lag [samples]")

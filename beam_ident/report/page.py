@@ -80,7 +80,10 @@ code{font-size:.92em;overflow-wrap:anywhere}
 
 _WIDE = 8  # columns from which a table is set smaller on paper
 _NARROW = 6.0  # a figure below this width [inch] is not made as wide as the page
-_NUMBER = re.compile(r"[(]?[<>≈]?\s?[+\-−]?\d[\d.,]*(e[+-]?\d+)?( ± [\d.]+)?[)]?(e[+-]?\d+)?(\s?\S{1,6})?")
+_NUMBER = re.compile(
+    r"[(]?[<>≈]?\s?[+\-−]?\d[\d.,]*(e[+-]?\d+)?( (±|to) [+\-−]?[\d.]+)?[)]?(e[+-]?\d+)?(\s?\S{1,6})?"
+)
+_PARENTHESES, _UPRIGHT = re.compile(r"<mo>([()])</mo>"), r'<mo stretchy="false">\1</mo>'
 _COLOUR = re.compile(r"#[0-9a-fA-F]{6}\b")
 _INK, _PAPER_OF_DARK = "#e5e7eb", "#111827"
 
@@ -147,7 +150,7 @@ class Page:
         """Add an equation as MathML, the content of ``<math>``, with the words that a screen reader speaks."""
         self._add(
             f'<div class="box equation" role="group" tabindex="0" aria-label="{_escape(text)}">'
-            f'<math display="block">{mathml}</math></div>'
+            f'<math display="block">{_PARENTHESES.sub(_UPRIGHT, mathml)}</math></div>'
         )
 
     def table(

@@ -352,6 +352,14 @@ class IdentifierSettings:
     input: str = live("TOPIC:FIELD of the input; empty: the hub")
     outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
     signals: str = live("YAML file of input and outputs")
+    operator: str = live("who answers for the experiment, for the report")
+    temperature_uncertainty: float = live(
+        "how well the beam's temperature is known, standard deviation, for the report's budget; 0: not counted",
+        "K",
+        0.0,
+        100.0,
+    )
+    pdf: bool = live("print the report to report.pdf, by an installed Chromium")
 
 
 @dataclass(frozen=True)

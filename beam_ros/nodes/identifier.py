@@ -49,7 +49,7 @@ class Identifier(RigNode):
             settings = replace(settings, report=str(first.with_name(f"{first.name}_identified")))
         try:
             # The estimators take more than a second to load: the node is there, and complains, before.
-            from beam_ros.offline.identification import identify_told
+            from beam_ros.reporting.identification import identify_told
 
             self._outcome = identify_told(settings, progress=self._on_progress)
         except faults_of_the_user() as err:

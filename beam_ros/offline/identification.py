@@ -28,6 +28,7 @@ from beam_ident import (
     SeparateOutputsResult,
     TimeRecord,
     TimeResult,
+    ValidationResult,
     find_estimator,
     models_of,
     run_estimator,
@@ -42,11 +43,9 @@ from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.signals import OWN_STAMPS_GAP, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
-from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
-from beam_ros.interfaces.rig_parameters import IdentifierSettings
-from beam_ros.offline.options import FitOptions, paths
+from beam_ros.offline.options import FitOptions
 from beam_ros.offline.seen_data import refuse_shared
 from beam_ros.process.folders import new_folder
 from beam_ros.process.remote_paths import AnyPath
@@ -533,7 +532,63 @@ def theoretical_modes(rig: Rig, structure: str) -> tuple[FloatArray, FloatArray]
     return model.natural_frequencies, model.damping_ratios
 
 
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """An identification with everything that a report says of it.
+
+    Attributes
+    ----------
+    experiments : tuple of Experiment -- what was identified
+    options : FitOptions -- how
+    result : Result
+    unseen : tuple of (Experiment, tuple of ValidationResult)
+        What the models were scored on, and how each of them did there.
+    content : mapping -- the same in plain numbers: what ``identification/result`` carries and ``--json`` prints
+    """
+
+    experiments: tuple[Experiment, ...]
+    options: FitOptions
+    result: Result
+    unseen: tuple[tuple[Experiment, tuple[ValidationResult, ...]], ...]
+    content: Mapping[str, Any]
+
+    @property
+    def experiment(self) -> Experiment:
+        """The first experiment, whose rig and structure hold for all."""
+        return self.experiments[0]
+
+
 def identify_bag(
+    path: AnyPath | Sequence[AnyPath], *, folder: Path | None = None, overwrite: bool = False, **more: Any
+) -> dict[str, Any]:
+    """Identify a model from a bag, or several; write ``model.json`` where a folder is given.
+
+    Parameters
+    ----------
+    path : Path or sequence of Path -- the bag, or bags of one system that are one fit
+    folder : Path, optional -- for the model
+    overwrite : bool -- write where there is something already
+    more
+        As ``identification_of_bags`` takes them.
+
+    Returns
+    -------
+    dict -- what ``identification/result`` carries and ``--json`` prints
+
+    Raises
+    ------
+    BagError, UsageError, IdentificationError
+    """
+    if folder is not None:
+        new_folder(folder, overwrite)
+    found = identification_of_bags(path, **more)
+    content = dict(found.content)
+    if folder is not None:
+        content["model"] = str(write_models(found, folder / "model.json"))
+    return content
+
+
+def identification_of_bags(
     path: AnyPath | Sequence[AnyPath],
     *,
     estimator: str | None = None,
@@ -541,14 +596,12 @@ def identify_bag(
     structure: str | None = None,
     n_modes: int | None = None,
     options: FitOptions | None = None,
-    folder: Path | None = None,
-    overwrite: bool = False,
     validation: AnyPath | Sequence[AnyPath] | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
     progress: Progress = lambda phrase, share: None,
-) -> dict[str, Any]:
-    """Identify a model from a bag, or several; write ``model.json`` and ``report.html`` where a folder is given.
+) -> Identification:
+    """Identify a model from a bag, or several, and keep everything for a report.
 
     Parameters
     ----------
@@ -556,15 +609,9 @@ def identify_bag(
     rig : Rig, optional -- None: as the bag says
     options : FitOptions, optional
     estimator, structure, n_modes : optional -- these options instead of those in ``options``
-    folder : Path, optional -- for model and report
-    overwrite : bool -- write where there is something already
     validation : Path or sequence of Path, optional -- other bags, on which the model is scored
     start_s, end_s : float, optional -- only what lies between these times after the first message of each bag [s]
     progress : callable -- called with a phrase and the share done
-
-    Returns
-    -------
-    dict -- what ``identification/result`` carries and ``--json`` prints
 
     Raises
     ------
@@ -592,8 +639,6 @@ def identify_bag(
                 "of one kind of drive, or a structure that fits all with --structure"
             )
     refuse_shared([(one.path, one.record) for one in experiments], [(one.path, one.record) for one in unseen])
-    if folder is not None:
-        new_folder(folder, overwrite)
     settings = replace(
         options.settings(experiment.structure, experiment.clock_rate, experiment.latency), progress=progress
     )
@@ -606,60 +651,12 @@ def identify_bag(
             raise
         raise type(err)(f"{err}. Of the bag: {'; '.join(notes)}") from err
     content = describe(experiments, options.estimator, result)
-    if unseen:
-        content["validation"] = [_validate(one, result) for one in unseen]
-    if folder is not None:
-        progress("writing the report", 1.0)
-        _write(folder, experiment, result, content)
-    return content
-
-
-def identify_told(
-    settings: IdentifierSettings,
-    rig: Rig | None = None,
-    progress: Progress = lambda phrase, share: None,
-    checked: Callable[[AnyPath, FitOptions], None] = lambda bag, options: None,
-    start_s: float | None = None,
-    end_s: float | None = None,
-) -> dict[str, Any]:
-    """Identify what the parameters ``identifier.*`` name, as they say.
-
-    Parameters
-    ----------
-    settings : IdentifierSettings
-    rig : Rig, optional -- None: as the bags say
-    progress : callable -- called with a phrase and the share done
-    checked : callable -- called with every bag before anything is fitted
-    start_s, end_s : float, optional -- as for ``identify_bag``
-
-    Returns
-    -------
-    dict -- as from ``identify_bag``
-
-    Raises
-    ------
-    BagError, UsageError, ParameterFileError, IdentificationError
-    """
-    options = FitOptions.of(settings)
-    bags = paths(settings.bag)
-    if not bags:
-        raise UsageError("no bag is named; expected the folder of a recorded one")
-    folder = Path(settings.report) if settings.report else None
-    if folder is not None:
-        new_folder(folder, settings.overwrite)
-    for bag in bags:
-        checked(bag, options)
-    return identify_bag(
-        bags,
-        rig=rig,
-        options=options,
-        folder=folder,
-        overwrite=settings.overwrite,
-        validation=paths(settings.validate),
-        start_s=start_s,
-        end_s=end_s,
-        progress=progress,
-    )
+    seen = tuple((one, _validated(one, result)) for one in unseen)
+    if seen:
+        content["validation"] = [
+            {"bag": str(one.path), "scores": _validation_scores(results)} for one, results in seen
+        ]
+    return Identification(tuple(experiments), options, result, seen, content)
 
 
 def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:
@@ -761,7 +758,7 @@ def _scores(experiment: Experiment, result: Result) -> dict[str, dict[str, Any]]
     return scores
 
 
-def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
+def _validated(unseen: Experiment, result: Result) -> tuple[ValidationResult, ...]:
     """Score the model, or the model of every output, on data that it was not fitted to."""
     for model in models_of(result):
         if not hasattr(model, "simulate"):
@@ -769,7 +766,11 @@ def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
                 f"--validate needs a model that predicts, and this estimator gives a {type(model).__name__}; leave "
                 "--validate out, or take the estimator modal"
             )
-    scores = {
+    return tuple(validate(model, list(unseen.records)) for model in models_of(result))
+
+
+def _validation_scores(results: Sequence[ValidationResult]) -> dict[str, dict[str, Any]]:
+    return {
         output.name: {
             "fit_percent": output.scores.fit_percent,
             "r_squared": output.scores.r_squared,
@@ -778,62 +779,20 @@ def _validate(unseen: Experiment, result: Result) -> dict[str, Any]:
             "residual_over_noise": output.noise_ratio,
             "verdict": output.verdict,
         }
-        for model in models_of(result)
-        for output in validate(model, list(unseen.records)).outputs
+        for result in results
+        for output in result.outputs
     }
-    return {"bag": str(unseen.path), "scores": scores}
 
 
-def _write(folder: Path, experiment: Experiment, result: Result, content: dict[str, Any]) -> None:
-    """Write the models and, for what ``identify`` found, the report."""
-    model_path, report_path = folder / "model.json", folder / "report.html"
-    partial = model_path.with_name(model_path.name + ".partial")
-    stored = [model.to_dict() for model in models_of(result)]
+def write_models(found: Identification, path: Path) -> Path:
+    """Write the models of an identification with its summary as JSON; the file appears whole or not at all."""
+    stored = [model.to_dict() for model in models_of(found.result)]
     models = {"model": stored[0]} if len(stored) == 1 else {"models": stored}
-    document = {"schema": SCHEMA, **models, "summary": content}
+    document = {"schema": SCHEMA, **models, "summary": found.content}
+    partial = path.with_name(path.name + ".partial")
     partial.write_text(strict_json(document, indent=1), encoding="utf-8")
-    os.replace(partial, model_path)
-    content["model"] = str(model_path)
-    if not isinstance(result, IdentificationResult):
-        return
-    from beam_ident.report.identification import write_report
-
-    reference = []
-    if experiment.rig is not None:
-        omegas, zetas = theoretical_modes(experiment.rig, experiment.structure)
-        highest = 1.5 * float(np.max(result.model.natural_frequencies))
-        reference = [
-            (f"mode {k + 1}", float(omegas[k]), float(zetas[k]))
-            for k in range(len(omegas))
-            if omegas[k] < highest
-        ]
-    write_report(
-        report_path,
-        f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
-        experiment.record,
-        result,
-        reference_modes=reference,
-        provenance=_provenance(experiment),
-        notes=experiment.notes,
-    )
-    content["report"] = str(report_path)
-
-
-def _provenance(experiment: Experiment) -> dict[str, str]:
-    rig = experiment.rig
-    if rig is None:
-        return {"bag": str(experiment.path)}
-    return {
-        "bag": str(experiment.path),
-        "excitation": describe_excitation(experiment.info),
-        "hub": f"commanded in {experiment.info.get('mode', rig.hub.command_mode)}, "
-        f"encoder {rig.hub.encoder_resolution * 1e6:g} um",
-        "camera": f"{rig.camera.rate:g} frames/s, exposure {rig.camera.exposure * 1e3:g} ms",
-        "markers": ", ".join(
-            f"{name} at {height * 1e3:g} mm"
-            for name, height in zip(rig.markers.names, rig.markers.heights, strict=True)
-        ),
-    }
+    os.replace(partial, path)
+    return path
 
 
 def format_table(content: Mapping[str, Any]) -> str:
@@ -867,12 +826,6 @@ def format_table(content: Mapping[str, Any]) -> str:
             damping += f"{100 * mode['theory_damping_ratio']:>7.4f} {_deviations(mode['damping_ratio_z'])}"
         lines.append((frequency + damping).rstrip())
     return "\n".join(lines)
-
-
-def format_files(content: Mapping[str, Any]) -> str:
-    """Say where report and model were written."""
-    report = content.get("report", "none: it shows what the estimator modal finds")
-    return f"report   {report}\nmodel    {content['model']}"
 
 
 def _deviations(z: float) -> str:

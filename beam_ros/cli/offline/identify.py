@@ -1,8 +1,9 @@
 """Identify a continuous-time model from recorded bags.
 
-Prints the natural frequencies and damping ratios, beside the theory of the rig where the bag describes it; writes
-model.json into the folder of --report and, with the estimator modal, a self-contained report.html. Several bags are
-one fit. Every flag is a parameter of the node `identifier`, too, and a rig file may set it.
+Prints the natural frequencies and damping ratios, beside the theory of the rig where the bag describes it; writes a
+self-contained report.html into the folder of --report, and model.json, poles.csv, figures/ and, where the bag has
+images, film.mp4 beside it. Several bags are one fit. Every flag is a parameter of the node `identifier`, too, and a
+rig file may set it.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             more = {"action": "store_true", "default": None}
         elif name in _SEVERAL:
             more["action"] = "append"
-        elif row.kind is int:
-            more["type"] = int
+        elif row.kind in (int, float):
+            more["type"] = row.kind
         elif row.choices:
             more = {"choices": row.choices}
         parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
@@ -77,7 +78,8 @@ def epilog() -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    from beam_ros.offline.identification import format_files, format_table, identify_told
+    from beam_ros.offline.identification import format_table
+    from beam_ros.reporting.identification import format_files, identify_told
 
     told = read_rig(arguments)
     of_the_rig = [text for text in arguments.parameters if not text.startswith(f"{_GROUP}.")]

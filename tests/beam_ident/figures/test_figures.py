@@ -10,7 +10,9 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from beam_ident import EstimationError, LogChirp, estimate_transfer_function, figures, identify, validate
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.excitation import Prbs
+from beam_ident.figures.canvas import drawn
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.responses.spectral import welch_response
 from tests.beam_ident import rao_garnier
@@ -100,3 +102,52 @@ def test_no_figure_touches_pyplot(modal, monkeypatch):
     monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
     figures.time_figure(modal[0])
     assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_missing_samples_break_the_line_where_they_are_missing():
+    times = np.delete(0.01 * np.arange(100), [40, 41, 42])
+    at, values = drawn(times, np.ones(97))
+    assert at[np.isnan(values)] == pytest.approx([0.41])
+    back = np.concatenate([0.01 * np.arange(50), 0.01 * np.arange(50)])
+    at, values = drawn(back, np.ones(100))
+    assert np.all(np.diff(at) > 0.0)
+    assert np.count_nonzero(np.isnan(values)) == 1
+
+
+def test_few_points_of_a_long_record_keep_its_peaks_and_its_gaps():
+    times = np.delete(1e-3 * np.arange(200_000), slice(77_000, 77_010))
+    values = np.sin(2.0 * np.pi * 50.0 * times)
+    values[123_457] = 9.0
+    at, shown = drawn(times, values)
+    assert len(at) < 5000
+    assert np.nanmax(shown) == 9.0
+    assert np.count_nonzero(np.isnan(shown)) == 1
+    assert 76.999 < at[np.isnan(shown)][0] < 77.010
+    # Every stretch still shows the whole swing: the oscillation does not look smaller or slower.
+    parts = np.array_split(shown[np.isfinite(shown)], 50)
+    assert all(np.min(part) < -0.99 and np.max(part) > 0.99 for part in parts)
+
+
+def test_what_was_filled_in_is_not_drawn_as_measured():
+    values = np.sin(0.05 * np.arange(1000))
+    values[300:330] = np.nan
+    drive = InputSignal("hub", "m", (0.0, 1e-3), values)
+    output = OutputSignal("y", "m", np.delete(0.01 * np.arange(100), slice(50, 60)), np.ones(90))
+    upper, lower = figures.time_figure(TimeRecord((drive,), (output,))).axes
+    line = upper.lines[0]
+    hidden = np.asarray(line.get_xdata())[np.isnan(np.asarray(line.get_ydata(), dtype=float))]
+    assert np.min(hidden) >= 0.299
+    assert np.max(hidden) <= 0.331
+    shaded = lower.patches[0]
+    assert shaded.get_x() == pytest.approx(0.49)
+    assert shaded.get_width() == pytest.approx(0.11)
+
+
+def test_the_zeros_of_a_modal_model_stand_beside_its_poles(modal):
+    model = modal[1].model
+    left = figures.pole_zero_figure(model).axes[0]
+    shown = [line for line in left.lines if line.get_label() == "zeros of z225"]
+    zeros = model.zpk("z225")[0]
+    drawn_zeros = shown[0].get_xdata() + 1j * shown[0].get_ydata()
+    assert len(drawn_zeros) >= 1
+    assert all(np.min(np.abs(zeros - zero)) < 1e-9 * abs(zero) for zero in drawn_zeros)

@@ -90,7 +90,7 @@ def test_it_predicts_another_record_of_the_same_forces(case, result):
 def test_report_and_figures_show_every_input(case, result, tmp_path):
     text = write_report(tmp_path / "report.html", "two forces", case.record(1), result).read_text()
     assert "shaker, hammer" in text
-    assert "r_2[p3, hammer]" in text
+    assert "r2[p3, hammer]" in text
 
 
 def test_what_goes_with_one_input_alone_says_so(result):

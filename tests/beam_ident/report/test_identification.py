@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import csv
+import io
 import re
 
 import numpy as np
@@ -7,74 +9,146 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from beam_ident import identify
-from beam_ident.report.identification import with_uncertainty, write_report
+from beam_ident import identify, validate
+from beam_ident.errors import ReportError
+from beam_ident.report.evidence import ErrorSources, Theory, Trial, Unseen, mode_rows
+from beam_ident.report.gates import Gate
+from beam_ident.report.identification import identification_page, poles_table, write_report
+from tests.beam_ident.result_cases import BY_NAME, record, result
 from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    record = beam_record(1)
-    result = identify(record, n_modes=3)
-    reference = [
-        (f"mode {i + 1}", float(w), float(z)) for i, (w, z) in enumerate(zip(OMEGAS, ZETAS, strict=True))
-    ]
-    path = tmp_path_factory.mktemp("report") / "deeper" / "report.html"
-    write_report(path, "A <beam>", record, result, reference, {"bag": "chirp & still"}, ["A note."])
-    return path
+def modal():
+    return beam_record(1), identify(beam_record(1), n_modes=3)
 
 
-def test_the_report_is_one_file_that_needs_nothing_else(written):
-    text = written.read_text()
+@pytest.fixture(scope="module")
+def theory():
+    return Theory(
+        "A beam.",
+        np.array(OMEGAS),
+        np.array(ZETAS),
+        0.992 * np.array(OMEGAS),
+        {"thickness": np.full(3, 0.02), "length": np.full(3, -0.003)},
+        2.5,
+        {"z285": np.ones(3)},
+        {"z285": np.full(3, 0.1)},
+        np.linspace(0.0, 0.3, 20),
+        np.ones((20, 3)),
+        {"z285": (0.285, 0.0005)},
+    )
+
+
+@pytest.fixture(scope="module")
+def page(modal, theory):
+    data, found = modal
+    unseen = Unseen("another", (validate(found.model, beam_record(2)),))
+    trials = [Trial("low", found.model, 1e-3), Trial("high", found.model, 5e-3)]
+    return identification_page(
+        "A <beam>",
+        data,
+        found,
+        provenance={"Bag": {"path": "chirp & still"}, "Versions": {"NumPy": "1"}},
+        notes=["62 frames are missing"],
+        gates=[Gate("frames", "doubtful", "62 lost", "none lost", "Use a shorter cable.")],
+        validation=[unseen],
+        theory=theory,
+        sources=ErrorSources(1e-5, 2.0, -1.25e-4, {"z285": 0.01}),
+        trials=trials,
+        links=[("The model", "model.json")],
+    )
+
+
+def test_the_report_is_one_file_that_needs_nothing_else(page, tmp_path):
+    path = page.write(tmp_path / "deeper" / "report.html")
+    text = path.read_text()
     assert text.startswith("<!doctype html>")
-    assert not re.findall(r'(?:src|href)="(?!#)[^"]', text)  # figures refer to their own parts only
-    assert "url(http" not in text
-    assert [p.name for p in written.parent.iterdir()] == ["report.html"]
+    assert set(re.findall(r'(?:src|href)="(?!#)([^"]*)"', text)) == {"data:,", "model.json"}
+    assert "http" not in text
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
 
 
-def test_the_report_shows_modes_figures_and_provenance_escaped(written):
-    text = written.read_text()
+def test_the_report_has_every_section_in_the_order_of_a_reader(page):
+    headings = re.findall(r"<h2[^>]*>([^<]*)</h2>", page.text())
+    assert headings == [
+        "Verdict",
+        "Modes",
+        "Data quality",
+        "Model",
+        "Fit",
+        "Frequency response",
+        "Order",
+        "Theory",
+        "Validation",
+        "Linearity and repeatability",
+        "Provenance",
+    ]
+
+
+def test_every_figure_has_a_caption_a_name_and_words_for_those_who_do_not_see_it(page):
+    text = page.text()
+    n = text.count("<figure>")
+    assert n == len(page.figures)
+    assert n == text.count("<figcaption") == text.count('role="img" aria-label="')
+    assert {"record", "fit", "coherence", "response", "stabilisation", "shapes", "poles"} <= set(page.figures)
+    assert "validation-another-z010--z225--z285" in page.figures
+
+
+def test_the_report_shows_modes_data_and_provenance_escaped(page):
+    text = page.text()
     assert "A &lt;beam&gt;" in text
     assert "chirp &amp; still" in text
-    assert text.count("<h2>Provenance</h2>") == 1
-    assert text.count("<figure>") == 6
-    assert text.count("<figcaption>") == 6
-    assert "1 (mode 1)" in text
     assert f"{OMEGAS[0] / 2 / np.pi:.3f}" in text
+    assert "62 frames are missing." in text
+    assert "Use a shorter cable." in text
+    assert "FIT from rest [%]" in text
 
 
-def test_a_report_that_cannot_be_written_leaves_nothing_behind(written, tmp_path):
-    class Broken:
-        name = "broken"
-
-        @property
-        def outputs(self):
-            raise RuntimeError("no outputs")
-
-    with pytest.raises(RuntimeError):
-        write_report(tmp_path / "report.html", "t", Broken(), Broken())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_values_are_rounded_to_their_uncertainty():
-    assert with_uncertainty(4.38412345, 0.000123) == "4.38412 ± 0.00012"
-    assert with_uncertainty(123.456, 12.0) == "123 ± 12"
-    assert with_uncertainty(2.0, 0.0) == "2"
-    assert with_uncertainty(-5.69141e-7, 6.2e-7) == "(-5.7 ± 6.2)e-07"
-    assert with_uncertainty(4.8e-6, 0.0023) == "0.0000 ± 0.0023"
+def test_a_report_names_every_unit_of_its_equation(modal):
+    text = identification_page("t", *modal).text()
+    table = re.search(r"<caption[^>]*>Every symbol.*?</table>", text, re.DOTALL)[0]
+    units = re.findall(r"<tr><th[^>]*>([^<]*)</th><td[^>]*>[^<]*</td><td[^>]*>([^<]*)</td>", table)
+    found = dict(units)
+    assert found["ω1"] == "rad/s"
+    assert found["T"] == "s"
+    assert found["R[z285]"] == "s^2"
+    assert found["c[z285]"] == found["r1[z285]"] == found["ζ1"] == "1"
+    assert found["σ[z285]"] == "m"
 
 
-@pytest.mark.parametrize(
-    ("value", "sd", "text"),
-    [
-        (4.38391, 0.00123, "4.3839 ± 0.0012"),
-        (-0.25, 0.5, "-0.25 ± 0.50"),
-        (1234.5, 67.0, "1234 ± 67"),
-        (1.234e-6, 2.1e-8, "(1.234 ± 0.021)e-06"),
-        (-3e-9, 4.4e-8, "(-0.3 ± 4.4)e-08"),
-        (1.5, 0.0, "1.5"),
-        (1.5, float("inf"), "1.5"),
-    ],
-)
-def test_a_number_is_written_to_two_digits_of_its_uncertainty(value, sd, text):
-    assert with_uncertainty(value, sd) == text
+@pytest.mark.parametrize("name", BY_NAME)
+def test_every_estimator_has_a_report(name):
+    found = result(name)
+    text = identification_page("t", record(), found).text()
+    assert "Damping ratio over natural frequency" in text
+    assert "Every symbol of the equation" in text
+    assert "3.1" in text  # Hz, of the plant
+    rows = list(csv.DictReader(io.StringIO(poles_table(mode_rows_of(found)))))
+    assert float(rows[0]["frequency_hz"]) == pytest.approx(20.0 / 2 / np.pi, rel=0.02)
+
+
+def mode_rows_of(found):
+    from beam_ident.results import models_of
+
+    return mode_rows(models_of(found))
+
+
+def test_the_table_of_poles_has_their_place_in_the_plane(modal):
+    rows = list(csv.DictReader(io.StringIO(poles_table(mode_rows((modal[1].model,))))))
+    poles = [complex(float(row["pole_real_rad_s"]), float(row["pole_imaginary_rad_s"])) for row in rows]
+    assert np.allclose(poles, modal[1].model.poles, rtol=1e-12)
+
+
+def test_a_report_is_not_overwritten_unasked(modal, tmp_path):
+    path = write_report(tmp_path / "report.html", "first", *modal)
+    with pytest.raises(ReportError, match="is there already"):
+        write_report(path, "second", *modal)
+    write_report(path, "second", *modal, overwrite=True)
+    assert "second" in path.read_text()
+
+
+def test_several_records_are_drawn_one_by_one(modal):
+    records = [beam_record(1), beam_record(2)]
+    page = identification_page("t", records, identify(records, n_modes=3))
+    assert {"record-1", "record-2"} <= set(page.figures)

@@ -78,16 +78,12 @@ def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Pa
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.5e-6)
 
 
-def test_model_and_report_are_written_whole_and_the_model_reads_back(bag: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
+def test_the_model_is_written_whole_and_reads_back(bag: Path, tmp_path: Path) -> None:
     result = identify_bag(bag, folder=tmp_path / "out", n_modes=2)
     document = json.loads((tmp_path / "out" / "model.json").read_text())
     model = ModalModel.from_dict(document["model"])
     assert model.frequencies_hz == pytest.approx([m["frequency_hz"] for m in result["modes"]], rel=1e-15)
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("<svg") >= 4
-    assert 'src="http' not in page
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["model.json", "report.html"]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["model.json"]
     assert "4.38" in format_table(result)
 
 

@@ -1,0 +1,55 @@
+"""The budget of a mode: its parts are known quantities, and add up to what the model states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from beam_ident import Prior, identify
+from beam_ident.report.evidence import ErrorSources, mode_rows
+from beam_ident.report.modes import budget_of
+from tests.beam_ident.truth import beam_record
+
+
+@pytest.fixture(scope="module")
+def unsure():
+    """Return modes of a record whose clock is known to 0.5 ppm, better than the data tell."""
+    record = beam_record(1).select(("z285",))
+    found = identify(record, n_modes=2, clock_rate=Prior(0.0, 5e-7))
+    return found.model, mode_rows((found.model,))
+
+
+def test_the_parts_add_up_to_what_the_model_states(unsure):
+    _, modes = unsure
+    for mode in modes:
+        of_omega, of_zeta = budget_of(mode, ErrorSources())
+        assert of_omega.together == pytest.approx(mode.omega_sd, rel=1e-6)
+        assert of_zeta.together == pytest.approx(mode.zeta_sd, rel=1e-6)
+
+
+def test_what_the_clock_contributes_is_what_another_clock_would_have_changed(unsure):
+    model, modes = unsure
+    record, off = beam_record(1).select(("z285",)), 2e-6
+    held = [identify(record, n_modes=2, clock_rate=Prior(rate, 0.0)).model for rate in (-off, off)]
+    slopes = (held[1].natural_frequencies - held[0].natural_frequencies) / (2.0 * off)
+    for mode, slope in zip(modes, slopes, strict=True):
+        expected = abs(slope) * model.clock_rate_sd
+        assert budget_of(mode, ErrorSources())[0].clock == pytest.approx(expected, rel=0.05)
+
+
+def test_a_known_clock_takes_no_part():
+    model = identify(beam_record(1), n_modes=2, clock_rate=Prior(0.0, 0.0)).model
+    of_omega, _ = budget_of(mode_rows((model,))[0], ErrorSources())
+    assert of_omega.clock == 0.0
+
+
+def test_time_base_and_temperature_are_added_where_they_are_given(unsure):
+    mode = unsure[1][0]
+    bare = budget_of(mode, ErrorSources())[0]
+    assert np.isnan(bare.temperature)
+    full = budget_of(mode, ErrorSources(1e-3, 2.0, -1.25e-4))[0]
+    assert full.time_base == pytest.approx(1e-3 * mode.omega)
+    assert full.temperature == pytest.approx(2.5e-4 * mode.omega)
+    assert full.together == pytest.approx(np.sqrt(bare.together**2 + full.time_base**2 + full.temperature**2))
