@@ -19,7 +19,8 @@ CUT_OFF = """
   const found = [];
   const edge = document.documentElement.clientWidth;
   if (document.documentElement.scrollWidth > edge) found.push('the page is wider than the screen');
-  for (const element of document.querySelectorAll('table, figure svg, p, h1, h2, figcaption, aside, .equation math')) {
+  const parts = 'table, figure svg, p, h1, h2, figcaption, aside, .equation math';
+  for (const element of document.querySelectorAll(parts)) {
     const box = element.closest('.box');
     const right = element.getBoundingClientRect().right;
     const scrolls = box && getComputedStyle(box).overflowX !== 'visible';

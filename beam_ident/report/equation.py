@@ -69,14 +69,17 @@ def _add_modal(page: Page, model: ModalModel, record: TimeRecord) -> None:
     page.equation(
         f"{_sub('Y', 'j')}<mo>(</mo><mi>s</mi><mo>)</mo><mo>=</mo>{over_inputs}<mrow><mo>{{</mo>{direct}{sign}"
         f"{_power(d)}<mrow><mo>[</mo>{total}<mo>+</mo>{_sub('R', of)}<mo>]</mo></mrow><mo>}}</mo></mrow>{drive}"
-        "<mo>(</mo><mi>s</mi><mo>)</mo><mo>,</mo><mspace width='1em'/>"
+        "<mo>(</mo><mi>s</mi><mo>)</mo>",
+        "The Laplace transform of output j is that of the input times the sum of a direct part, one second-order "
+        "term for each mode, and a static rest.",
+    )
+    page.equation(
         f"{_sub('y', 'j')}<mo>(</mo><msub><mi>t</mi><mi>k</mi></msub><mo>)</mo><mo>=</mo>{_sub('y', 'j')}"
         "<mo>(</mo><mo>(</mo><mn>1</mn><mo>−</mo><mi>ε</mi><mo>)</mo><msub><mi>t</mi><mi>k</mi></msub><mo>−</mo>"
         "<mi>T</mi><mo>)</mo><mo>+</mo>"
         f"{_sub('a', 'j')}<mo>+</mo>{_sub('b', 'j')}<msub><mi>t</mi><mi>k</mi></msub><mo>+</mo>{_sub('e', 'j')}",
-        "The Laplace transform of output j is that of the input times the sum of a direct part, one second-order "
-        "term for each mode, and a static rest; the samples add a latency, a clock rate, an offset, a drift and "
-        "noise.",
+        "A sample of output j is the output at the instant that its stamp means, later by the latency and stretched "
+        "by the clock rate, with an offset, a drift and noise.",
     )
     page.paragraph(
         f"The input U is the {_MEANINGS[model.structure]} ({', '.join(model.input_names)}), s the Laplace variable; "
