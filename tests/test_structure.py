@@ -62,6 +62,7 @@ TESTED_IN = (
     ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
     ("beam_ros/experiments", "outcome steps", "experiments/test_conduct"),
     ("beam_ros/cli/offline", "export model recover simulate", "cli/test_main"),
+    ("beam_ros/cli/offline", "compare", "reporting/test_comparison"),
     ("beam_ros/cli/offline", "design", "excitation/test_plan"),
     ("beam_ros/cli/offline", "track", "offline/test_video_into_bag"),
     ("beam_ros/excitation", "recipes", "excitation/test_plan"),

@@ -168,14 +168,22 @@ def input_spectrum_figure(record: TimeRecord) -> Figure:
 
 
 def frequency_response_figure(curves: Sequence[ResponseCurve]) -> Figure:
-    """Draw magnitude and phase of models with 95 % bands (``figures.response_curves`` gives the curves)."""
+    """Draw magnitude and phase with 95 % bands (``response_curves`` gives the curves).
+
+    Outputs have colours and inputs lines of their own; of several models it is the model that has the colour.
+    """
     figure, axes = stacked_axes(2, 5.0)
-    names = list(dict.fromkeys(curve.output_name for curve in curves))
-    styles = list(dict.fromkeys((curve.label, curve.input_name) for curve in curves))
+    several_models = len({curve.label for curve in curves}) > 1
+    colours = [curve.label if several_models else curve.output_name for curve in curves]
+    names = list(dict.fromkeys(colours))
+    styles = list(
+        dict.fromkeys((curve.output_name if several_models else "", curve.input_name) for curve in curves)
+    )
     several_inputs = len({curve.input_name for curve in curves}) > 1
-    for curve in curves:
-        colour = COLOURS[names.index(curve.output_name) % len(COLOURS)]
-        style = _LINES[styles.index((curve.label, curve.input_name)) % len(_LINES)]
+    for curve, name in zip(curves, colours, strict=True):
+        colour = COLOURS[names.index(name) % len(COLOURS)]
+        of_style = (curve.output_name if several_models else "", curve.input_name)
+        style = _LINES[styles.index(of_style) % len(_LINES)]
         label = f"{curve.output_name} over {curve.input_name}" if several_inputs else curve.output_name
         label = f"{curve.label}: {label}" if curve.label else label
         size, spread = np.abs(curve.response), 1.96 * curve.magnitude_sd

@@ -39,6 +39,7 @@ OFFLINE: dict[str, str] = {
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
     "identify": "a continuous-time model from a bag, by one of several estimators",
+    "compare": "bags and models side by side: poles, the significance of differences, responses",
     "study": "many bags, one row each in one table, on the cores or on a cluster",
     "axis": "a motion controller on its line: what answers there, does its firmware keep the protocol",
 }

@@ -62,6 +62,7 @@ OFFLINE_VERBS = {
     "info": ("bag",),
     "export": ("bag", "--csv", "folder"),
     "recover": ("bag", "--to", "whole"),
+    "compare": ("bag", "bag", "--modes", "1"),
     "identify": ("bag", "--report", "report", "--json"),
 }
 
