@@ -38,6 +38,7 @@ OFFLINE: dict[str, str] = {
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
+    "check": "whether a bag can be identified, and if not why: a table of gates with figures and remedies",
     "identify": "a continuous-time model from a bag, by one of several estimators",
     "compare": "bags and models side by side: poles, the significance of differences, responses",
     "study": "many bags, one row each in one table, on the cores or on a cluster",

@@ -11,13 +11,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from beam_ros.cli.options import add_rig_file, add_span, read_rig, read_span
 from beam_ros.interfaces.parameter import Parameter, parameters_of
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.process.progress import Progress
+from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
+from beam_ros.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from beam_ident.report.gates import Gate
+    from beam_ros.offline.options import FitOptions
 
 _GROUP = "identifier"
 _SEVERAL = {"outputs": "--output", "validate": "--validate"}
@@ -43,20 +49,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the bag, or a single .mcap or .db3 file, here or by its URL; several are one fit",
     )
     add_span(parser)
-    for name, row in parameters().items():
-        flag = _SEVERAL.get(name, f"--{name.replace('_', '-')}")
-        more: dict[str, Any] = {"metavar": _METAVARS.get(name, name.upper())}
-        if row.kind is bool:
-            more = {"action": "store_true", "default": None}
-        elif name in _SEVERAL:
-            more["action"] = "append"
-        elif row.kind in (int, float):
-            more["type"] = row.kind
-        elif row.choices:
-            more = {"choices": row.choices}
-        parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
+    for name in parameters():
+        add_parameter(parser, name)
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_parameter(parser: argparse.ArgumentParser, name: str) -> None:
+    """Add the flag of a parameter of the identifier."""
+    row = parameters()[name]
+    flag = _SEVERAL.get(name, f"--{name.replace('_', '-')}")
+    more: dict[str, Any] = {"metavar": _METAVARS.get(name, name.upper())}
+    if row.kind is bool:
+        more = {"action": "store_true", "default": None}
+    elif name in _SEVERAL:
+        more["action"] = "append"
+    elif row.kind in (int, float):
+        more["type"] = row.kind
+    elif row.choices:
+        more = {"choices": row.choices}
+    parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
+
+
+def settings_of(arguments: argparse.Namespace) -> tuple[IdentifierSettings, Rig | None]:
+    """Return what the flags, and a rig file before them, say; and the rig, where one is given.
+
+    Raises
+    ------
+    ParameterFileError
+        A value is wrong.
+    """
+    told = read_rig(arguments)
+    of_the_rig = [text for text in arguments.parameters if not text.startswith(f"{_GROUP}.")]
+    given = {name: getattr(arguments, name, None) for name in parameters()}
+    given |= {name: _joined(given[name]) for name in _SEVERAL}
+    changes = {f"{_GROUP}.{name}": value for name, value in given.items() if value is not None}
+    settings = told.with_values({**changes, f"{_GROUP}.bag": _joined(arguments.bag)}).identifier
+    return settings, told if arguments.rig_file or of_the_rig else None
 
 
 def parameters() -> dict[str, Parameter]:
@@ -78,29 +107,37 @@ def epilog() -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
+    from beam_ros.checks.bag_check import BagCheck, check_bag
     from beam_ros.offline.identification import format_table
     from beam_ros.reporting.identification import format_files, identify_told
 
-    told = read_rig(arguments)
-    of_the_rig = [text for text in arguments.parameters if not text.startswith(f"{_GROUP}.")]
-    rig = told if arguments.rig_file or of_the_rig else None
-    given = {name: getattr(arguments, name) for name in parameters()}
-    given |= {name: _joined(given[name]) for name in _SEVERAL}
-    changes = {f"{_GROUP}.{name}": value for name, value in given.items() if value is not None}
-    settings = told.with_values({**changes, f"{_GROUP}.bag": _joined(arguments.bag)}).identifier
+    settings, rig = settings_of(arguments)
+    checks: list[BagCheck] = []
+
+    def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
+        stage.update(0.0, f"checking {path}")
+        checks.append(check_bag(path, rig, options))
+        return checks[-1].gates
+
     start_s, end_s = read_span(arguments)
     with Progress("identify", 1.0) as stage:
         result = identify_told(
             settings,
             rig,
             progress=lambda phrase, share: stage.update(share, phrase),
+            checked=check,
             start_s=start_s,
             end_s=end_s,
         )
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
+    result["checks"] = [own.to_dict() for own in checks]
     if arguments.json:
         print(strict_json(result, indent=2))
         return 0
+    for own in checks:
+        for gate in own.gates:
+            if gate.verdict in ("failed", "doubtful"):
+                print(f"{gate.verdict}: {gate.name}: {gate.figure}; {gate.remedy}")
     for table in result.get("orders", ()):
         print(f"{table}\n")
     print(format_table(result))

@@ -1,0 +1,1 @@
+"""What a bag is worth before anything is fitted to it."""

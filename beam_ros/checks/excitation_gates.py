@@ -1,0 +1,136 @@
+"""Gates of the excitation: whether anything moved, at which frequencies, and what that tells of the rig's modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from beam_ident import IdentificationError, TimeRecord
+from beam_ident.data.bandwidth import Band, excited_band
+from beam_ident.design.precision import predicted_precision
+from beam_ident.design.prediction import LINES_PER_BAND
+from beam_ident.modal.structure import ModalStructure
+from beam_ident.report.gates import Gate, Verdict
+from beam_ident.sensing.still_noise import StillNoise
+from beam_ros.arrays import FloatArray
+
+_EXCITE_MORE = (
+    "excite this mode more or longer, take noise from the outputs, or record until it has rung down"
+)
+
+Modes = tuple[FloatArray, FloatArray]
+"""Natural frequencies [rad/s] and damping ratios."""
+
+
+def input_band(record: TimeRecord, structure: str) -> Band:
+    """Return the band in which a record's input drives modes."""
+    drive = record.inputs[0]
+    own = ModalStructure(structure)  # type: ignore[arg-type]
+    differentiations = own.differentiations if own.is_motion else 0
+    first, last = drive.span_s
+    rate = max(len(output.times_s) for output in record.outputs) / (last - first)
+    if drive.sigma == 0.0 and (noise := StillNoise.of(drive)).sigma > 0.0:
+        drive = replace(drive, sigma=noise.sigma)
+    return excited_band(drive, differentiations, last - first, rate)
+
+
+def motion_gates(record: TimeRecord, band: Band) -> Iterator[Gate]:
+    """Judge whether the input moved, and how far above its noise."""
+    drive = record.inputs[0]
+    noise = max(drive.sigma, StillNoise.of(drive).sigma)
+    size = float(np.std(drive.values))
+    above = (
+        f", {20.0 * math.log10(size / noise):.0f} dB above its noise of {noise:.2g}" if noise and size else ""
+    )
+    figure = f"{drive.name} moves by {size:.3g} {drive.unit} (sd){above}"
+    expected = "an input that moves by more than its noise"
+    if not band.is_excited:
+        yield Gate(
+            "input moved",
+            "failed",
+            figure,
+            expected,
+            "see that the axis was enabled and the excitation ran; without input there is only free decay",
+        )
+        return
+    yield Gate("input moved", "passed", figure, expected)
+    yield Gate(
+        "excited band",
+        "passed",
+        f"{band.low_hz:.3g} to {band.high_hz:.3g} Hz",
+        "the frequencies of the modes that are wanted",
+    )
+
+
+def mode_gates(
+    records: Sequence[TimeRecord],
+    structure: str,
+    band: Band,
+    modes: Modes | None,
+    noise_sd: Mapping[str, float],
+    spacing_hz: float | None,
+) -> Iterator[Gate]:
+    """Judge what the record tells of every mode of the rig that it can show.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+    structure : str
+    band : Band -- of the excitation
+    modes : Modes or None -- by the rig's theory
+    noise_sd : mapping -- floor of every output
+    spacing_hz : float or None -- between the frequencies of the excitation, where its recipe is known
+    """
+    first, last = records[0].inputs[0].span_s
+    step_hz = max(1.0 / (last - first), spacing_hz or 0.0)
+    if modes is None:
+        yield Gate(
+            "resolution",
+            "not judged",
+            f"frequencies {step_hz:.3g} Hz apart, {(last - first):.3g} s",
+            f"half-power bands of {LINES_PER_BAND:g} times that, 2 zeta f, for a frequency response; a rig file "
+            "tells which modes there are",
+        )
+        return
+    low, high = band.reach_hz
+    omegas, zetas = modes
+    hertz = omegas / (2.0 * math.pi)
+    shown = (hertz > low) & (hertz < high)
+    if not np.any(shown) and band.is_excited:
+        yield Gate(
+            "modes in the band",
+            "failed",
+            f"none of {', '.join(f'{f:.3g}' for f in hertz)} Hz in {band.low_hz:.3g} to {band.high_hz:.3g} Hz",
+            "at least one mode of the rig",
+            "excite where the modes are (`beam design`), or give the rig file of this experiment",
+        )
+        return
+    if not band.is_excited:
+        return
+    known = {name: sd if math.isfinite(sd) and sd > 0.0 else 1.0 for name, sd in noise_sd.items()}
+    try:
+        found = predicted_precision(records, structure, omegas[shown], zetas[shown], known)  # type: ignore[arg-type]
+    except IdentificationError as err:
+        yield Gate("resolution", "failed", str(err), "a record that can be fitted", "record longer")
+        return
+    rows = list(zip(hertz[shown], zetas[shown], found.omega_sd, found.zeta_sd, strict=True))
+    is_any_known = any(float(omega_sd) < 2.0 * math.pi * zeta * f for f, zeta, omega_sd, _ in rows)
+    for f, zeta, omega_sd, zeta_sd in rows:
+        width = 2.0 * zeta * f
+        sd_hz = float(omega_sd) / (2.0 * math.pi)
+        figure = (
+            f"half-power band of {width:.3g} Hz with {width / step_hz:.2g} lines; frequency to {sd_hz:.2g} Hz, "
+            f"damping ratio to {100.0 * min(float(zeta_sd / zeta), 9.99):.2g} % of it at best"
+        )
+        is_known = sd_hz < 0.5 * width and zeta_sd < 0.5 * zeta
+        verdict: Verdict = "passed" if is_known else "doubtful" if is_any_known else "failed"
+        yield Gate(
+            f"mode at {f:.3g} Hz",
+            verdict,
+            figure,
+            "a frequency known within its own resonance, a damping ratio two deviations from zero",
+            "" if is_known else _EXCITE_MORE,
+        )
