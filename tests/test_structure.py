@@ -61,6 +61,8 @@ TESTED_IN = (
     ("beam_ros/cli/live", "call up", "launching/test_up"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
     ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
+    ("beam_ros/cli/live", "thesis", "thesis/test_document"),
+    ("beam_ros/thesis", "data figures tables", "thesis/test_document"),
     ("beam_ros/experiments", "outcome steps", "experiments/test_conduct"),
     ("beam_ros/cli/offline", "export model recover simulate", "cli/test_main"),
     ("beam_ros/cli/offline", "compare", "reporting/test_comparison"),

@@ -201,10 +201,12 @@ class RationalResponse:
             safe = np.where(near, 1.0, z)
             # Mean of e^(p t) over the exposure, sinh(z)/z with z = p E/2, and its derivative by p; by series
             # near zero.
-            box = np.where(near, 1.0 + z**2 / 6.0, np.sinh(safe) / safe)
-            bend = np.where(near, z / 3.0 + z**3 / 30.0, (np.cosh(safe) - np.sinh(safe) / safe) / safe)
-            slopes = slopes * box + half * scale * bend * values
-            values = values * box
+            # A pole on trial that grows beyond all numbers makes its response infinite, and so its cost.
+            with np.errstate(over="ignore", invalid="ignore"):
+                box = np.where(near, 1.0 + z**2 / 6.0, np.sinh(safe) / safe)
+                bend = np.where(near, z / 3.0 + z**3 / 30.0, (np.cosh(safe) - np.sinh(safe) / safe) / safe)
+                slopes = slopes * box + half * scale * bend * values
+                values = values * box
         response._rows = _Fractions.rows([values, slopes] if squares else [values])
         return response
 

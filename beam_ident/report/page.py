@@ -207,7 +207,7 @@ class Page:
         )
         self._add(_box(content, label))
 
-    def figure(self, figure: Figure, caption: str, alt: str, name: str = "") -> None:
+    def figure(self, figure: Figure, caption: str, alt: str, name: str = "", number: str = "") -> None:
         """Add a figure of Matplotlib as SVG.
 
         Parameters
@@ -216,6 +216,7 @@ class Page:
         caption : str -- what it means, and where not to trust it
         alt : str -- what it shows, for those who do not see it
         name : str -- its stem where it is also kept in ``figures``
+        number : str -- in place of the page's own count, where a page takes over the numbers of another work
         """
         self._n_figures += 1
         svg = _svg(figure, alt)
@@ -229,7 +230,7 @@ class Page:
         if width < _NARROW:
             own = own.replace("<svg", f'<svg style="min-width:0;max-width:{width:.2f}in"', 1)
         label = f"t{self._count_box()}"
-        words = f"Figure {self._n_figures}. {caption}"
+        words = f"Figure {number or self._n_figures}. {caption}"
         self._add(
             f'<figure>{_box(own, label, kind)}<figcaption id="{label}">{_escape(words)}</figcaption></figure>'
         )

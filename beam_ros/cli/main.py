@@ -21,6 +21,7 @@ from beam_ros.process.interruption import interrupt, signals_taken
 LIVE: dict[str, str] = {
     "demo": "the whole experiment without hardware: simulate, excite, film, track, record, identify, report",
     "experiment": "excitations, recordings, identification and validation as one plan, resumable, with one report",
+    "thesis": "the reference work, reproduced: its tables and figures from bags, numbered as there",
     "up": "the rig's nodes together, until Ctrl-C",
     "run": "one node, as `ros2 run beam_ros NODE`",
     "call": "a service of the running rig: home, enable, start the excitation, stop",

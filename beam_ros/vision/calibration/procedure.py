@@ -218,11 +218,13 @@ class CalibrationFit:
     ----------
     calibration : LinearCalibration
     lines : tuple of LineFit -- one per marker
+    points : tuple of (tuple of CalibrationPoint) -- those of every marker's line, in the order of capture
     warnings : tuple of str -- what a reader should know: few points, curvature, hysteresis, scatter
     """
 
     calibration: LinearCalibration
     lines: tuple[LineFit, ...]
+    points: tuple[tuple[CalibrationPoint, ...], ...]
     warnings: tuple[str, ...]
 
 
@@ -352,7 +354,8 @@ class CalibrationProcedure:
                 "has_hysteresis": [line.has_hysteresis for line in lines],
             },
         )
-        return CalibrationFit(calibration, lines, tuple(self._warnings(lines)))
+        by_marker = tuple(tuple(point[k] for point in self._points) for k in range(self.n_markers))
+        return CalibrationFit(calibration, lines, by_marker, tuple(self._warnings(lines)))
 
     def _warnings(self, lines: Sequence[LineFit]) -> list[str]:
         warnings = []
