@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +19,9 @@ from beam_ros.bags.reading import STORAGE_SUFFIXES, Bag
 from beam_ros.bags.summary import BagInfo, summarise
 from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
+from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -36,22 +38,17 @@ class Settings:
 
     Attributes
     ----------
-    estimator, structure : str -- as ``identify_bag`` takes them
-    n_modes : int, optional -- None: from the data
+    identifier : IdentifierSettings -- what ``beam identify`` may be told
     rig : Rig, optional -- None: as each bag says; of simulated experiments, what is simulated
     """
 
-    estimator: str = "modal"
-    structure: str = "auto"
-    n_modes: int | None = None
+    identifier: IdentifierSettings
     rig: Rig | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return them in plain values, to compare and to store."""
         return {
-            "estimator": self.estimator,
-            "structure": self.structure,
-            "n_modes": self.n_modes,
+            "identifier": asdict(self.identifier),
             "rig": None if self.rig is None else self.rig.to_nested(),
         }
 
@@ -161,14 +158,8 @@ def failed_row(item: Item, reason: str) -> Row:
 def _row_of_bag(path: Path, settings: Settings) -> Row:
     with Bag(path) as bag:
         info = summarise(bag)
-    found = identify_bag(
-        path,
-        estimator=settings.estimator,
-        structure=settings.structure,
-        n_modes=settings.n_modes,
-        rig=settings.rig,
-    )
-    doubts = [mode["doubt"] for mode in found["modes"] if mode["doubt"]]
+    found = identify_bag(path, rig=settings.rig, options=FitOptions.of(settings.identifier))
+    doubts = [mode["doubt"] for mode in found["modes"] if mode.get("doubt")]
     is_good = found["converged"] and not doubts and not found["warnings"]
     return {
         "verdict": "passed" if is_good else "doubtful",
@@ -187,22 +178,21 @@ def _row_of_bag(path: Path, settings: Settings) -> Row:
 
 
 def _modes(modes: Sequence[Mapping[str, Any]]) -> Row:
-    """Return the columns of the modes; where two are nearest to one of theory, those of the nearer."""
+    """Return the columns of the modes, numbered as the nearest of theory; without a theory in their order."""
     nearest: dict[int, Mapping[str, Any]] = {}
-    for mode in modes:
-        number = mode["theory_mode"]
-        kept = nearest.get(number)
-        if kept is None or _distance(mode) < _distance(kept):
+    for rank, mode in enumerate(modes, start=1):
+        number = mode.get("theory_mode", rank)
+        if number not in nearest or _distance(mode) < _distance(nearest[number]):
             nearest[number] = mode
     return {
-        f"mode{number}_{name}": nearest[number][name]
+        f"mode{number}_{name}": nearest[number].get(name)
         for number in sorted(nearest)
         for name in (*_OF_MODE, *_OF_THEORY)
     }
 
 
 def _distance(mode: Mapping[str, Any]) -> float:
-    return float(abs(mode["frequency_hz"] - mode["theory_frequency_hz"]))
+    return float(abs(mode["frequency_hz"] - mode.get("theory_frequency_hz", mode["frequency_hz"])))
 
 
 def _provenance(path: Path, info: BagInfo) -> Row:

@@ -32,7 +32,8 @@ class ModeStatistics:
     scatter : float -- standard deviation over the rows
     stated_sd : float -- median of the stated standard deviations
     largest_error : float -- from the theory of each row, relative
-    covered : int -- rows whose 95 % interval holds the theory's value
+    judged : int -- rows with a theory
+    covered : int -- of these, those whose 95 % interval holds the theory's value
     """
 
     mode: int
@@ -42,17 +43,20 @@ class ModeStatistics:
     scatter: float
     stated_sd: float
     largest_error: float
+    judged: int
     covered: int
 
     @property
     def coverage(self) -> float:
-        """Share of the rows whose 95 % interval holds the theory's value."""
-        return self.covered / self.count
+        """Share of the judged rows whose 95 % interval holds the theory's value; NaN where there are none."""
+        return self.covered / self.judged if self.judged else math.nan
 
     @property
     def coverage_range(self) -> tuple[float, float]:
         """Where that share would lie in endlessly many rows, with 95 % confidence (Wilson's interval)."""
-        n, p, z = self.count, self.coverage, _OF_95_PERCENT
+        if not self.judged:
+            return 0.0, 1.0
+        n, p, z = self.judged, self.coverage, _OF_95_PERCENT
         middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
         half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
         return max(0.0, middle - half), min(1.0, middle + half)
@@ -70,10 +74,10 @@ def mode_statistics(rows: Sequence[Row]) -> tuple[ModeStatistics, ...]:
 
 
 def values_of(rows: Sequence[Row], mode: int, quantity: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a mode's values, standard deviations and those of theory, of the rows that have them."""
+    """Return a mode's values, standard deviations and those of theory (NaN: none), of the rows that have it."""
     value, sd = (f"mode{mode}_{name}" for name in QUANTITIES[quantity])
     theory = f"mode{mode}_theory_{QUANTITIES[quantity][0]}"
-    table = [(row[value], row[sd], row[theory]) for row in rows if row.get(value) and row.get(sd)]
+    table = [(row[value], row[sd], row.get(theory)) for row in rows if row.get(value) and row.get(sd)]
     values, sds, theories = np.array(table, dtype=np.float64).reshape(-1, 3).T
     return values, sds, theories
 
@@ -82,6 +86,7 @@ def _statistics(rows: Sequence[Row], mode: int, quantity: str) -> ModeStatistics
     values, sds, theory = values_of(rows, mode, quantity)
     if not len(values):
         return None
+    errors = np.abs(values / theory - 1.0)[np.isfinite(theory)]
     return ModeStatistics(
         mode=mode,
         quantity=quantity,
@@ -89,6 +94,7 @@ def _statistics(rows: Sequence[Row], mode: int, quantity: str) -> ModeStatistics
         median=float(np.median(values)),
         scatter=float(np.std(values, ddof=1)) if len(values) > 1 else math.nan,
         stated_sd=float(np.median(sds)),
-        largest_error=float(np.max(np.abs(values / theory - 1.0))),
+        largest_error=float(np.max(errors)) if len(errors) else math.nan,
+        judged=len(errors),
         covered=int(np.count_nonzero(np.abs(values - theory) <= _OF_95_PERCENT * sds)),
     )

@@ -46,8 +46,8 @@ def open_study(folder: Path, settings: Settings, overwrite: bool = False) -> Non
             return
         if not overwrite:
             raise UsageError(
-                f"{folder} holds a study with another estimator, structure, number of modes or rig: expected the "
-                "same to go on with it; give another --out, or --overwrite to begin anew"
+                f"{folder} holds a study with other options or another rig: expected the same to go on with it;"
+                " give another --out, or --overwrite to begin anew"
             )
         shutil.rmtree(folder / "rows", ignore_errors=True)
     make_folder(folder / "rows")

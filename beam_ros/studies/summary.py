@@ -39,8 +39,8 @@ def format_study(rows: Sequence[Row]) -> str:
         )
         lines.append(
             f"{own.mode:>4}  {f'{own.quantity} [{unit}]':<15} {scale * own.median:>11.7g} "
-            f"{_or_dash(scale * own.scatter):>9} {scale * own.stated_sd:>9.2g}   {share:<30} "
-            f"{100 * own.largest_error:>9.2g} %"
+            f"{_or_dash(scale * own.scatter):>9} {scale * own.stated_sd:>9.2g}   {share if own.judged else '–':<30} "
+            f"{_or_dash(100 * own.largest_error):>9} %"
         )
     lines += [f"{row['bag']}: {row['error']}" for row in rows if row["error"]][:10]
     return "\n".join(lines)
@@ -109,8 +109,8 @@ def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
         ["what", "value"],
         [
             ["made", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z} by beam_ros {version('beam_ros')}"],
-            ["estimator", f"{settings.estimator}, structure {settings.structure}"],
-            ["modes", "from the data" if settings.n_modes is None else str(settings.n_modes)],
+            ["estimator", f"{settings.identifier.estimator}, structure {settings.identifier.structure}"],
+            ["modes", str(settings.identifier.modes or "from the data")],
             ["rig", "as each bag says" if settings.rig is None else "the same for all (study.json)"],
             ["excitations", "; ".join(sorted({row.get("excitation") or "unknown" for row in rows}))]
             if settings.rig is None
@@ -164,7 +164,7 @@ def _lead_of_modes(statistics: Sequence[ModeStatistics]) -> str:
 def _cells(own: ModeStatistics) -> list[str | Cell]:
     scale, unit = _scale(own)
     low, high = own.coverage_range
-    tone: Tone = "" if own.count < _FEW else "good" if low <= 0.95 <= high else "doubt"
+    tone: Tone = "" if own.judged < _FEW else "good" if low <= 0.95 <= high else "doubt"
     return [
         str(own.mode),
         f"{own.quantity} [{unit}]",
@@ -173,8 +173,8 @@ def _cells(own: ModeStatistics) -> list[str | Cell]:
         _or_dash(scale * own.scatter),
         f"{scale * own.stated_sd:.2g}",
         _or_dash(own.scatter / own.stated_sd),
-        Cell(f"{own.covered} ({100 * own.coverage:.1f} %)", tone),
-        f"{100 * own.largest_error:.2g} %",
+        Cell(f"{own.covered} ({100 * own.coverage:.1f} %)" if own.judged else "–", tone),
+        f"{_or_dash(100 * own.largest_error)} %",
     ]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from beam_ros.cli.offline.identify import add_parameter, settings_of
+from beam_ros.cli.offline.identify import add_options, bags_of, read_settings
 from beam_ros.cli.options import add_rig_file
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
@@ -26,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="BAG",
         help="folder of the bag, or a single .mcap or .db3 file, here or by its URL",
     )
-    for name in _PARAMETERS:
-        add_parameter(parser, name)
+    add_options(parser, _PARAMETERS)
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -37,11 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ros.checks.bag_check import check_bag, format_check
     from beam_ros.offline.options import FitOptions, paths
 
-    settings, rig = settings_of(arguments)
+    settings, rig = read_settings(arguments)
     options = FitOptions.of(replace(settings, estimator="modal"))
     checks = []
     with Progress("check", float(len(arguments.bag))) as stage:
-        for number, path in enumerate(paths(settings.bag)):
+        for number, path in enumerate(paths(bags_of(arguments))):
             stage.update(float(number), str(path))
             checks.append(check_bag(path, rig, options))
         stage.finish(f"{len(checks)} bags")

@@ -9,7 +9,8 @@ rig file may set it.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,43 +50,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the bag, or a single .mcap or .db3 file, here or by its URL; several are one fit",
     )
     add_span(parser)
-    for name in parameters():
-        add_parameter(parser, name)
+    add_options(parser, parameters())
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
-def add_parameter(parser: argparse.ArgumentParser, name: str) -> None:
-    """Add the flag of a parameter of the identifier."""
-    row = parameters()[name]
-    flag = _SEVERAL.get(name, f"--{name.replace('_', '-')}")
-    more: dict[str, Any] = {"metavar": _METAVARS.get(name, name.upper())}
-    if row.kind is bool:
-        more = {"action": "store_true", "default": None}
-    elif name in _SEVERAL:
-        more["action"] = "append"
-    elif row.kind in (int, float):
-        more["type"] = row.kind
-    elif row.choices:
-        more = {"choices": row.choices}
-    parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
+def add_options(parser: argparse.ArgumentParser, names: Iterable[str]) -> None:
+    """Declare parameters of the identifier as flags, by their names without the group."""
+    rows = parameters()
+    for name in names:
+        row = rows[name]
+        flag = _SEVERAL.get(name, f"--{name.replace('_', '-')}")
+        more: dict[str, Any] = {"metavar": _METAVARS.get(name, name.upper())}
+        if row.kind is bool:
+            more = {"action": "store_true", "default": None}
+        elif name in _SEVERAL:
+            more["action"] = "append"
+        elif row.kind in (int, float):
+            more["type"] = row.kind
+        elif row.choices:
+            more = {"choices": row.choices}
+        parser.add_argument(flag, dest=name, help=row.description.partition("; `beam")[0], **more)
 
 
-def settings_of(arguments: argparse.Namespace) -> tuple[IdentifierSettings, Rig | None]:
-    """Return what the flags, and a rig file before them, say; and the rig, where one is given.
+def read_settings(arguments: argparse.Namespace) -> tuple[IdentifierSettings, Rig | None]:
+    """Return what ``add_options`` and ``add_rig_file`` were given; no rig where only the identifier's are given.
 
     Raises
     ------
     ParameterFileError
-        A value is wrong.
+        The rig file or a parameter is wrong.
     """
-    told = read_rig(arguments)
+    given_rig = read_rig(arguments)
     of_the_rig = [text for text in arguments.parameters if not text.startswith(f"{_GROUP}.")]
     given = {name: getattr(arguments, name, None) for name in parameters()}
     given |= {name: _joined(given[name]) for name in _SEVERAL}
     changes = {f"{_GROUP}.{name}": value for name, value in given.items() if value is not None}
-    settings = told.with_values({**changes, f"{_GROUP}.bag": _joined(arguments.bag)}).identifier
-    return settings, told if arguments.rig_file or of_the_rig else None
+    return given_rig.with_values(changes).identifier, given_rig if arguments.rig_file or of_the_rig else None
+
+
+def bags_of(arguments: argparse.Namespace) -> str:
+    """Return the bags of a verb as the identifier's parameter has them."""
+    return _joined(arguments.bag) or ""
 
 
 def parameters() -> dict[str, Parameter]:
@@ -111,7 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ros.offline.identification import format_table
     from beam_ros.reporting.identification import format_files, identify_told
 
-    settings, rig = settings_of(arguments)
+    settings, rig = read_settings(arguments)
+    settings = replace(settings, bag=bags_of(arguments))
     checks: list[BagCheck] = []
 
     def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:

@@ -12,10 +12,16 @@ import argparse
 import os
 from pathlib import Path
 
+from beam_ros.cli.offline.identify import add_options, epilog, parameters, read_settings
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.errors import UsageError
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
+
+__all__ = ["add_arguments", "epilog", "run"]
+
+_LEFT_OUT = ("report", "validate", "overwrite")
+"""Options of ``beam identify`` that mean something else here, or nothing."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,16 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, as tcp://host:8786")
     parser.add_argument("--overwrite", action="store_true", help="begin a study anew that is there already")
-    parser.add_argument(
-        "--estimator", default="modal", metavar="NAME", help="as for `beam identify` (default: modal)"
-    )
-    parser.add_argument("--modes", type=int, help="number of modes (default: from the data)")
-    parser.add_argument(
-        "--structure",
-        choices=["auto", "base_motion", "acceleration", "velocity", "force"],
-        default="auto",
-        help="which model goes with which input (default: by the hub's command mode)",
-    )
+    add_options(parser, [name for name in parameters() if name not in _LEFT_OUT])
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print the statistics of the modes as JSON")
 
@@ -73,13 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         items = [Item(bag=path) for path in find_bags(arguments.bags)]
     else:
         items = [Item(seed=seed) for seed in range(arguments.seed, arguments.seed + count)]
-    has_rig = bool(arguments.rig_file or arguments.parameters or count)
-    settings = Settings(
-        arguments.estimator,
-        arguments.structure,
-        arguments.modes,
-        read_rig(arguments) if has_rig else None,
-    )
+    identifier, rig = read_settings(arguments)
+    settings = Settings(identifier, read_rig(arguments) if count else rig)
     folder = arguments.out or run_folder(None, "study")
     open_study(folder, settings, arguments.overwrite)
     with Progress("study", len(items), "rows") as stage:

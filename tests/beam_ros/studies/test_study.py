@@ -18,7 +18,8 @@ import pytest
 
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
-from beam_ros.studies.rows import Item, Row, Settings, find_bags, study_row
+from beam_ros.rig.rig import Rig
+from beam_ros.studies.rows import Item, Row, Settings, _modes, find_bags, study_row
 from beam_ros.studies.statistics import mode_statistics
 from beam_ros.studies.study import open_study, run_study
 from beam_ros.studies.summary import format_study, study_page
@@ -27,12 +28,19 @@ from beam_ros.studies.table import write_table
 BAGS = Path(__file__).resolve().parents[3] / "bags"
 
 
+def settings_of(**options: object) -> Settings:
+    """Return the settings of a study that is told some options of the identifier."""
+    return Settings(
+        Rig.from_file().with_values({f"identifier.{k}": v for k, v in options.items()}).identifier
+    )
+
+
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     bad = tmp_path_factory.mktemp("bad") / "cut"
     bad.mkdir()
     (bad / "cut_0.mcap").write_bytes((BAGS / "step" / "step_0.mcap").read_bytes()[:5000])
-    return [study_row(Item(bag=bag), Settings()) for bag in (BAGS / "step", BAGS / "drifting", bad)]
+    return [study_row(Item(bag=bag), settings_of()) for bag in (BAGS / "step", BAGS / "drifting", bad)]
 
 
 def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
@@ -71,7 +79,7 @@ def test_the_table_keeps_types_in_parquet_and_has_the_same_columns_in_csv(
 
 
 def test_the_page_says_what_failed_and_how_the_modes_scatter(rows: list[Row], tmp_path: Path) -> None:
-    text = study_page(rows, Settings(), tmp_path / "study.csv").text()
+    text = study_page(rows, settings_of(), tmp_path / "study.csv").text()
     assert "2 passed, 0 are doubtful and 1 failed" in text
     assert str(rows[2]["error"]).split(":")[1][:20] in text
     assert text.count("<svg") == 2
@@ -98,6 +106,16 @@ def test_coverage_counts_intervals_that_hold_the_truth() -> None:
     assert damping.coverage == pytest.approx(0.673, abs=0.03)  # half of the true deviation is stated
 
 
+def test_modes_without_a_theory_are_numbered_in_their_order_and_not_judged() -> None:
+    found = _modes(
+        [{"frequency_hz": 4.0, "frequency_sd_hz": 0.1, "damping_ratio": 0.01, "damping_ratio_sd": 0.001}]
+    )
+    assert found["mode1_frequency_hz"] == 4.0
+    frequency, _ = mode_statistics([found, found])
+    assert (frequency.count, frequency.judged, frequency.median) == (2, 0, 4.0)
+    assert "–" in format_study([{"bag": "one", "verdict": "passed", "error": None, **found}])
+
+
 def test_bags_are_found_by_path_folder_and_pattern(tmp_path: Path) -> None:
     everything = find_bags([str(BAGS)])
     assert {path.name for path in everything} == set(json.loads((BAGS / "expected.json").read_text()))
@@ -109,7 +127,7 @@ def test_bags_are_found_by_path_folder_and_pattern(tmp_path: Path) -> None:
 def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tmp_path: Path) -> None:
     shutil.copytree(BAGS / "step", tmp_path / "step")
     items = [Item(bag=tmp_path / "step"), Item(bag=BAGS / "decay")]
-    folder, settings = tmp_path / "study", Settings(n_modes=1)
+    folder, settings = tmp_path / "study", settings_of(modes=1)
     open_study(folder, settings)
     first = run_study(items[:1], settings, folder)
     stored = next((folder / "rows").iterdir())
@@ -118,9 +136,9 @@ def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tm
     assert [row["verdict"] for row in run_study(items, settings, folder)] == ["kept", first[0]["verdict"]]
     os.utime(tmp_path / "step" / "step_0.mcap", ns=(0, 1))
     assert run_study(items, settings, folder)[0]["verdict"] == first[0]["verdict"]
-    with pytest.raises(UsageError, match="another estimator, structure, number of modes or rig"):
-        open_study(folder, Settings(n_modes=2))
-    open_study(folder, Settings(n_modes=2), overwrite=True)
+    with pytest.raises(UsageError, match="other options or another rig"):
+        open_study(folder, settings_of(modes=2))
+    open_study(folder, settings_of(modes=2), overwrite=True)
     assert not list((folder / "rows").iterdir())
     with pytest.raises(UsageError, match="holds no study"):
         open_study(tmp_path / "step", settings, overwrite=True)
