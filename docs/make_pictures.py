@@ -22,8 +22,13 @@ from PIL import Image
 from beam_ident import analyse_modes, identify
 from beam_ident.figures import fit_figure, frequency_response_figure, stabilisation_figure
 from beam_ident.figures.response_curves import drawing_lines, response_curves
+from beam_ros.bags.reading import Bag
+from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import load_experiment
 from beam_ros.rig.rig import Rig
+from beam_ros.studies.rows import Item, Settings, find_bags, study_row
+from beam_ros.studies.summary import deviation_figure
+from beam_ros.viewers.curves import COLOURS, live_plots
 from beam_ros.vision.measurement.overlay import draw_overlay
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
@@ -169,6 +174,56 @@ def clocks_picture(rig: Rig) -> Figure:
     return figure
 
 
+def viewers_picture() -> Figure:
+    """Draw what the layouts of the viewers show of the recording with frames."""
+    with Bag(ROOT / "bags" / "frames") as bag:
+        rig = Rig.from_nested((bag.excitation_info() or {})["rig"])
+        hub, seen = bag.hub_samples("hub/measured"), bag.displacements()
+        raw = next(message for k, message in enumerate(bag.raw_messages("camera/image_raw")) if k == 150)
+    image = BagTypes().deserialize(raw.data, "sensor_msgs/msg/Image")
+    frame = np.frombuffer(image.data, np.uint8).reshape(image.height, image.width)
+    camera = rig.camera_parameters()
+    found = MarkerTracker(rig.tracker_parameters(), len(rig.markers.names), FrameTiming(camera)).process(
+        frame, 0
+    )
+    drawn = draw_overlay(frame, found, [""] * 3, marker_diameter_px=camera.marker_diameter_px)
+    values = {
+        "beam/displacement.position": (seen.stamps_ns, seen.positions),
+        "hub/state.position": (hub.stamps_ns, hub.positions[:, None]),
+        "hub/state.velocity": (hub.stamps_ns, hub.velocities[:, None]),
+    }
+    plots = [p for p in live_plots(rig.markers.names) if f"{p.curves[0].topic}.{p.curves[0].field}" in values]
+    figure = Figure(figsize=(9.0, 5.2), layout="constrained")
+    grid = figure.add_gridspec(len(plots), 2, width_ratios=(3.2, 1.0))
+    for row, plot in enumerate(plots):
+        axes = figure.add_subplot(grid[row, 0])
+        for curve, colour in zip(plot.curves, COLOURS, strict=False):
+            stamps_ns, columns = values[f"{curve.topic}.{curve.field}"]
+            times = 1e-9 * (stamps_ns - hub.stamps_ns[0])
+            axes.plot(times, columns[:, curve.index], color=colour, linewidth=0.9, label=curve.joint)
+        axes.set_title(plot.title, fontsize=10, color=INK)
+        axes.tick_params(labelbottom=row == len(plots) - 1)
+        if len(plot.curves) > 1:
+            axes.legend(loc="upper right", fontsize=8)
+    axes.set_xlabel("time [s]")
+    picture = figure.add_subplot(grid[:, 1])
+    picture.imshow(drawn[:, :, ::-1], interpolation="nearest")
+    picture.set_title("what the tracker sees", fontsize=10, color=INK)
+    picture.axis("off")
+    return figure
+
+
+def study_picture() -> Figure:
+    """Draw the first natural frequency in the recordings of a hub that is moved, as the page of a study does."""
+    settings = Settings(Rig.from_file().identifier)
+    bags = [bag for bag in find_bags([str(ROOT / "bags")]) if bag.name != "hammer"]
+    rows = [study_row(Item(bag=bag), settings) for bag in bags]
+    figure = deviation_figure(rows, mode=1)
+    figure.axes[0].set_xticks(range(1, len(bags) + 1), [bag.name for bag in bags], fontsize=8)
+    figure.axes[0].set_xlabel("")
+    return figure
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -177,6 +232,8 @@ def make_pictures(folder: Path) -> list[Path]:
         **identification_pictures(),
         "stabilisation": stabilisation_picture(),
         "clocks": clocks_picture(Rig.from_file()),
+        "viewers": viewers_picture(),
+        "study": study_picture(),
     }
     files = []
     for name, figure in figures.items():

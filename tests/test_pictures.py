@@ -17,7 +17,7 @@ def test_the_script_makes_every_picture_and_no_other(tmp_path: Path) -> None:
     made = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))["make_pictures"](tmp_path)
     assert {path.name for path in made} == {path.name for path in PICTURES.iterdir()}
     for path in (*made, *PICTURES.iterdir()):
-        assert 10_000 < path.stat().st_size < 200_000, path
+        assert 5_000 < path.stat().st_size < 200_000, path
 
 
 def test_every_picture_is_shown_on_a_page() -> None:

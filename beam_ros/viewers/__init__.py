@@ -1,1 +1,1 @@
-"""Files with which PlotJuggler, Foxglove, Lichtblick, RViz and ``ros2 bag`` know the rig, made from the topic table."""
+"""Files for PlotJuggler, Foxglove, Lichtblick, RViz and ``ros2 bag``, made from the topic table."""

@@ -78,7 +78,7 @@ def rviz_configuration(_markers: Sequence[str], namespace: str = "") -> str:
 
 
 def qos_overrides(_markers: Sequence[str], namespace: str = "") -> str:
-    """Return qualities of service for ``ros2 bag record`` and ``play --qos-profile-overrides-path``, as YAML.
+    """Return qualities of service for ```ros2 bag record``` and ``play --qos-profile-overrides-path``, as YAML.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ def qos_overrides(_markers: Sequence[str], namespace: str = "") -> str:
 
     Notes
     -----
-    Left to itself, ``ros2 bag record`` asks for what publishers offer when it begins, and a topic whose publisher comes
-    later is not kept for late subscribers. Drawings are left out: they are made only while somebody listens.
+    Left to itself, ``ros2 bag record`` asks for what publishers offer when it begins, and a topic whose publisher
+    comes later is not kept for late subscribers. Drawings are left out: they are made only while somebody listens.
     """
     return to_yaml(
         {
