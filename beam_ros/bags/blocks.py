@@ -17,7 +17,7 @@ from typing import IO, NamedTuple
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 from rosbags.rosbag2 import Reader
 
 from beam_ros.arrays import ByteArray, IndexArray, StampArray
@@ -115,6 +115,7 @@ class ChunkedFile:
         self.topics: dict[int, TypedTopic] = {}
         self.chunks: list[ChunkIndex] = []
         self._message_count: int | None = None
+        self._notes: dict[str, MetadataIndex] = {}
         size = stream.seek(0, 2)
         tail = self.read(size - HEAD.size - 20 - len(MAGIC), HEAD.size + 20 + len(MAGIC))
         footer = Footer.read(ReadDataStream(BytesIO(tail[HEAD.size :])))
@@ -131,6 +132,9 @@ class ChunkedFile:
                 self.topics[channel.id] = TypedTopic(channel.topic, schemas.get(channel.schema_id, ""))
             elif opcode == Opcode.CHUNK_INDEX:
                 self.chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(record))))
+            elif opcode == Opcode.METADATA_INDEX:
+                note = MetadataIndex.read(ReadDataStream(BytesIO(record)))
+                self._notes.setdefault(note.name, note)
             elif opcode == Opcode.STATISTICS:
                 self._message_count = Statistics.read(ReadDataStream(BytesIO(record))).message_count
 
@@ -140,6 +144,14 @@ class ChunkedFile:
         if not self.chunks:
             return self._message_count == 0
         return all(chunk.message_index_offsets or not chunk.message_end_time for chunk in self.chunks)
+
+    def note(self, name: str) -> dict[str, str]:
+        """Return the first metadata record of a name; empty where there is none."""
+        if name not in self._notes:
+            return {}
+        record = self.read(self._notes[name].offset, self._notes[name].length)
+        note: dict[str, str] = Metadata.read(ReadDataStream(BytesIO(record[HEAD.size :]))).metadata
+        return note
 
     def read(self, start: int, size: int) -> bytes:
         """Return ``size`` bytes from ``start`` on.
@@ -338,6 +350,10 @@ class IndexedBag:
             yield Haul(tuple(block.within(wanted[block.topic]) for block in blocks), until)
             first = last
 
+    def note(self, name: str) -> dict[str, str]:
+        """Return a metadata record of the first file that has one of this name; empty where none has."""
+        return next((note for file in self._files if (note := file.note(name))), {})
+
     def close(self) -> None:
         """Close the files."""
         for file in self._files:
@@ -383,6 +399,11 @@ class ScannedBag:
                 Block(topic, buffer, rows[:, 1], rows[:, 2], rows[:, 0]) for topic, rows in tables.items()
             )
             yield Haul(tuple(block.within(wanted[block.topic]) for block in blocks), newest + 1)
+
+    def note(self, name: str) -> dict[str, str]:
+        """Return nothing: only files with an index are looked at for notes."""
+        del name
+        return {}
 
     def close(self) -> None:
         """Nothing of its own is open."""

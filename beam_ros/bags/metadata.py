@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePath
@@ -15,6 +15,12 @@ from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.process.remote_paths import AnyPath
 
 METADATA_NAME = "metadata.yaml"
+PROVENANCE_NOTE = "beam_ros/provenance"
+"""Metadata record in every file that says how the bag came about: text by name."""
+
+EMPTY_START_NS = 2**63 - 1
+"""Starting time of a bag without messages, as rosbag2 writes it."""
+
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -27,6 +33,16 @@ class TopicRecord:
     type_hash: str
     qos: tuple[QualityOfService, ...]
     message_count: int = 0
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """A file of a bag: name, first receive time and time from there to the last [ns], number of messages."""
+
+    name: str
+    start_ns: int
+    duration_ns: int
+    message_count: int
 
 
 def qos_profiles(qos: tuple[QualityOfService, ...]) -> list[dict[str, Any]]:
@@ -96,14 +112,13 @@ def read_file_names(path: AnyPath) -> tuple[str, ...]:
 
 
 def bag_information(
-    file_name: str,
-    topics: list[TopicRecord],
-    start_ns: int,
-    duration_ns: int,
-    custom_data: Mapping[str, str],
+    files: Sequence[FileRecord], topics: list[TopicRecord], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return the content of ``rosbag2_bagfile_information``, in the order of rosbag2's own files."""
     count = sum(topic.message_count for topic in topics)
+    filled = [file for file in files if file.message_count]
+    start_ns = min((file.start_ns for file in filled), default=EMPTY_START_NS)
+    duration_ns = max((file.start_ns + file.duration_ns - start_ns for file in filled), default=0)
     return {
         "version": 9,
         "storage_identifier": "mcap",
@@ -125,14 +140,15 @@ def bag_information(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
+        "relative_file_paths": [file.name for file in files],
         "files": [
             {
-                "path": file_name,
-                "starting_time": {"nanoseconds_since_epoch": start_ns},
-                "duration": {"nanoseconds": duration_ns},
-                "message_count": count,
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.duration_ns},
+                "message_count": file.message_count,
             }
+            for file in files
         ],
         "custom_data": dict(custom_data) or None,
         "ros_distro": "jazzy",

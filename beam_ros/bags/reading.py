@@ -35,7 +35,7 @@ from beam_ros.bags.errors import (
     NotABagError,
 )
 from beam_ros.bags.mcap_pieces import MAGIC, damage_of, find_pieces, open_file
-from beam_ros.bags.metadata import METADATA_NAME, read_file_names
+from beam_ros.bags.metadata import METADATA_NAME, PROVENANCE_NOTE, read_file_names
 from beam_ros.bags.recording_mark import MARK_NAME, is_being_written
 from beam_ros.bags.signals import (
     ClockIntake,
@@ -347,6 +347,10 @@ class Bag:
             f"({unreadable.first_reason}); expected what the rig's nodes publish there"
         )
 
+    def provenance(self) -> dict[str, str]:
+        """Return how the recording came about (versions, host, operator, rig, camera ..), as far as it says so."""
+        return self._source.note(PROVENANCE_NOTE)
+
     # --- its end
 
     @property
@@ -465,6 +469,12 @@ def _check_is_bag(path: AnyPath) -> AnyPath:
     if (path / METADATA_NAME).is_file():
         return path
     storage = _storage_file(path)
+    others = [file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES][1:]
+    if others:
+        raise BagTruncatedError(
+            f"{path} holds {len(others) + 1} files and no {METADATA_NAME} that says how they belong together; "
+            f"`beam recover {path}` joins them, or choose one of them"
+        )
     if storage == path:
         raise NotABagError(
             f"{path} holds neither {METADATA_NAME} nor a .mcap or .db3 file: expected the folder of a "

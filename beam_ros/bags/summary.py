@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,7 @@ class BagInfo:
     sequences : tuple of str -- "id: state" of each sequence, as last reported
     excitation : dict or None -- the recipe
     damage : tuple of str -- what is amiss with the file itself; ``beam recover`` says the same
+    provenance : mapping of str to str -- how the recording came about, as far as it says so
     remark : str -- what was not looked at, and how it can be; empty where everything was
     """
 
@@ -88,6 +90,7 @@ class BagInfo:
     sequences: tuple[str, ...]
     excitation: dict[str, Any] | None
     damage: tuple[str, ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -142,6 +145,7 @@ def summarise(bag: Bag) -> BagInfo:
         sequences=tuple(f"{name}: {state}" for name, state in states.items()),
         excitation=bag.excitation_info(),
         damage=tuple(bag.damage()),
+        provenance=bag.provenance(),
         remark=remark,
     )
 

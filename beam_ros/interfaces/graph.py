@@ -62,6 +62,7 @@ class Topic:
     is_command : bool -- moves an axis when somebody publishes on it; never replayed unasked
     is_image : bool -- large; recorded on request only
     is_drawing : bool -- made from other topics for people to look at; never recorded
+    is_needed : bool -- no identification without it: a recorder that hears nothing of it says so
     """
 
     name: str
@@ -71,6 +72,7 @@ class Topic:
     is_command: bool = False
     is_image: bool = False
     is_drawing: bool = False
+    is_needed: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,7 @@ TOPICS: dict[str, Topic] = {
             JOINT_TRAJECTORY,
             _DATA,
             "batches of what the device measured: positions [m], velocities [m/s], effort [N]",
+            is_needed=True,
         ),
         Topic(
             "hub/state",
@@ -172,6 +175,7 @@ TOPICS: dict[str, Topic] = {
             JOINT_STATE,
             _DATA,
             "absolute displacement u of every marker [m]; NaN where a marker was not seen",
+            is_needed=True,
         ),
         Topic(
             "beam/markers",

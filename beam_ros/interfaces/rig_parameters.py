@@ -311,6 +311,12 @@ class RecorderSettings:
     path: str = live("folder of the bag; empty: runs/<date>")
     images: bool = live("record camera frames too")
     start_at_launch: bool = setting("record from the node's start")
+    max_size: int = live("of a file of the bag, after which the next begins; 0: no limit", "MB", 0, 1_000_000)
+    max_duration: float = live(
+        "of a file of the bag, after which the next begins; 0: no limit", "s", 0.0, 1e6
+    )
+    min_free: int = live("space on the disk below which the recording ends; 0: none", "MB", 0, 1_000_000_000)
+    operator: str = live("who runs the experiment; empty: the user of the machine")
 
 
 @dataclass(frozen=True)

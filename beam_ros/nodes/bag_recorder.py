@@ -15,11 +15,15 @@ from typing import Any
 from beam_ros import messages
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.live.recording import LossCounter, Recording
+from beam_ros.bags.writing import FileLimits
 from beam_ros.interfaces import graph
+from beam_ros.rig.provenance import provenance
 from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import FAULT_OF_THE_USER, RigNode, run_node
 
 _DEPTH = 1000
+_PATIENCE_S = 2.0
+"""So long after its start a recording waits for what it needs before it says what is missing [s]."""
 
 
 class TopicTap:
@@ -35,6 +39,7 @@ class TopicTap:
     ----------
     name : str -- the topic's full name
     received : int -- messages so far
+    is_needed : bool -- no identification without it
     losses : LossCounter
     """
 
@@ -43,6 +48,7 @@ class TopicTap:
         self._topic = topic
         self._recording = recording
         self.received = 0
+        self.is_needed = topic.is_needed
         self.name: str = node.resolve_topic_name(topic.name)
         self._subscription = MatchedSubscription(
             node, topic, self._take, depth=_DEPTH, raw=True, is_early=True
@@ -78,6 +84,8 @@ class BagRecorder(RigNode):
         super().__init__("bag_recorder")
         self._recording: Recording | None = None
         self._taps: list[TopicTap] = []
+        self._begun_at = 0.0
+        self._has_complained = False
         self._last: dict[str, Any] = {
             "recording": False,
             "path": "",
@@ -96,7 +104,14 @@ class BagRecorder(RigNode):
 
     def _start(self) -> None:
         path = Path(self.rig.recorder.path or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S"))
-        self._recording = Recording(path)
+        settings = self.rig.recorder
+        self._recording = Recording(
+            path,
+            provenance=provenance(self.rig, settings.operator),
+            limits=FileLimits(settings.max_size * 1_000_000, round(settings.max_duration * 1e9)),
+            min_free=settings.min_free * 1_000_000,
+        )
+        self._begun_at, self._has_complained = time.monotonic(), False
         with_images = self.rig.recorder.images
         topics = [t for t in graph.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing]
         self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
@@ -133,7 +148,27 @@ class BagRecorder(RigNode):
         if self._recording is not None:
             for tap in self._taps:
                 tap.follow_publishers()
+            missing = self._missing()
+            if missing and not self._has_complained:
+                self._has_complained = True
+                self.get_logger().warning(missing)
+            if self._recording.failure:
+                self.get_logger().error(self._recording.failure)
+                with contextlib.suppress(BagError):
+                    self._stop()
             self._publish_state()
+
+    def _missing(self) -> str:
+        """Say which topics that are needed have not been heard, once there was time for them."""
+        if self._recording is None or time.monotonic() < self._begun_at + _PATIENCE_S:
+            return ""
+        names = [tap.name for tap in self._taps if tap.is_needed and not tap.received]
+        if not names:
+            return ""
+        return (
+            f"nothing on {', '.join(names)} after {_PATIENCE_S:g} s: expected the nodes that publish there; start "
+            "them, or nothing can be identified from this bag"
+        )
 
     def _on_start(self, _request: Any, response: Any) -> Any:
         if self._recording is not None:
@@ -172,6 +207,9 @@ class BagRecorder(RigNode):
         counters: dict[str, object] = {"messages": state["messages"], "lost": state["lost"]}
         if state["failure"]:
             return "ERROR", str(state["failure"]), counters
+        missing = self._missing()
+        if missing:
+            return "WARN", missing, counters
         sentence = f"recording to {state['path']}" if state["recording"] else "not recording"
         return ("WARN" if state["lost"] else "OK"), sentence, counters
 

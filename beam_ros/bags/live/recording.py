@@ -2,22 +2,28 @@
 
 The receiver never waits for the disk. What is handed over reaches the file in less than a second, also when
 nothing follows; should the disk fall far behind, messages are dropped and counted rather than the
-memory filled.
+memory filled. A recording ends by itself, as a whole bag, before the disk is full.
 """
 
 from __future__ import annotations
 
 import queue
+import shutil
 import threading
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from beam_ros.bags.errors import BagError
-from beam_ros.bags.writing import BagWriter
+from beam_ros.bags.writing import BagWriter, FileLimits
 from beam_ros.interfaces.graph import QualityOfService
 
 IDLE_FLUSH_S = 0.25
 """After this silence [s] the chunk in the making is closed too, beside what the writer does by itself."""
+
+DISK_LOOK_S = 0.5
+"""So often the free space of the disk is looked at [s]."""
 
 MAX_WAITING_BYTES = 512 * 2**20
 """What may wait for the disk; about 15 s of VGA frames at 100 Hz."""
@@ -44,12 +50,15 @@ class Recording:
     Parameters
     ----------
     path : Path -- the bag's folder; must not exist
+    provenance : mapping of str to str, optional -- how the bag comes about
+    limits : FileLimits, optional -- after how much another file begins
+    min_free : int -- the recording ends where the disk has less left [bytes]
 
     Attributes
     ----------
     path : Path
     dropped : int -- messages given up because the disk fell too far behind
-    failure : str -- why the disk took no more; empty while all is well
+    failure : str -- why the recording took no more; empty while all is well
 
     Raises
     ------
@@ -57,11 +66,20 @@ class Recording:
         The bag cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        provenance: Mapping[str, str] | None = None,
+        limits: FileLimits = FileLimits(),  # noqa: B008 - frozen
+        min_free: int = 0,
+    ) -> None:
         self.path = path
         self.dropped = 0
         self.failure = ""
-        self._writer = BagWriter(path)
+        self._writer = BagWriter(path, provenance=provenance, limits=limits)
+        self._min_free = min_free
+        self._next_look = 0.0
         self._queue: queue.SimpleQueue[_Announcement | _Arrival | None] = queue.SimpleQueue()
         self._waiting_bytes = 0
         self._lock = threading.Lock()
@@ -101,7 +119,7 @@ class Recording:
 
     def _work(self) -> None:
         try:
-            while True:
+            while self._has_space():
                 try:
                     item = self._queue.get(timeout=IDLE_FLUSH_S)
                 except queue.Empty:
@@ -115,6 +133,21 @@ class Recording:
             with self._lock:
                 self.failure = str(err)
             self._writer.abandon()
+
+    def _has_space(self) -> bool:
+        """Look at the disk from time to time; where little is left, say why the bag ends here."""
+        if not self._min_free or time.monotonic() < self._next_look:
+            return True
+        self._next_look = time.monotonic() + DISK_LOOK_S
+        free = shutil.disk_usage(self.path).free
+        if free >= self._min_free:
+            return True
+        with self._lock:
+            self.failure = (
+                f"{self.path} was ended before the disk is full: {free / 1e6:.0f} MB are left, expected at least "
+                f"{self._min_free / 1e6:.0f} MB (recorder.min_free); the bag is whole; make space and record anew"
+            )
+        return False
 
     def _take(self, item: _Announcement | _Arrival) -> None:
         if isinstance(item, _Announcement):

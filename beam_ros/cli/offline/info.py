@@ -13,6 +13,9 @@ from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.process.remote_paths import any_path
 from beam_ros.process.strict_json import strict_json
 
+_LONG = ("rig", "calibration")
+"""Parts of the provenance that only --json prints."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
@@ -65,6 +68,9 @@ def _text(info: BagInfo) -> str:
     lines += [
         f"  damaged: {damage}; `beam recover {info.path}` saves what can be read" for damage in info.damage
     ]
+    shown = [f"{name} {text}" for name, text in info.provenance.items() if name not in _LONG]
+    if shown:
+        lines.append(f"  recorded with {', '.join(shown)}")
     if info.remark:
         lines.append(f"  {info.remark}")
     return "\n".join(lines)

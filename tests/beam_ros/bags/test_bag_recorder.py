@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -26,11 +27,12 @@ pytest.importorskip("rclpy")
 class Recorder:
     """A recorder process with the states that it publishes."""
 
-    def __init__(self, executables, graph, path, *, namespace="", at_launch=True, images=False):
+    def __init__(self, executables, graph, path, *, namespace="", at_launch=True, images=False, more=()):
         values = {
             "recorder.path": path,
             "recorder.start_at_launch": str(at_launch).lower(),
             "recorder.images": str(images).lower(),
+            **dict(more),
         }
         arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
         if namespace:
@@ -159,6 +161,55 @@ def test_a_killed_recorder_loses_less_than_a_second_and_is_repaired(executables,
     end_ns = START + (first + 60) * BATCH * PERIOD
     # A batch of 20 ms left every 20 ms or a little later, so that this is also the loss in real time at most.
     assert (end_ns - PERIOD - samples.stamps_ns[-1]) * 1e-9 < 1.0
+
+
+@pytest.mark.verify
+def test_twenty_kills_at_any_moment_lose_a_second_at_most_of_every_topic(executables, graph, tmp_path):
+    rng = np.random.default_rng(20)
+    measured, state = graph.publisher("hub/measured"), graph.publisher("hub/state")
+    for turn in range(20):
+        path = tmp_path / f"run{turn}"
+        recorder = Recorder(executables, graph, path)
+        first = recorder.warm_up(measured, "hub/measured", _encoded)
+        recorder.warm_up(state, "hub/state", lambda k: _state(graph, k))
+        end = time.monotonic() + rng.uniform(0.2, 3.0)
+        last = first
+        while time.monotonic() < end:
+            measured.publish(_encoded(last))
+            state.publish(_state(graph, last))
+            graph.spin(0.02)
+            last += 1
+        killed_ns = time.time_ns()
+        recorder.signal(signal.SIGKILL)
+        recorder.process.wait()
+        with Bag(recover(path).target) as bag:
+            for topic in ("hub/measured", "hub/state"):
+                newest_ns = max(message.receive_ns for message in bag.raw_messages(topic))
+                assert killed_ns - newest_ns < 1_000_000_000, (turn, topic)
+
+
+def _state(graph, k):
+    return messages.hub_state(graph.types, messages.HubSample(START + k, 0.001 * k))
+
+
+def test_what_is_needed_and_not_heard_is_named_after_two_seconds(executables, graph, tmp_path):
+    values = {"recorder.operator": "'A. Person'", "recorder.max_duration": "1.0", "camera.name": "'cam 2'"}
+    recorder = Recorder(executables, graph, tmp_path / "run", at_launch=False, more=values)
+    measured = graph.publisher("hub/measured")
+    path, process = tmp_path / "run", recorder.process
+    assert graph.call("recorder/start").success
+    for k in range(250):
+        measured.publish(_encoded(k))
+        graph.spin(0.02)
+    process.send_signal(signal.SIGINT)
+    assert process.wait() == 0
+    assert "nothing on /beam/displacement after 2 s" in process.output()
+    assert "nothing on /hub/measured" not in process.output()
+    assert len(list(path.glob("*.mcap"))) > 1
+    with Bag(path) as bag:
+        said = bag.provenance()
+    assert (said["operator"], said["camera"]) == ("A. Person", "cam 2")
+    assert json.loads(said["rig"])["camera"]["name"] == "cam 2"
 
 
 def test_what_the_middleware_drops_is_counted(executables, graph, tmp_path):

@@ -21,13 +21,15 @@ from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
 from beam_ros.bags.batches import decode_batch
-from beam_ros.bags.errors import BagError, BagExistsError
+from beam_ros.bags.errors import BagError, BagExistsError, BagTruncatedError
+from beam_ros.bags.reading import Bag
 from beam_ros.bags.recording_mark import MARK_NAME, is_being_written, is_marked
-from beam_ros.bags.writing import BagWriter
+from beam_ros.bags.writing import BagWriter, FileLimits
 from beam_ros.interfaces import graph
 from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import BagTypes
-from tests.beam_ros.bags.small_bags import START, TYPES, batch, write_experiment
+from beam_ros.offline.recovery import recover
+from tests.beam_ros.bags.small_bags import BATCH, START, TYPES, batch, write_experiment
 
 
 def test_rosbags_and_mcap_read_the_same_messages(tmp_path):
@@ -270,3 +272,44 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path):
     assert lost_s < 1.0
     for k, got in enumerate(saved):
         np.testing.assert_array_equal(got.positions, batch(k).positions)
+
+
+@pytest.mark.parametrize("limits", [FileLimits(size=60_000), FileLimits(duration_ns=1_000_000_000)])
+def test_a_bag_in_several_files_is_read_as_one_and_each_begins_with_what_is_latched(tmp_path, limits):
+    one = write_experiment(tmp_path / "one", batches=250)
+    several = write_experiment(
+        tmp_path / "several", batches=250, limits=limits, provenance={"operator": "A. Person"}
+    )
+    files = sorted(file.name for file in several.glob("*.mcap"))
+    assert len(files) >= 4
+    document = YAML(typ="safe").load(several / "metadata.yaml")["rosbag2_bagfile_information"]
+    assert sorted(document["relative_file_paths"]) == files
+    assert [row["path"] for row in document["files"]] == document["relative_file_paths"]
+    assert sum(row["message_count"] for row in document["files"]) == document["message_count"]
+    for row in document["files"]:
+        assert row["duration"]["nanoseconds"] <= limits.duration_ns + 600_000_000 or not limits.duration_ns
+        with (several / row["path"]).open("rb") as stream:
+            found = list(make_reader(stream, validate_crcs=True).iter_messages())
+        assert len(found) == row["message_count"]
+        # What holds until it is said anew stands in each file, before its other messages.
+        assert {channel.topic for _, channel, _ in found} >= {"/excitation/info", "/hub/sequence_state"}
+        with Bag(several / row["path"]) as bag:
+            assert bag.excitation_info() == {"kind": "chirp", "seed": 1}
+            assert bag.provenance() == {"operator": "A. Person"}
+            assert "done" in {state["state"] for state in bag.sequence_states()}
+    with Bag(one) as whole, Bag(several) as parts, Reader(several) as reader:
+        np.testing.assert_array_equal(parts.hub_samples().positions, whole.hub_samples().positions)
+        np.testing.assert_array_equal(parts.displacements().positions, whole.displacements().positions)
+        assert parts.message_count == reader.message_count == len(list(reader.messages()))
+        assert parts.message_count == whole.message_count + 2 * (len(files) - 1)
+        assert not list(parts.damage())
+
+
+def test_a_bag_in_several_files_without_metadata_is_not_read_in_part(tmp_path):
+    path = write_experiment(tmp_path / "run", batches=100, limits=FileLimits(duration_ns=500_000_000))
+    (path / "metadata.yaml").unlink()
+    with pytest.raises(BagTruncatedError, match="beam recover"):
+        Bag(path)
+    report = recover(path)
+    with Bag(report.target) as bag:
+        assert len(bag.hub_samples().positions) == 100 * BATCH

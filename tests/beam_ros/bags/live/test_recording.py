@@ -14,9 +14,11 @@ from mcap.exceptions import McapError
 from mcap.stream_reader import StreamReader
 
 from beam_ros.bags.batches import encode_batch
+from beam_ros.bags.errors import BagError
 from beam_ros.bags.live import recording as recording_module
 from beam_ros.bags.live.recording import LossCounter, Recording
 from beam_ros.bags.reading import Bag
+from beam_ros.bags.writing import FileLimits
 from beam_ros.interfaces import graph
 from beam_ros.offline.recovery import recover
 from tests.beam_ros.bags.small_bags import BATCH, START, batch
@@ -111,6 +113,26 @@ def test_a_full_disk_is_said_and_leaves_a_recoverable_bag(tmp_path):
     assert report.message_count > 50
     with Bag(report.target) as bag:
         assert not bag.hub_samples().gaps
+
+
+def test_a_recording_ends_as_a_whole_bag_before_the_disk_is_full(tmp_path):
+    limits = FileLimits(duration_ns=200_000_000)
+    recording = Recording(tmp_path / "run", limits=limits, min_free=1)
+    _announce(recording)
+    for k in range(100):
+        _put(recording, k)
+    recording._min_free = 10**18  # as if others had filled the disk meanwhile
+    for k in range(100, 200):
+        _put(recording, k)
+        time.sleep(0.01)
+    assert "before the disk is full" in recording.failure
+    with pytest.raises(BagError, match="make space"):
+        recording.stop()
+    assert recording.dropped > 0  # what came later is counted
+    with Bag(tmp_path / "run") as bag:
+        n_samples = len(bag.hub_samples().stamps_ns)
+        assert not list(bag.damage())
+    assert n_samples == recording.message_count * BATCH >= 100 * BATCH
 
 
 def test_losses_are_the_missing_numbers_of_an_only_publisher():
