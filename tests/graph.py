@@ -54,18 +54,18 @@ class Graph:
             assert time.monotonic() < end, f"{what} did not happen within {timeout_s:g} s"
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
-    def request(self, service: str, namespace: str = "") -> Any:
-        """Ask a Trigger of the table; returns the future of its answer."""
+    def request(self, service: str, namespace: str = "", *, data: bool | None = None) -> Any:
+        """Ask a Trigger of the table, or a SetBool with its data; returns the future of its answer."""
         service_class = self.types.service_class(graph.SERVICES[service].type_name)
         client = self.node.create_client(service_class, f"{namespace}/{service}" if namespace else service)
         self.wait(client.service_is_ready, f"service {service}")
-        future = client.call_async(service_class.Request())
+        future = client.call_async(service_class.Request(**({} if data is None else {"data": data})))
         future.add_done_callback(lambda _: self.node.destroy_client(client))
         return future
 
-    def call(self, service: str, namespace: str = "") -> Any:
-        """Call a Trigger of the table."""
-        future = self.request(service, namespace)
+    def call(self, service: str, namespace: str = "", *, data: bool | None = None) -> Any:
+        """Call a Trigger of the table, or a SetBool with its data."""
+        future = self.request(service, namespace, data=data)
         self.wait(future.done, f"an answer of {service}")
         return future.result()
 

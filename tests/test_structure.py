@@ -54,7 +54,6 @@ TESTED_IN = (
     ),
     ("beam_ros", "errors", "cli/test_main"),
     ("beam_ros/bags", "metadata recording_mark", "offline/test_recovery"),
-    ("beam_ros/bags/live", "replay", "bags/test_bag_player"),
     ("beam_ros/bags", "summary", "bags/test_reading"),
     ("beam_ros/checks", "excitation_gates signal_gates stamp_gates", "checks/test_bag_check"),
     ("beam_ros/cli", "options", "cli/test_main"),

@@ -103,6 +103,7 @@ class Bag:
     message_count : int
     start_ns : int -- receive time of the first message [ns, UNIX]; 0 in an empty bag
     duration_ns : int -- between the first and the last receive time [ns]
+    begins_ns : int -- receive time from which on it is read [ns, UNIX]
     is_whole : bool -- neither ``start_s`` nor ``end_s`` is given
     storage : str -- "mcap" or "sqlite3"
     namespace : str -- of the rig's topics, "" for none
@@ -148,6 +149,7 @@ class Bag:
                 f"{self.path} has nothing after {start_s:g} s: expected a time before its end at "
                 f"{self.duration_ns / SECOND_NS:.3f} s; choose an earlier one"
             )
+        self.begins_ns = self._span.start_ns
         self.is_whole = start_s is None and end_s is None
         self._kept: dict[str, Intake[Any]] = {}
         self.storage = "sqlite3" if _storage_file(self.path).suffix == ".db3" else "mcap"

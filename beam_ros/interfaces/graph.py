@@ -242,6 +242,8 @@ SERVICES: dict[str, Service] = {
         Service("tracker/tare", TRIGGER, "make the present position the zero of every marker"),
         Service("recorder/start", TRIGGER, "start a recording"),
         Service("recorder/stop", TRIGGER, "close the recording"),
+        Service("player/pause", SET_BOOL, "let the replay stand still, or go on"),
+        Service("player/step", TRIGGER, "play the next message of a replay that stands still"),
         Service(
             "identifier/identify", TRIGGER, "identify a model from the bag of parameter `identifier.bag`"
         ),
@@ -364,7 +366,7 @@ NODES: dict[str, Node] = {
             "player",
             _RECORDED,
             (),
-            (),
+            ("player/pause", "player/step"),
             _group("player"),
             "a bag back onto its topics; commands left out",
         ),

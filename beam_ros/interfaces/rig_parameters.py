@@ -326,6 +326,10 @@ class PlayerSettings:
     bag: str = setting("folder of the bag")
     rate: float = setting("speed of the replay", "1", 0.01, 100.0)
     commands: bool = setting("also replay what moves an axis")
+    start: float = setting("of the replay, after the bag's first message", "s", 0.0, 1e6)
+    loop: bool = setting("begin anew at the end, until it is ended")
+    paused: bool = setting("stand still at first, for player/step and player/pause")
+    clock: bool = setting("publish the bag's time on /clock")
 
 
 @dataclass(frozen=True)

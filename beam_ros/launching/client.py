@@ -98,12 +98,12 @@ class RigClient:
         return f"ROS_DOMAIN_ID={domain}, range {os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')}"
 
     def refuse_live_hub(self) -> None:
-        """Look round and raise where a hub is on the graph already.
+        """Look round and raise where a hub, or what speaks like one, is on the graph already.
 
         Raises
         ------
         RigUnavailableError
-            Two hubs would both act on every command.
+            Two hubs would both act on every command, or a replay would be taken for the rig.
         """
         end = time.monotonic() + _LOOK_ROUND_S
         while time.monotonic() < end:
@@ -113,6 +113,13 @@ class RigClient:
                 f"a hub is already on this graph ({self.reach()}): two would act on every command; end the other "
                 "rig, or give this one another --namespace or ROS_DOMAIN_ID"
             )
+        for topic in ("hub/state", "hub/measured"):
+            name = self._node.resolve_topic_name(topic)
+            for info in self._node.get_publishers_info_by_topic(name):
+                raise RigUnavailableError(
+                    f"node `{info.node_name}` publishes {name} on this graph ({self.reach()}), as a replay does: "
+                    "what it says would look live; end it, or give this rig another --namespace or ROS_DOMAIN_ID"
+                )
 
     def is_clock_settled(self) -> bool:
         """Whether the device's clock is mapped well enough to start a sequence."""

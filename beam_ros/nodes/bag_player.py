@@ -1,6 +1,7 @@
 """The node ``player``: a bag back onto its topics, as the bytes that were recorded and in their old rhythm.
 
-Header stamps stay what they were. What moves an axis is left out unless it is asked for, and nothing is
+Header stamps stay what they were. The replay can be paused and stepped, begin later and over again, and make the time
+of the graph. What moves an axis is left out unless it is asked for, and nothing is
 played while a live hub is on the graph, so that a replay never meets a real axis.
 """
 
@@ -11,13 +12,17 @@ import threading
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock as ClockMessage
 
-from beam_ros.bags.live.replay import ReplayTopic, due_messages, replay_topics
+from beam_ros.bags.live.replay import Pace, ReplayTopic, due_messages, replay_topics
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError, RosMissingError, UsageError
+from beam_ros.messages import SECOND_NS
 from beam_ros.shell.large_messages import widen_shared_memory
 from beam_ros.shell.node import RigNode, qos_profile, run_node
 
@@ -27,6 +32,7 @@ _DISCOVERY_S = 3.5
 It takes 0.2 s, but a participant whose first announcements were lost repeats them only after 3 s.
 """
 
+_CLOCK_S = 0.01
 _HUB_NODE = "hub"
 _HUB_TOPIC = "hub/measured"
 
@@ -39,17 +45,27 @@ class BagPlayer(RigNode):
         path = self.rig.player.bag
         if not path:
             raise UsageError("player.bag is empty: expected a bag's folder; give it with -p player.bag:=PATH")
-        self._bag = Bag(path)
-        self._rate = self.rig.player.rate
+        settings = self.rig.player
+        self._bag = Bag(path, start_s=settings.start or None)
+        self._rate, self._loops = settings.rate, settings.loop
+        self._pace = Pace(settings.rate, is_paused=settings.paused)
+        self._time_of_bag = self.offer("/clock") if settings.clock else None
+        self._told = threading.Event()
+        self._lock = threading.Lock()
         self._topics = replay_topics(self._bag, with_commands=self.rig.player.commands)
         self._stopping = threading.Event()
         self._published = 0
-        self._late_ns = 0
         self._fault: Exception | None = None
         self._outputs: dict[str, Publisher] | None = None
         self._thread = threading.Thread(target=self._play, name="replay", daemon=True)
         self._discovered_at = time.monotonic() + _DISCOVERY_S
-        self.create_timer(0.1, self._watch)
+        self.serve("player/pause", self._on_pause)
+        self.serve("player/step", self._on_step)
+        # On the steady clock: a player that makes the time must not wait for it.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.1, self._watch, clock=steady)
+        if self._time_of_bag is not None:
+            self.create_timer(_CLOCK_S, self._publish_clock, clock=steady)
 
     def _watch(self) -> None:
         """Start when the graph is known; end with the replay, its fault, or a hub that comes to life."""
@@ -72,7 +88,10 @@ class BagPlayer(RigNode):
                 self.get_logger().info(f"playing {topics} at rate {self._rate:g}")
                 self._thread.start()
         elif not self._thread.is_alive():
-            self.get_logger().info(f"played {self._published} messages")
+            self.get_logger().info(
+                f"played {self._published} messages, {self._pace.late_ns * 1e-6:.2f} ms late in the mean (rms), "
+                f"{self._pace.max_late_ns * 1e-6:.1f} ms at most"
+            )
             raise ExternalShutdownException
 
     def _live_hub(self) -> str:
@@ -100,31 +119,84 @@ class BagPlayer(RigNode):
     def _play(self) -> None:
         outputs = self._outputs or {}
         topics = tuple(topic for topic in self._topics if topic.name_in_bag in outputs)
-        start_ns = time.monotonic_ns()
         try:
-            for message in due_messages(self._bag, topics, self._rate):
-                wait_ns = start_ns + message.due_ns - time.monotonic_ns()
-                if wait_ns > 0 and self._stopping.wait(wait_ns * 1e-9):
-                    return
-                outputs[message.name_in_bag].publish(message.data)
-                self._published += 1
-                self._late_ns = max(self._late_ns, -wait_ns)
+            while True:
+                with self._lock:
+                    self._pace.begin(time.monotonic_ns())
+                for message in due_messages(self._bag, topics):
+                    if not self._wait(message.due_ns):
+                        return
+                    outputs[message.name_in_bag].publish(message.data)
+                    self._published += 1
+                if not self._loops or not self._published:
+                    break
             for output in outputs.values():
                 output.wait_for_all_acked(Duration(seconds=1))
         except Exception as err:  # noqa: BLE001 - handed to the executor's thread, which ends the node with it
             self._fault = err
 
+    def _wait(self, due_ns: int) -> bool:
+        """Wait until what is due is to go; return False where the node ends instead."""
+        while not self._stopping.is_set():
+            self._told.clear()
+            with self._lock:
+                wait_ns = self._pace.wait_ns(due_ns, time.monotonic_ns())
+                if wait_ns is not None and wait_ns <= 0:
+                    self._pace.sent(wait_ns)
+                    return True
+            self._told.wait(None if wait_ns is None else wait_ns * 1e-9)
+        return False
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            now_ns = time.monotonic_ns()
+            if request.data:
+                self._pace.pause(now_ns)
+            else:
+                self._pace.resume(now_ns)
+            position_s = self._pace.position_ns(now_ns) * 1e-9
+        self._told.set()
+        response.success = True
+        response.message = f"{'paused at' if request.data else 'goes on from'} {position_s:.3f} s"
+        return response
+
+    def _on_step(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            response.success = self._pace.step()
+        self._told.set()
+        response.message = (
+            "the next message goes" if response.success else "nothing stands still; call player/pause first"
+        )
+        return response
+
+    def _publish_clock(self) -> None:
+        if self._time_of_bag is None or self._thread.ident is None:
+            return
+        with self._lock:
+            played_ns = max(0, self._pace.position_ns(time.monotonic_ns()))
+        now_ns = self._bag.begins_ns + min(
+            played_ns, self._bag.start_ns + self._bag.duration_ns - self._bag.begins_ns
+        )
+        seconds, nanoseconds = divmod(now_ns, SECOND_NS)
+        self._time_of_bag.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
+
     def health(self) -> tuple[str, str, dict[str, object]]:
-        """Report how far the replay has come."""
+        """Report how far the replay has come, and how late it is."""
         counters: dict[str, object] = {
             "messages": self._published,
-            "latest by [ms]": round(self._late_ns * 1e-6, 1),
+            "latest by [ms]": round(self._pace.max_late_ns * 1e-6, 1),
+            "late in the root mean square [ms]": round(self._pace.late_ns * 1e-6, 3),
         }
-        return "OK", f"playing {self._bag.path}", counters
+        return (
+            "OK",
+            f"{'standing still in' if self._pace.is_paused else 'playing'} {self._bag.path}",
+            counters,
+        )
 
     def close(self) -> None:
         """End the replay and close the bag."""
         self._stopping.set()
+        self._told.set()
         if self._thread.ident is not None:
             self._thread.join()
         self._bag.close()

@@ -102,3 +102,48 @@ def test_a_bag_that_is_not_there_is_one_line_and_status_2(executables, tmp_path)
     assert player.wait() == 2
     assert "does not exist" in player.output()
     assert len(player.output().strip().splitlines()) == 1
+
+
+def test_a_replay_that_stands_still_goes_step_by_step_and_then_on(executables, graph, tmp_path):
+    path = _with_commands(tmp_path / "run", batches=30)
+    measured = []
+    graph.listen("hub/measured", measured.append, raw=True)
+    player = _play(executables, path, **{"player.paused": "true"})
+    player.wait_for("playing")
+    graph.spin(0.5)
+    assert measured == []
+    for _ in range(4):
+        assert graph.call("player/step").success
+    graph.spin(0.5)
+    assert 2 <= len(measured) <= 4  # one of the steps is what is latched
+    assert graph.call("player/pause", data=False).success
+    graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 15.0)
+    assert measured == [encode_batch(batch(k)) for k in range(30)]
+    assert "ms at most" in player.output()
+
+
+def test_a_replay_begins_later_over_and_over_and_makes_the_time(executables, graph, tmp_path):
+    path = write_experiment(tmp_path / "run", batches=50)
+    measured, clock = [], []
+    graph.listen("hub/measured", measured.append, raw=True)
+    graph.listen("/clock", lambda message: clock.append(messages.time_ns(message.clock)))
+    settings = {"player.start": 0.7, "player.loop": "true", "player.clock": "true"}
+    player = _play(executables, path, **settings)
+    graph.wait(lambda: len(measured) > 40, "several rounds", 30.0)
+    player.send_signal(signal.SIGINT)
+    assert player.wait() == 0
+    begin = next(k for k in range(50) if encode_batch(batch(k)) == measured[0])
+    assert begin == pytest.approx(35, abs=1)
+    one_round = [encode_batch(batch(k)) for k in range(begin, 50)]
+    assert measured[: 2 * len(one_round)] == 2 * one_round
+    assert START + 7 * 10**8 <= min(clock) < max(clock) <= START + 11 * 10**8
+
+
+def test_a_topic_is_played_under_another_name(executables, graph, tmp_path):
+    path = write_experiment(tmp_path / "run", batches=10)
+    renamed = []
+    graph.listen("hub/measured", renamed.append, raw=True, namespace="/old")
+    arguments = ["-p", f"player.bag:={path}", "-r", "hub/measured:=/old/hub/measured"]
+    player = executables.start("bag_player", "--ros-args", *arguments)
+    graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 15.0)
+    assert len(renamed) == 10

@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from beam_ros.bags.export import export_flat_bag
 from ruamel.yaml import YAML
 
 from beam_ros import messages
