@@ -58,6 +58,7 @@ TESTED_IN = (
     ("beam_ros/checks", "excitation_gates signal_gates stamp_gates", "checks/test_bag_check"),
     ("beam_ros/cli", "options", "cli/test_main"),
     ("beam_ros/cli/live", "call up", "launching/test_up"),
+    ("beam_ros/launching", "guards", "launching/test_up"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
     ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
     ("beam_ros/cli/live", "thesis", "thesis/test_document"),

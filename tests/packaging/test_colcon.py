@@ -66,6 +66,8 @@ def test_ros2_finds_the_package_its_files_and_its_executables(
     for path in (
         "share/ament_index/resource_index/packages/beam_ros",
         "share/beam_ros/package.xml",
+        "share/beam_ros/launch/record.launch.py",
+        "share/beam_ros/launch/replay.launch.py",
         "share/beam_ros/launch/rig.launch.py",
         "share/beam_ros/config/rig.yaml",
         "share/beam_ros/config/large_messages.xml",

@@ -8,6 +8,7 @@ import runpy
 import sys
 import tempfile
 import types
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,6 +18,7 @@ import pytest
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import NODES, RigKind, nodes_of_rig
 from beam_ros.process.executables import MODULES
+from beam_ros.rig.rig import Rig
 from tests.packaging.conftest import ROOT
 
 PACKAGES = ("beam_ros", "beam_model", "beam_ident")
@@ -103,8 +105,8 @@ def test_every_module_is_found_by_setuptools_and_typed(setup_arguments: dict[str
 
 
 @pytest.fixture
-def launch_actions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What the launch file declares; stand-ins record it, since `launch` and `launch_ros` have no wheels."""
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[Any]]:
+    """Give what a launch file declares; stand-ins record it, since `launch` and `launch_ros` have no wheels."""
 
     class Recorder:
         def __init__(self, *values: Any, **named: Any) -> None:
@@ -126,14 +128,25 @@ def launch_actions(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
             setattr(module, content, Recorder)
         monkeypatch.setitem(sys.modules, name, module)
 
-    launch_file = runpy.run_path(str(ROOT / "launch" / "rig.launch.py"))
-    actions: list[Any] = launch_file["generate_launch_description"]().values[0]
-    return actions
+    def actions_of(name: str) -> list[Any]:
+        content = runpy.run_path(str(ROOT / "launch" / name))
+        actions: list[Any] = content["generate_launch_description"]().values[0]
+        return actions
+
+    return actions_of
+
+
+@pytest.fixture
+def launch_actions(launch_file: Callable[[str], list[Any]]) -> list[Any]:
+    """What the rig's launch file declares."""
+    return launch_file("rig.launch.py")
 
 
 def launched(actions: list[Any], **given: str) -> list[Any]:
     """The nodes that the launch file starts with some arguments."""
-    declared = {action.values[0]: action.named["default_value"] for action in actions if action.values}
+    declared = {
+        action.values[0]: action.named.get("default_value", "") for action in actions if action.values
+    }
     nodes: list[Any] = actions[-1].named["function"]({**declared, **given})
     return nodes
 
@@ -147,7 +160,9 @@ def test_the_launch_file_starts_the_rig_of_the_table(
     assert arguments["rig"]["choices"] == ["simulated", "emulated", "real"]
     assert Path(arguments["params_file"]["default_value"]).exists()
 
-    nodes = launched(launch_actions, rig=rig.value)
+    rig_file = tmp_path.parent / "rig.yaml"
+    rig_file.write_text("/**: {ros__parameters: {serial: {port: /dev/ttyACM0}}}")
+    nodes = launched(launch_actions, rig=rig.value, params_file=str(rig_file))
     assert tuple(node.named["executable"] for node in nodes) == nodes_of_rig(rig)
     assert [node.named["name"] for node in nodes] == [NODES[name].name for name in nodes_of_rig(rig)]
     assert not any(node.named["parameters"][-1]["use_sim_time"] for node in nodes)
@@ -165,6 +180,32 @@ def test_the_launch_file_lets_only_the_simulated_rig_run_in_another_time(
     for rig in ("emulated", "real"):
         with pytest.raises(UsageError, match=r"real_time_factor is 0\.5 .* expected 1"):
             launched(launch_actions, rig=rig, params_file=str(slow))
+
+
+def test_the_launch_file_refuses_what_beam_up_refuses(launch_actions: list[Any], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"serial\.port"):
+        launched(launch_actions, rig="real")
+    with pytest.raises(UsageError, match="exists already"):
+        launched(launch_actions, rig="simulated", record="true", bag=str(tmp_path))
+    *nodes, recorder = launched(launch_actions, rig="simulated", record="true", bag=str(tmp_path / "run"))
+    assert tuple(node.named["executable"] for node in nodes) == nodes_of_rig(RigKind.SIMULATED)
+    assert recorder.named["executable"] == "bag_recorder"
+    assert {"recorder.path": str(tmp_path / "run")} in recorder.named["parameters"]
+
+
+def test_recorder_and_player_have_launch_files_that_give_parameters_of_their_nodes(
+    launch_file: Callable[[str], list[Any]], tmp_path: Path
+) -> None:
+    (recorder,) = launched(launch_file("record.launch.py"), bag=str(tmp_path / "run"), images="true")
+    (player,) = launched(launch_file("replay.launch.py"), bag=str(tmp_path), start="2.5", loop="true")
+    for node in (recorder, player):
+        given = node.named["parameters"][-1]
+        assert set(given) <= set(NODES[node.named["executable"]].parameters)
+        Rig.from_file().with_values(given)
+    assert recorder.named["parameters"][-1]["recorder.images"] is True
+    assert player.named["parameters"][-1]["player.start"] == 2.5
+    with pytest.raises(UsageError, match="exists already"):
+        launched(launch_file("record.launch.py"), bag=str(tmp_path))
 
 
 def test_every_line_of_the_udev_rule_matches_a_device_and_assigns_something() -> None:

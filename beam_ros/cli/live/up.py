@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
-from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
+from beam_ros.launching.guards import refuse_what_cannot_run
 from beam_ros.launching.processes import (
     NodeGroup,
     node_arguments,
@@ -22,7 +22,6 @@ from beam_ros.launching.processes import (
 from beam_ros.process.executables import INTERRUPTED
 from beam_ros.process.folders import make_folder
 from beam_ros.process.interruption import end_with, signals_taken
-from beam_ros.rig.time_keeping import check_time_of_rig
 
 _WATCH_S = 0.2
 _START_TIMEOUT_S = 40.0
@@ -42,20 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig, kind = read_rig(arguments), RigKind(arguments.rig)
+    refuse_what_cannot_run(kind, rig, arguments.record)
     has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     executables = list(nodes_of_rig(kind, with_camera_images=has_images))
     changes: dict[str, object] = {}
     if arguments.record is not None:
-        if arguments.record.exists():
-            raise UsageError(f"--record {arguments.record}: exists already; give a folder that does not")
         executables.append("bag_recorder")
         changes["recorder.path"] = str(arguments.record.resolve())
-    if kind is RigKind.REAL and rig.axis.kind in ("beam", "odrive", "csv") and not rig.serial.port:
-        raise UsageError(
-            "--rig real needs the controller's port: expected serial.port in the rig file, or "
-            "-p serial.port:=/dev/ttyACM0"
-        )
-    check_time_of_rig(kind, rig)
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.client import RigClient
 
