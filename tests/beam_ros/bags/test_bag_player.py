@@ -10,6 +10,7 @@ import pytest
 
 from beam_ros import messages
 from beam_ros.bags.batches import encode_batch, encode_chunk
+from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from tests.beam_ros.bags.small_bags import BATCH, START, TYPES, batch, write_experiment
 
@@ -147,3 +148,53 @@ def test_a_topic_is_played_under_another_name(executables, graph, tmp_path):
     player = executables.start("bag_player", "--ros-args", *arguments)
     graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 15.0)
     assert len(renamed) == 10
+
+
+def test_a_tracker_on_replayed_images_finds_the_displacements_that_it_found_live(
+    executables, graph, tmp_path
+):
+    pytest.importorskip("cv2")
+    bag, again = tmp_path / "film", []
+    tracker = executables.start("vision_tracker")
+    recorder = executables.start(
+        "bag_recorder",
+        "--ros-args",
+        *("-p", f"recorder.path:={bag}", "-p", "recorder.images:=true"),
+        timeout_s=120.0,
+    )
+    recorder.wait_for("recording to", 40.0)
+    simulator = executables.start("simulator", timeout_s=120.0)
+    states = []
+    graph.listen("recorder/state", lambda message: states.append(messages.read_json(message)))
+    graph.wait(
+        lambda: bool(states) and states[-1]["topics"].get("/beam/displacement", 0) > 150, "frames", 60.0
+    )
+    for process in (simulator, recorder, tracker):
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0, process.output()
+    with Bag(bag) as recorded:
+        live = recorded.displacements()
+
+    graph.listen("beam/displacement", lambda message: again.append(messages.read_displacement(message)))
+    tracker = executables.start("vision_tracker", timeout_s=120.0)
+    renamed = [f"{topic}:=recorded/{topic}" for topic in ("beam/displacement", "beam/markers")]
+    player = executables.start(
+        "bag_player",
+        "--ros-args",
+        *("-p", f"player.bag:={bag}", "-p", "player.rate:=0.5"),
+        *(word for pair in renamed for word in ("-r", pair)),
+        timeout_s=120.0,
+    )
+    graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 90.0)
+    graph.spin(0.5)
+    tracker.send_signal(signal.SIGINT)
+    assert tracker.wait() == 0
+    found = {item.stamp_ns: item for item in again}
+    both = [k for k, stamp in enumerate(live.stamps_ns.tolist()) if stamp in found]
+    assert len(both) > 100
+    columns = [live.names.index(name) for name in again[0].names]
+    replayed = np.array([found[int(live.stamps_ns[k])].positions for k in both])
+    off = np.abs(replayed - live.positions[both][:, columns])
+    # The same pixels. The windows in them depend on the frame in which the markers were found first.
+    assert np.nanmedian(off) < 5e-8
+    assert np.nanmax(off) < 1e-6

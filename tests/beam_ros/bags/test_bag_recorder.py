@@ -188,6 +188,55 @@ def test_twenty_kills_at_any_moment_lose_a_second_at_most_of_every_topic(executa
                 assert killed_ns - newest_ns < 1_000_000_000, (turn, topic)
 
 
+@pytest.mark.verify
+def test_a_minute_of_hub_displacements_and_images_is_recorded_without_a_loss(executables, graph, tmp_path):
+    seconds, names = 60, ("z010", "z225", "z285")
+    recorder = Recorder(executables, graph, tmp_path / "run", images=True)
+    measured, seen = graph.publisher("hub/measured"), graph.publisher("beam/displacement")
+    images = graph.publisher("camera/image_raw")
+    pixels = np.zeros((480, 640), dtype=np.uint8)
+
+    def image(k):
+        pixels[0, :8] = np.frombuffer(np.int64(k).tobytes(), dtype=np.uint8)
+        return messages.image(graph.types, START + k, pixels)
+
+    first_image = recorder.warm_up(images, "camera/image_raw", image)
+    first_batch = recorder.warm_up(measured, "hub/measured", _encoded)
+    begun, sent = time.monotonic(), {"hub": 0, "camera": 0, "tracker": 0}
+    while time.monotonic() < begun + seconds:
+        elapsed = time.monotonic() - begun
+        while sent["hub"] < 50 * elapsed:  # a batch of 20 ticks
+            measured.publish(_encoded(first_batch + sent["hub"]))
+            sent["hub"] += 1
+        while sent["tracker"] < 200 * elapsed:
+            stamp = START + sent["tracker"] * 5_000_000
+            seen.publish(messages.displacement(graph.types, stamp, names, [float(sent["tracker"])] * 3))
+            sent["tracker"] += 1
+        while sent["camera"] < 30 * elapsed:
+            images.publish(image(first_image + sent["camera"]))
+            sent["camera"] += 1
+        graph.spin(0.001)
+    graph.spin(2.0)
+    assert graph.call("recorder/stop").success
+    types = BagTypes()
+    with Bag(tmp_path / "run") as bag:
+        ticks = np.round(bag.hub_samples().positions / 1e-6).astype(int)
+        counter = bag.displacements().positions[:, 0]
+        frames = [
+            int(np.frombuffer(bytes(types.deserialize(m.data, m.type_name).data[:8]), dtype=np.int64)[0])
+            for m in bag.raw_messages("camera/image_raw")
+        ]
+    assert recorder.states[-1]["lost"] == 0
+    # The first messages of a warm-up may come before the recorder; from then on every number is there.
+    assert np.array_equal(np.diff(ticks), np.ones(len(ticks) - 1))
+    assert ticks[-1] == (first_batch + sent["hub"]) * BATCH - 1
+    assert np.array_equal(np.diff(frames), np.ones(len(frames) - 1))
+    assert frames[-1] == first_image + sent["camera"] - 1
+    assert np.array_equal(np.diff(counter), np.ones(len(counter) - 1))
+    assert counter[-1] == sent["tracker"] - 1
+    assert len(counter) > 199 * seconds
+
+
 def _state(graph, k):
     return messages.hub_state(graph.types, messages.HubSample(START + k, 0.001 * k))
 
