@@ -37,7 +37,7 @@ class Recorder:
         arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
         if namespace:
             arguments += ["-r", f"__ns:={namespace}"]
-        self.process = executables.start("bag_recorder", "--ros-args", *arguments)
+        self.process = executables.start("bag_recorder", "--ros-args", *arguments, timeout_s=180.0)
         self.states = []
         self._graph = graph
         self._namespace = namespace
