@@ -350,7 +350,7 @@ class _PreparedRecord:
         power, column = structure.differentiations, poles[:, None]
         # (I.5): one real column for every mode, Im(factor x).
         factor = column**power * structure.sign / column.imag
-        values = np.ascontiguousarray(np.imag(factor * sampled.values))
+        values = _imaginary(factor, sampled.values)
         forced: tuple[FloatArray, ...] = (values,)
         if sampled.pole_slopes is not None and sampled.time_slopes is not None:
             slopes = sampled.pole_slopes
@@ -358,10 +358,10 @@ class _PreparedRecord:
                 # d(p^k x)/dp = p^k (dx/dp + k x / p); below, Im(p) in the denominator of (I.5) moves as well.
                 slopes = slopes + power / column * sampled.values
             by_pole = [
-                np.imag(factor * d * slopes) - values * (d.imag / column.imag)
+                _imaginary(factor * d, slopes) - values * (d.imag / column.imag)
                 for d in pole_slopes(omegas, zetas)
             ]
-            by_time = np.imag(factor * sampled.time_slopes)
+            by_time = _imaginary(factor, sampled.time_slopes)
             if power == 2:
                 by_time += structure.sign * seen.direct[1]
             forced = (values, *by_pole, by_time)
@@ -369,6 +369,13 @@ class _PreparedRecord:
             # The direct term of (I.5), k = 2.
             values += structure.sign * (seen.direct[0] - driving.rest)
         return forced
+
+
+def _imaginary(factors: ComplexArray, values: ComplexArray) -> FloatArray:
+    """Return the imaginary parts of factors (n_poles, 1) times values (n_poles, n)."""
+    result = factors.imag * values.real
+    result += factors.real * values.imag
+    return np.asarray(result)
 
 
 def modal_poles(omegas: FloatArray, zetas: FloatArray) -> ComplexArray:
@@ -723,6 +730,25 @@ class ModalRegression:
             )
             for parts in self._parts
         ]
+
+    def initial_motions(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
+        """Return what modes would do by themselves in each record, (n_rows, 2 n_modes n_records) of every output.
+
+        Real and imaginary part of every mode, whether or not the structure has them, and not divided by levels.
+        """
+        poles = modal_poles(omegas, zetas)[:, None]
+        found: dict[tuple[tuple[int, int, bytes, float], ...], FloatArray] = {}
+        for parts, segments in zip(self._parts, self.segments, strict=True):
+            if parts in found:
+                continue
+            columns = found[parts] = np.zeros((segments[-1][1].stop, 2 * len(omegas) * len(parts)))
+            for number, (part, (_, here)) in enumerate(zip(parts, segments, strict=True)):
+                prepared = self._prepared[part[0]]
+                elapsed = prepared.instants(part[1], clock)[self._rows[part[:3]]] - prepared.start
+                (free,) = free_motions(poles, elapsed, prepared.grids[part[1]].exposure_s, ())
+                first = 2 * len(omegas) * number
+                columns[here, first : first + 2 * len(omegas)] = np.concatenate([free.real, free.imag]).T
+        return [found[parts] for parts in self._parts]
 
     def position_integrals(self, clock: ClockState) -> list[FloatArray]:
         """Return the integrals of what stands behind the direct gains, (n_samples, n_inputs) of every output."""

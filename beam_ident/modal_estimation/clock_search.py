@@ -222,8 +222,8 @@ def out_of_phase(regression: ModalRegression, fit: ModalFit, latency: Prior, clo
 def own_delays(
     regression: ModalRegression,
     fit: ModalFit,
+    present: Sequence[FloatArray],
     latency: Prior,
-    clock_rate: Prior,
     known: Collection[int] = (),
 ) -> dict[int, float]:
     """Return which output has a delay of its own beside the clock that all share, and about how long [s]; or none.
@@ -232,7 +232,8 @@ def own_delays(
     ----------
     regression : ModalRegression
     fit : ModalFit -- of it, with one clock for all outputs
-    latency, clock_rate : Prior -- of that clock
+    present : sequence of ndarray -- ``designs`` of both
+    latency : Prior -- of that clock
     known : collection of int -- outputs whose own delay is estimated already
 
     Notes
@@ -248,7 +249,7 @@ def own_delays(
     cross, score_of_theta = np.zeros((n_theta, n_outputs)), np.zeros(n_theta)
     scores, colour = np.zeros(n_outputs), np.ones(n_outputs)
     columns = own_delay_columns(regression, fit)
-    for j, design in enumerate(designs(regression, fit, latency, clock_rate)):
+    for j, design in enumerate(present):
         basis = LinearSolution.of(design[:, n_theta:]).basis
         both = np.column_stack([design[:, :n_theta], columns[j] / regression.row_levels(j)]) / fit.sigmas[j]
         both -= basis @ (basis.T @ both)

@@ -181,14 +181,15 @@ class ModalScan:
                 parts += (left / np.maximum(np.linalg.norm(forced, axis=0), 1e-300)).tolist()
         return float(np.median(parts)) < _TANGLED
 
-    def gains(self, model: ModalFit) -> FloatArray:
-        """Return the gain in log-likelihood over the grid, shape (n_points,)."""
+    def gains(self, model: ModalFit, complement: _Complement | None = None) -> FloatArray:
+        """Return the gain in log-likelihood over the grid, shape (n_points,); ``complement`` is that of the model."""
         clock = model.clock
         moved = abs(clock.latency - self._clock.latency) * self.omegas[-1] > 1.0
         if self._candidates is None or moved:
             self._candidates = self._prepare(self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock)
             self._clock = clock
-        return _Complement(self.regression, model).gains(self._candidates)
+        complement = complement or _Complement(self.regression, model)
+        return complement.gains(self._candidates)
 
     def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
         """Return the most promising further mode, or None when the band is used up.
@@ -199,14 +200,15 @@ class ModalScan:
         excluded : sequence of float
             Frequencies [rad/s] whose neighbourhood has been tried in vain.
         """
-        gains = _without(self.gains(model), self.omegas, excluded)
+        complement = _Complement(self.regression, model)
+        gains = _without(self.gains(model, complement), self.omegas, excluded)
         best = int(np.argmax(gains))
         if not np.isfinite(gains[best]):
             return None
         fine = self.omegas[best] * np.exp(np.linspace(-1.2, 1.2, 15) * SCAN_DAMPING)
         omegas = np.tile(fine, len(_FINE_DAMPINGS))
         zetas = np.repeat(_FINE_DAMPINGS, len(fine))
-        refined = _Complement(self.regression, model).gains(self._prepare(omegas, zetas, model.clock))
+        refined = complement.gains(self._prepare(omegas, zetas, model.clock))
         winner = int(np.argmax(refined))
         return Candidate(float(omegas[winner]), float(zetas[winner]), float(refined[winner]))
 

@@ -452,6 +452,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         self.delays, self.found_noise, self.jumps = delays, found_noise, tuple(jumps)
         self.records, self.input_names = records, input_names
         self.bridges: BridgeUncertainty | None = None
+        self._samples: tuple[ModalFit, _Samples] | None = None
         structure = regression.structure
         if scan is None:
             band = _common_band(regression, highest_hz)
@@ -606,12 +607,19 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             return {}
         fit, regression = weighed.fit, weighed.problem
         late = [j for j, name in enumerate(regression.output_names) if name in self.delays]
-        found = own_delays(*_some_samples(regression, fit), self.latency, self.clock_rate, late)
+        some = self._looked_at(fit, regression)
+        found = own_delays(some.regression, some.fit, some.designs, self.latency, late)
         for j in late:
             value, sd = self._own_delay(j, fit)
             if abs(value) > _DELAY_SETTLED * sd:
                 found[j] = value
         return {regression.output_names[j]: delay for j, delay in found.items()}
+
+    def _looked_at(self, fit: ModalFit, regression: ModalRegression) -> _Samples:
+        """Return what tests need of a fit, made once for all of them."""
+        if self._samples is None or self._samples[0] is not fit:
+            self._samples = fit, _Samples.of(regression, fit, self.latency, self.clock_rate)
+        return self._samples[1]
 
     def _with_own_clocks(self, regression: ModalRegression, fit: ModalFit) -> ModalRegression:
         """Return a regression that knows delays of some outputs, and jumps of clocks, to be estimates."""
@@ -866,22 +874,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
 
     def _left_out_motion(self, fit: ModalFit, regression: ModalRegression) -> list[str]:
         """Return what is to be said where motion at the beginning was left out by request, and is there."""
-        moving = replace(regression.structure, has_free_response=True)
-        whole = ModalRegression(self.records, moving, self.input_names, restarts=regression.restarts)
-        if len(whole.pieces) > 1:
-            whole = whole.thinned(_THINNED)
-        regression, fit = _some_samples(regression, fit)
-        blocks = whole.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
-        present = designs(regression, fit, self.latency, self.clock_rate)
-        tested = []
-        for j, (design, left) in enumerate(zip(present, fit.residuals, strict=True)):
-            matrix, n_modes = blocks[whole.block_of[j]].matrix, 2 * len(fit.omegas)
-            ends = [
-                whole.n_shared(len(fit.omegas)) + whole.n_nuisance(len(fit.omegas)) * (k + 1)
-                for k in range(len(whole.segments[j]))
-            ]
-            columns = np.concatenate([matrix[:, end - n_modes : end] for end in ends], axis=1)
-            tested.append((columns, design, left, regression.values[j]))
+        some = self._looked_at(fit, regression)
+        columns = some.regression.initial_motions(fit.omegas, fit.zetas, fit.clock)
+        tested = zip(columns, some.designs, some.fit.residuals, some.regression.values, strict=True)
         p_value = ScoreTest.of(tested).p_value
         if p_value > _LEFT_OUT_LEVEL:
             return []
@@ -903,8 +898,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if not regression.structure.has_free_response:
             warnings += self._left_out_motion(fit, regression)
         if regression.structure.kind == "force" and self.band.is_excited:
-            some, of_some = _some_samples(regression, fit)
-            friction = FrictionEstimate.of(of_some, some)
+            some = self._looked_at(fit, regression)
+            friction = FrictionEstimate.of(some.fit, some.regression)
             if friction.is_visible:
                 warnings.append(friction.warning())
         # What begins anew where hardly a sample follows is known by the bridge all the same.
@@ -959,13 +954,22 @@ def _rate_warnings(found: float, known: Prior) -> list[str]:
     ]
 
 
-def _some_samples(regression: ModalRegression, fit: ModalFit) -> tuple[ModalRegression, ModalFit]:
-    """Return both on a choice of a long record's stamps, for tests that need all columns at once."""
-    if len(regression.pieces) == 1:
-        return regression, fit
-    few = regression.thinned(_THINNED)
-    residuals = residuals_of(few, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
-    return few, replace(fit, residuals=tuple(residuals))
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """A fit at some samples of a long record, for tests that need all columns at once."""
+
+    regression: ModalRegression
+    fit: ModalFit
+    designs: list[FloatArray]  # derivatives of the model at every output by (theta, its linear parameters)
+
+    @staticmethod
+    def of(regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior) -> _Samples:
+        """Choose them at random; a short record is taken as it is."""
+        if len(regression.pieces) > 1:
+            regression = regression.thinned(_THINNED)
+            residuals = residuals_of(regression, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+            fit = replace(fit, residuals=tuple(residuals))
+        return _Samples(regression, fit, designs(regression, fit, latency, clock_rate))
 
 
 def _jumps_into(structure: ModalStructure, record: TimeRecord, input_names: Sequence[str]) -> bool:

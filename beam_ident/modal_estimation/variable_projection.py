@@ -363,7 +363,7 @@ def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
     residuals = state.residuals
     if likelihood.is_long and reason != HOPELESS:
         residuals = residuals_of(problem, omegas, zetas, clock, state.coefficients)
-    if problem.is_sequence and reason != HOPELESS:
+    if problem.is_sequence and n and reason != HOPELESS:  # nobody asks what is known of no modes
         covariance = _under_coloured_noise(likelihood, state, residuals, variances, covariance)
     # Put the modes in order of frequency, in the parameters and in every output's coefficients.
     order = np.argsort(state.theta[:n])

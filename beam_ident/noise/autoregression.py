@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
+from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray
@@ -26,6 +27,7 @@ _MAX_ORDER = 40
 _MAX_LINE_ORDER = 30
 _FORGOTTEN = 1e-14  # of all that an autoregression gives: what comes still later is rounding
 _DOUBLINGS = 40
+_RIDGE = 1e-12  # of the variance: what nobody can predict, were it only rounding
 
 
 def autoregression(
@@ -42,7 +44,7 @@ def autoregression(
 
     Notes
     -----
-    Levinson-Durbin on the biased autocorrelation, which is always stable.
+    The Yule-Walker equations of the biased autocorrelation, whose solution is always stable.
     """
     n = len(residuals)
     max_order = max(0, min(max_order, n // 10))
@@ -53,24 +55,20 @@ def autoregression(
     else:
         every = np.concatenate([residuals[None], doubt.T])
         power = np.sum(_power(rfft(every, length)), axis=0)
-    covariance = irfft(power, length, overwrite_x=True)[: max_order + 1] / n
+    covariance = irfft(power, length)[: max_order + 1] / n
     if covariance[0] <= 0.0:
         return np.ones(1)
-    variance, log_n = float(covariance[0]), math.log(n)
-    coefficients = np.zeros(max_order + 1)
-    coefficients[0] = 1.0
-    best, best_bic = coefficients[:1].copy(), n * math.log(variance)
-    for order in range(1, max_order + 1):
-        # Levinson-Durbin: the reflection coefficient is the partial correlation at this lag, and the order
-        # grows by one without solving anew.
-        reflection = -float(coefficients[:order] @ covariance[order:0:-1]) / variance
-        coefficients[: order + 1] += reflection * coefficients[order::-1]
-        # What this lag explains of the variance; BIC charges log n for it.
-        variance *= max(1.0 - reflection**2, 1e-12)
-        bic = n * math.log(variance) + order * log_n
-        if bic < best_bic:
-            best, best_bic = coefficients[: order + 1].copy(), bic
-    return np.asarray(best)
+    # The Cholesky factor of the autocovariances' Toeplitz matrix has on its diagonal what predictions from
+    # 0, 1, .. samples before err by; BIC charges log n for every further one.
+    lags = covariance[: max_order + 1]
+    lags[0] *= 1.0 + _RIDGE
+    factor = np.linalg.cholesky(toeplitz(lags))
+    bic = 2.0 * n * np.log(np.diag(factor)) + np.arange(max_order + 1) * math.log(n)
+    order = int(np.argmin(bic))
+    result = np.ones(order + 1)
+    if order:
+        result[1:] = -solve_toeplitz(lags[:order], lags[1 : order + 1], check_finite=False)
+    return result
 
 
 def _power(spectra: ComplexArray) -> FloatArray:

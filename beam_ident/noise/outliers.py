@@ -39,6 +39,8 @@ def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
     centre = np.median(residuals)
     spread = _TO_SIGMA * np.median(np.abs(residuals - centre))
     places = np.flatnonzero(np.abs(residuals - centre) > far * spread)
+    if not len(places):
+        return places
     width = min(_NEIGHBOURS, len(residuals))
     last = len(residuals) - width
     stands_off = np.ones(len(places), dtype=bool)

@@ -50,14 +50,19 @@ def _criterion(values: FloatArray) -> float:
         return -math.inf
     scaled = values / math.sqrt(power)
     # Inner products of lags 0 .. most over the same rows for every order: from one lag to the next of both factors
-    # a row comes in at the beginning and one goes at the end.
+    # a row comes in at the beginning and one goes at the end. So they add up along the diagonals, (lag, lag + apart).
     present = scaled[most:]
-    gram = np.empty((most + 1, most + 1))
-    gram[0] = [float(present @ scaled[most - lag : n - lag]) for lag in range(most + 1)]
-    before, after = scaled[most - 1 :: -1][: most + 1], scaled[: n - most - 2 : -1]
-    for lag in range(most):
-        gram[lag + 1, 0] = gram[0, lag + 1]
-        gram[lag + 1, 1:] = gram[lag, :-1] + before[lag] * before[:most] - after[lag] * after[:most]
+    first = np.array([float(present @ scaled[most - lag : n - lag]) for lag in range(most + 1)])
+    before, after = scaled[most - 1 :: -1][:most], scaled[: n - most - 1 : -1]
+    gram = np.zeros((most + 1, 2 * most + 2))
+    diagonals = np.lib.stride_tricks.as_strided(
+        gram, (most + 1, most + 1), (gram.strides[0] + gram.strides[1], gram.strides[1])
+    )
+    gram[1:, 1 : most + 1] = np.outer(before, before) - np.outer(after, after)
+    diagonals[0] = first
+    np.cumsum(diagonals, axis=0, out=diagonals)
+    upper = gram[:, : most + 1]
+    gram = np.triu(upper) + np.triu(upper, 1).T
     order = np.roll(np.arange(most + 1), -1)  # the present last
     gram = gram[np.ix_(order, order)] / (n - most)
     try:

@@ -301,6 +301,9 @@ class _RegularKnots:
             first_block, last_block = int(np.min(block)), int(np.max(block)) + 1
             if len(index) > _DENSE * self.length * (last_block - first_block):
                 dense = self._all(n_orders, slice(first_block, last_block))
+                start, n = int(index[0]) - first_block * self.length, len(index)
+                if np.array_equal(index, np.arange(index[0], index[0] + n)):  # one knot after the other
+                    return dense[:, :, start : start + n]
                 return np.asarray(np.take(dense, index - first_block * self.length, axis=2))
         order = np.argsort(later, kind="stable")
         block, ends = block[order], np.searchsorted(later[order], np.arange(self.length + 1))
@@ -320,14 +323,19 @@ class _RegularKnots:
         """Return the states at all knots of some blocks."""
         n_poles, length = len(self.kernel), self.length
         inside = np.ascontiguousarray(self.kernel[:, :n_orders, :, :length])
-        blocks = self.blocks[which]
-        states = np.matmul(blocks, inside.view(np.float64)).view(np.complex128)
-        for state, first, powers in zip(states, self.first[:, :, which], self.powers, strict=True):
-            for number in range(n_orders):
-                state[number] += first[number, :, None] * powers[0, :length]
-            if n_orders == 2:
-                state[1] += first[0, :, None] * powers[1, :length]
-        return np.asarray(states.reshape(n_poles, n_orders, len(blocks) * length))
+        blocks, first = self.blocks[which], np.ascontiguousarray(self.first[:, :n_orders, which])
+        # Real and imaginary parts stand side by side, so that products with the first states are real ones, too.
+        states, begun = np.matmul(blocks, inside.view(np.float64)), first.view(np.float64)
+        begun = begun.reshape(*first.shape, 2)
+        states += np.matmul(begun, _turned(self.powers[:, :1, :length]))
+        if n_orders == 2:
+            states[:, 1] += np.matmul(begun[:, 0], _turned(self.powers[:, 1, :length]))
+        return np.asarray(states.view(np.complex128).reshape(n_poles, n_orders, len(blocks) * length))
+
+
+def _turned(factors: ComplexArray) -> FloatArray:
+    """Return the matrices that multiply real and imaginary part by complex factors, (..., n) as (..., 2, 2 n)."""
+    return np.stack([factors, 1j * factors], axis=-2).view(np.float64)
 
 
 def _recursions(

@@ -220,7 +220,7 @@ class _Whitened:
 
     def _gain(self, inner: FloatArray, scores: FloatArray, power: float, looks: float) -> float:
         """Return what columns of some inner products gain that have ``scores`` with residuals of some power."""
-        levels, vectors = np.linalg.eigh(inner)
+        levels, vectors = np.linalg.eigh(inner) if len(inner) > 1 else (inner[0], np.ones((1, 1)))
         is_seen = levels > _NOTHING
         n, k = len(self.left), int(np.count_nonzero(is_seen))
         if not k or not power > 0.0:
