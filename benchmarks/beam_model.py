@@ -218,7 +218,7 @@ def main() -> None:
     print(f"    (from {n_short} ticks; its cost is proportional to them)")
 
     print("\nbeside lfilter, and a copy of the states; `compiled` needs the extra of that name")
-    for n, ticks in ((1, 1_000_000), (5, n_samples), (5, 1_000_000), (20, 1_000_000)):
+    for n, ticks in ((1, 1_000_000), (2, 1_000_000), (5, n_samples), (5, 1_000_000), (20, 1_000_000)):
         plain = compiled_time(n, ticks, is_used=False)
         theirs, states = lfilter_time(n, ticks)
         copied = best_time(states.copy, 5)[0]

@@ -223,12 +223,16 @@ class LinearStepper:
         # Blocks come in groups: few where the states of all are turned together.
         n_blocks = _GROUP if max(map(len, sets)) <= _FEW_STATES else _BLOCK
         n_groups = -(-n_samples // (n_blocks * _BLOCK))
-        inputs = np.zeros((n_groups * n_blocks, _BLOCK))
-        inputs.ravel()[:n_samples] = values
+        whole, rest = divmod(n_samples, _BLOCK)
+        # Of every block its inputs and the state at its beginning, side by side.
+        given = np.empty((n_groups * n_blocks, _BLOCK + size))
+        inputs, starts = given[:, :_BLOCK], given[:, _BLOCK:].reshape(n_groups, n_blocks, size)
+        inputs[:whole] = values[: whole * _BLOCK].reshape(whole, _BLOCK)
+        inputs[whole:] = 0.0
+        inputs[whole : whole + 1, :rest] = values[whole * _BLOCK :]
         powers = _powers(self._transition, _BLOCK)
         # impulse[k]: what an input does to the state k + 1 ticks after it begins.
         impulse = powers[:_BLOCK] @ effect
-        starts = np.empty((n_groups, n_blocks, size))
         # From block to block, X_0 <- F^n X_0 + (what the block's inputs add): the same recursion with a longer step,
         # for groups of blocks at once and for every set of states that do not know of the others.
         ends = (inputs @ impulse[::-1].copy()).reshape(n_groups, n_blocks, size)
@@ -255,10 +259,7 @@ class LinearStepper:
             reached[: k + 1, k] = impulse[k::-1]
         reached[_BLOCK:] = powers[1:].transpose(2, 0, 1)
         effects = reached.reshape(_BLOCK + size, -1)
-        given = np.concatenate([inputs, starts.reshape(-1, size)], axis=1)
-        whole = n_samples // _BLOCK
         np.matmul(given[:whole], effects, out=result[1 : 1 + whole * _BLOCK].reshape(whole, _BLOCK * size))
-        rest = n_samples - whole * _BLOCK
         if rest:
             result[-rest:] = (given[whole] @ effects).reshape(_BLOCK, size)[:rest]
 
