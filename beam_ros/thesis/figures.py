@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beam_ident import EstimationError, local_polynomial_response
-from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, axes_grid, stacked_axes, thinned
+from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, axes_grid, drawn, stacked_axes
 from beam_ros.arrays import ComplexArray, FloatArray
 from beam_ros.offline.identification import Experiment
 from beam_ros.rig.rig import Rig
@@ -26,11 +26,10 @@ def chirp_simulated(data: ThesisData) -> Figure:
     """Draw figure 4.1: hub and displacements under the chirp, by theory."""
     sim = data.simulated
     figure, axes = stacked_axes(3, 5.6)
-    keep = thinned(len(sim.times_s) // 4)
-    axes[0].plot(sim.times_s[keep], 1e3 * sim.hub[keep], color=REFERENCE, linewidth=0.7)
+    axes[0].plot(*drawn(sim.times_s, 1e3 * sim.hub), color=REFERENCE, linewidth=0.7)
     axes[0].set_ylabel("hub [mm]")
     for k, (axis, at) in enumerate(zip(axes[1:], data.points, strict=True)):
-        axis.plot(sim.times_s[keep], 1e3 * sim.displacements[keep, k], color=COLOURS[k], linewidth=0.6)
+        axis.plot(*drawn(sim.times_s, 1e3 * sim.displacements[:, k]), color=COLOURS[k], linewidth=0.6)
         axis.set_ylabel(f"u at {at.point.label} [mm]")
     axes[-1].set_xlabel("time [s]")
     return figure
@@ -61,11 +60,10 @@ def measured_over_simulated(data: ThesisData) -> Figure:
     for k, at in enumerate(data.points):
         times, measured, simulated = _aligned(data, k)
         top, low = axes[2 * k, 0], axes[2 * k + 1, 0]
-        keep = thinned(len(times))
-        top.plot(times[keep], 1e3 * measured[keep], color=MEASURED, linewidth=1.4, label="measured")
-        top.plot(times[keep], 1e3 * simulated[keep], color=MODEL, linewidth=0.6, label="simulated")
+        top.plot(*drawn(times, 1e3 * measured), color=MEASURED, linewidth=1.4, label="measured")
+        top.plot(*drawn(times, 1e3 * simulated), color=MODEL, linewidth=0.6, label="simulated")
         top.set_ylabel(f"u at {at.point.label} [mm]")
-        low.plot(times[keep], 1e6 * (measured - simulated)[keep], color=COLOURS[0], linewidth=0.5)
+        low.plot(*drawn(times, 1e6 * (measured - simulated)), color=COLOURS[0], linewidth=0.5)
         low.set_ylabel("difference [µm]")
     axes[0, 0].legend(frameon=False, fontsize=8, ncols=2)
     axes[-1, 0].set_xlabel("time from the start of the sequence [s]")
@@ -152,8 +150,7 @@ def record_over_time(experiment: Experiment, data: ThesisData) -> Figure:
     record = experiment.record
     drive = record.inputs[0]
     figure, axes = axes_grid(4, 1, (9.0, 6.6), sharex=True)
-    keep = thinned(len(drive.times_s) // 2)
-    axes[0, 0].plot(drive.times_s[keep], 1e3 * drive.values[keep], color=REFERENCE, linewidth=0.6)
+    axes[0, 0].plot(*drawn(drive.times_s, 1e3 * drive.values), color=REFERENCE, linewidth=0.6)
     axes[0, 0].set_ylabel("hub [mm]")
     for k, at in enumerate(data.points):
         output = record.output(at.point.name)
@@ -268,19 +265,17 @@ def prediction(data: ThesisData, at: AtPoint) -> Figure:
     output = data.validations[at.point.name, "E1", "V2"].output(at.point.name)
     figure, axes = axes_grid(2, 1, (9.0, 4.6), sharex=True, height_ratios=(3, 1))
     top, low = axes[:, 0]
-    keep = thinned(len(output.times_s))
-    times = output.times_s[keep]
-    top.plot(times, 1e3 * output.measured[keep], color=MEASURED, linewidth=1.4, label="measured, V2")
+    times = output.times_s
+    top.plot(*drawn(times, 1e3 * output.measured), color=MEASURED, linewidth=1.4, label="measured, V2")
     top.plot(
-        times,
-        1e3 * output.simulated[keep],
+        *drawn(times, 1e3 * output.simulated),
         color=MODEL,
         linewidth=0.6,
         label="predicted by the model from E1",
     )
     top.set_ylabel(f"y{at.point.number} [mm]")
     top.legend(frameon=False, fontsize=8, ncols=2)
-    low.plot(times, 1e6 * output.residuals[keep], color=COLOURS[0], linewidth=0.5)
+    low.plot(*drawn(times, 1e6 * output.residuals), color=COLOURS[0], linewidth=0.5)
     low.set_ylabel("residual [µm]")
     low.set_xlabel("time [s]")
     return figure
