@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.cli.main import LIVE, OFFLINE, VERBS
+from beam_ros.cli.main import LIVE, OFFLINE, RESULTS, VERBS
 from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 
 ROOT = Path(__file__).parent.parent
@@ -16,7 +16,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_every_module_of_a_verb_is_listed() -> None:
-    for listed, folder in ((LIVE, "live"), (OFFLINE, "offline")):
+    for listed, folder in ((LIVE, "live"), (OFFLINE, "offline"), (RESULTS, "results")):
         modules = {path.stem for path in (ROOT / "beam_ros" / "cli" / folder).glob("*.py")} - {"__init__"}
         assert modules == set(listed)
 

@@ -39,15 +39,19 @@ OFFLINE: dict[str, str] = {
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
-    "check": "whether a bag can be identified, and if not why: a table of gates with figures and remedies",
-    "identify": "a continuous-time model from a bag, by one of several estimators",
-    "compare": "bags and models side by side: poles, the significance of differences, responses",
-    "study": "many bags, one row each in one table, on the cores or on a cluster",
     "axis": "a motion controller on its line: what answers there, does its firmware keep the protocol",
 }
 """Verbs that need no ROS graph."""
 
-VERBS = {**LIVE, **OFFLINE}
+RESULTS: dict[str, str] = {
+    "check": "whether a bag can be identified, and if not why: a table of gates with figures and remedies",
+    "identify": "a continuous-time model from a bag, by one of several estimators",
+    "compare": "bags and models side by side: poles, the significance of differences, responses",
+    "study": "many bags, one row each in one table, on the cores or on a cluster",
+}
+"""Verbs that need no ROS graph either, and judge or identify bags."""
+
+VERBS = {**LIVE, **OFFLINE, **RESULTS}
 
 OK, FAULT_OF_THE_USER = 0, 2
 
@@ -67,7 +71,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _verb_parser(verb: str) -> argparse.ArgumentParser:
-    module = importlib.import_module(f"beam_ros.cli.{'live' if verb in LIVE else 'offline'}.{verb}")
+    room = "live" if verb in LIVE else "offline" if verb in OFFLINE else "results"
+    module = importlib.import_module(f"beam_ros.cli.{room}.{verb}")
     parser = _Parser(
         prog=f"beam {verb}",
         description=module.__doc__,
@@ -97,6 +102,9 @@ def _overview() -> str:
             "",
             "Without them:",
             *lines(OFFLINE),
+            "",
+            "From bags to results:",
+            *lines(RESULTS),
             "",
             "`beam VERB --help` explains a verb. Start with `beam demo`.",
         )

@@ -9,7 +9,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("beam_model", "beam_ident", "beam_ros")
-HELP_TEXTS = ("beam_ros/cli/live", "beam_ros/cli/offline")  # their docstrings are read in a terminal
+HELP_TEXTS = (
+    "beam_ros/cli/live",
+    "beam_ros/cli/offline",
+    "beam_ros/cli/results",
+)  # their docstrings are read in a terminal
 
 # What is not written, and what is written instead.
 WORDS = {

@@ -12,8 +12,8 @@ import argparse
 import os
 from pathlib import Path
 
-from beam_ros.cli.offline.identify import add_options, epilog, parameters, read_settings
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
+from beam_ros.cli.results.identify import add_options, epilog, parameters, read_settings
 from beam_ros.errors import UsageError
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json

@@ -10,8 +10,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from beam_ros.cli.offline.identify import add_options, bags_of, read_settings
 from beam_ros.cli.options import add_rig_file
+from beam_ros.cli.results.identify import add_options, bags_of, read_settings
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 

@@ -1,0 +1,1 @@
+"""Verbs that judge bags, identify them, and compare what came of it."""
