@@ -10,7 +10,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from beam_ros.bags.export import export_flat_bag
 from ruamel.yaml import YAML
 
 from beam_ros import messages
