@@ -1,7 +1,8 @@
 """How well a record can tell the poles of a known model, before anything is fitted: the Cramer-Rao bound.
 
-Gains, residues and drifts of every output are what the record itself says at these poles; poles and latency are the
-unknowns that remain. What is asked is the record's information, not the poles: they need only be about right.
+Gains, residues and drifts of every output are what the record itself says at these poles; poles, latency and the
+clock's rate are the unknowns that remain. What is asked is the record's information, not the poles: they need only be
+about right.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ def predicted_precision(
     omegas: ArrayLike,
     zetas: ArrayLike,
     noise_sd: Mapping[str, float],
+    clock_rate_sd: float = 0.0,
 ) -> PredictedPrecision:
     """Return how well records can tell poles that are about known.
 
@@ -53,6 +55,7 @@ def predicted_precision(
     omegas : array_like, shape (n_modes,) -- natural frequencies [rad/s]
     zetas : array_like, shape (n_modes,) -- damping ratios
     noise_sd : mapping -- standard deviation of the white noise of every output, by its name
+    clock_rate_sd : float -- how well the rate of the outputs' clock against the input's is known beforehand
 
     Raises
     ------
@@ -63,7 +66,8 @@ def predicted_precision(
     regression = ModalRegression(records, ModalStructure(structure))
     blocks = regression.blocks(omegas, zetas, ClockState(), gradients=True)
     n = len(omegas)
-    information = np.zeros((2 * n + 1, 2 * n + 1))
+    has_rate = clock_rate_sd > 0.0
+    information = np.zeros((2 * n + 1 + has_rate, 2 * n + 1 + has_rate))
     for j, name in enumerate(regression.output_names):
         block = blocks[regression.block_of[j]]
         size = np.linalg.norm(block.matrix, axis=0)
@@ -76,13 +80,15 @@ def predicted_precision(
         sd = noise_sd[name] * np.sqrt(np.sum(np.square(axes), axis=0))
         of_modes = np.unique(block.mode_columns)
         found[of_modes] = np.where(np.abs(found) > _STANDS_OUT * sd, found, 0.0)[of_modes]
-        slopes = block.slopes(found / size, True, False)
+        slopes = block.slopes(found / size, True, has_rate)
         # What gains, residues and drifts can take over tells nothing of the poles.
         slopes = (slopes - basis @ (basis.T @ slopes)) / noise_sd[name]
         information += slopes.T @ slopes
+    if has_rate:
+        information[-1, -1] += 1.0 / clock_rate_sd**2
     scale = np.sqrt(np.diag(information))
     is_seen = scale > 0.0
-    sd = np.full(2 * n + 1, np.inf)
+    sd = np.full(len(information), np.inf)
     if np.any(is_seen):
         part = information[np.ix_(is_seen, is_seen)] / np.outer(scale[is_seen], scale[is_seen])
         bound = np.sqrt(np.maximum(np.diag(np.linalg.pinv(part, hermitian=True)), 0.0))

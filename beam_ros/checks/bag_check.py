@@ -165,7 +165,9 @@ def _gates(bag: Bag, experiment: Experiment, options: FitOptions) -> Iterator[Ga
     band = input_band(records[0], structure)
     yield from motion_gates(records[0], band)
     modes: Modes | None = theoretical_modes(rig, structure) if rig is not None else None
-    yield from mode_gates(records, structure, band, modes, noise_sd, _spacing_hz(experiment, band.high_hz))
+    spacing_hz = _spacing_hz(experiment, band.high_hz)
+    rate_sd = (options.clock or experiment.clock_rate).sd
+    yield from mode_gates(records, structure, band, modes, noise_sd, spacing_hz, min(rate_sd, 1.0))
 
 
 def _spacing_hz(experiment: Experiment, near_hz: float) -> float | None:

@@ -72,6 +72,7 @@ def mode_gates(
     modes: Modes | None,
     noise_sd: Mapping[str, float],
     spacing_hz: float | None,
+    clock_rate_sd: float,
 ) -> Iterator[Gate]:
     """Judge what the record tells of every mode of the rig that it can show.
 
@@ -83,6 +84,7 @@ def mode_gates(
     modes : Modes or None -- by the rig's theory
     noise_sd : mapping -- floor of every output
     spacing_hz : float or None -- between the frequencies of the excitation, where its recipe is known
+    clock_rate_sd : float -- how well the outputs' clock is known against the input's
     """
     first, last = records[0].inputs[0].span_s
     step_hz = max(1.0 / (last - first), spacing_hz or 0.0)
@@ -112,7 +114,14 @@ def mode_gates(
         return
     known = {name: sd if math.isfinite(sd) and sd > 0.0 else 1.0 for name, sd in noise_sd.items()}
     try:
-        found = predicted_precision(records, structure, omegas[shown], zetas[shown], known)  # type: ignore[arg-type]
+        found = predicted_precision(
+            records,
+            structure,  # type: ignore[arg-type]
+            omegas[shown],
+            zetas[shown],
+            known,
+            clock_rate_sd,
+        )
     except IdentificationError as err:
         yield Gate("resolution", "failed", str(err), "a record that can be fitted", "record longer")
         return
@@ -121,9 +130,11 @@ def mode_gates(
     for f, zeta, omega_sd, zeta_sd in rows:
         width = 2.0 * zeta * f
         sd_hz = float(omega_sd) / (2.0 * math.pi)
-        figure = (
-            f"half-power band of {width:.3g} Hz with {width / step_hz:.2g} lines; frequency to {sd_hz:.2g} Hz, "
-            f"damping ratio to {100.0 * min(float(zeta_sd / zeta), 9.99):.2g} % of it at best"
+        figure = f"half-power band of {width:.3g} Hz with {width / step_hz:.2g} lines; "
+        figure += (
+            f"frequency to {sd_hz:.2g} Hz, damping ratio to {100.0 * float(zeta_sd / zeta):.2g} % of it at best"
+            if math.isfinite(sd_hz) and zeta_sd < zeta
+            else "no output shows it above its noise"
         )
         is_known = sd_hz < 0.5 * width and zeta_sd < 0.5 * zeta
         verdict: Verdict = "passed" if is_known else "doubtful" if is_any_known else "failed"

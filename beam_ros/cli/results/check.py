@@ -8,7 +8,6 @@ identified; 1: it cannot; 2: a fault of the user's.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 from beam_ros.cli.options import add_rig_file
 from beam_ros.cli.results.identify import add_options, bags_of, read_settings
@@ -37,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ros.offline.options import FitOptions, paths
 
     settings, rig = read_settings(arguments)
-    options = FitOptions.of(replace(settings, estimator="modal"))
+    options = FitOptions.of(settings)
     checks = []
     with Progress("check", float(len(arguments.bag))) as stage:
         for number, path in enumerate(paths(bags_of(arguments))):

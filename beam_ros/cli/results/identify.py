@@ -9,6 +9,7 @@ rig file may set it.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -124,6 +125,11 @@ def run(arguments: argparse.Namespace) -> int:
     def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
         stage.update(0.0, f"checking {path}")
         checks.append(check_bag(path, rig, options))
+        # Said before the fit, which may fail for just these reasons.
+        for gate in checks[-1].gates:
+            if gate.verdict in ("failed", "doubtful"):
+                said = f"{gate.verdict}: {gate.name}: {gate.figure}; {gate.remedy}"
+                print(said, file=sys.stderr if arguments.json else sys.stdout, flush=True)
         return checks[-1].gates
 
     start_s, end_s = read_span(arguments)
@@ -141,10 +147,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(strict_json(result, indent=2))
         return 0
-    for own in checks:
-        for gate in own.gates:
-            if gate.verdict in ("failed", "doubtful"):
-                print(f"{gate.verdict}: {gate.name}: {gate.figure}; {gate.remedy}")
     for table in result.get("orders", ()):
         print(f"{table}\n")
     print(format_table(result))

@@ -23,7 +23,7 @@ def test_the_prediction_is_what_the_fit_states() -> None:
     own = record(5.0)
     # Poles a part in a thousand off, as theory may be.
     omegas, zetas = 2.0 * np.pi * FREQUENCIES_HZ * 1.0003, DAMPING_RATIOS * 1.05
-    predicted = predicted_precision([own], "base_motion", omegas, zetas, {"tip": NOISE})
+    predicted = predicted_precision([own], "base_motion", omegas, zetas, {"tip": NOISE}, 50e-6)
     model = identify(own, n_modes=2).model
     # The fit's noise is that of one record, and its poles are not those that were assumed.
     np.testing.assert_allclose(predicted.omega_sd, model.natural_frequency_sd, rtol=0.25)
