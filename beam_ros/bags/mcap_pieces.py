@@ -71,6 +71,9 @@ _PRIVATE_OPCODES = 0x80
 
 Buffer = bytes | mmap.mmap
 
+_LOOKED_AT_ONCE = 2**25
+"""Bytes of a mapped file that stay in memory behind the place that is looked at."""
+
 
 class ChunkDamagedError(BagTruncatedError):
     """A chunk whose content is not what was written."""
@@ -144,7 +147,9 @@ def find_pieces(data: Buffer) -> McapPieces:
     position = len(MAGIC)
     if data[:position] != MAGIC:
         pieces.damaged.append((0, position))
+    kept_from = 0
     while position < len(data):
+        kept_from = _let_go(data, kept_from, position)
         if pieces.has_end and data[position:] == MAGIC:
             break
         end = _take_record(data, position, pieces, is_chunked=is_chunked)
@@ -159,7 +164,9 @@ def damage_of(data: Buffer, pieces: McapPieces) -> Iterator[str]:
     """Yield what is amiss with a file, in words."""
     for start, end in pieces.damaged:
         yield f"no record can be read from byte {start} to {end}"
+    kept_from = 0
     for chunk in pieces.chunks:
+        kept_from = _let_go(data, kept_from, chunk.start)
         try:
             chunk_content(data, chunk)
         except ChunkDamagedError as err:
@@ -171,6 +178,16 @@ def damage_of(data: Buffer, pieces: McapPieces) -> Iterator[str]:
         yield "the file has no end: its writer was cut off"
     elif not pieces.summary_is_checked and not pieces.damaged:
         yield "the summary has a wrong checksum, or none"
+
+
+def _let_go(data: Buffer, kept_from: int, position: int) -> int:
+    """Give back the memory of what lies before a place, from time to time; return from where the rest is kept."""
+    if not isinstance(data, mmap.mmap) or position - kept_from < _LOOKED_AT_ONCE:
+        return kept_from
+    end = position - position % mmap.PAGESIZE
+    if hasattr(mmap, "MADV_DONTNEED"):  # the bytes are read again from the disk where they are wanted again
+        data.madvise(mmap.MADV_DONTNEED, 0, end)
+    return end
 
 
 def open_file(path: Path) -> mmap.mmap:
