@@ -20,11 +20,20 @@ from matplotlib.patches import FancyArrowPatch, Rectangle
 from PIL import Image
 
 from beam_ident import analyse_modes, identify
-from beam_ident.figures import fit_figure, frequency_response_figure, stabilisation_figure
+from beam_ident.figures import (
+    fit_figure,
+    frequency_response_figure,
+    mode_shape_figure,
+    response_over_model_figure,
+    stabilisation_figure,
+)
 from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ros.bags.reading import Bag
 from beam_ros.messages import BagTypes
+from beam_ident.report.evidence import mode_rows
+from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.offline.identification import load_experiment
+from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
 from beam_ros.studies.summary import deviation_figure
@@ -115,7 +124,24 @@ def identification_pictures() -> dict[str, Figure]:
     result = identify(recorded.record, recorded.structure, clock_rate=recorded.clock_rate)
     lines = drawing_lines((result.model,), 1.0, 350.0)
     curves = response_curves(result.model, lines)
-    return {"frequency-response": frequency_response_figure(curves), "fit": fit_figure(result.outputs)}
+    measured = local_polynomial_response(recorded.record)
+    theory = theory_of_rig(recorded.rig, recorded.structure, mode_rows((result.model,)))
+    heights = np.array([theory.places[name] for name in result.model.output_names])
+    shapes = mode_shape_figure(
+        [f"mode {k + 1}" for k in range(result.model.n_modes)],
+        theory.heights,
+        theory.shapes,
+        heights[:, 0],
+        heights[:, 1],
+        result.model.residues,
+        result.model.residue_sd,
+    )
+    return {
+        "frequency-response": frequency_response_figure(curves),
+        "fit": fit_figure(result.outputs),
+        "measured-response": response_over_model_figure([measured], result.model),
+        "mode-shapes": shapes,
+    }
 
 
 def names_of_page(page: str, blocks: int) -> dict[str, Any]:

@@ -11,9 +11,11 @@ from typing import Any, Protocol
 from beam_ident import restore, validate
 from beam_ros.errors import UsageError
 from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
-from beam_ros.offline.identification import identify_bag, load_experiment
+from beam_ros.experiments.progress_file import ProgressFile
+from beam_ros.offline.identification import identification_of_bags, load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.strict_json import strict_json
+from beam_ros.reporting.identification import report_identification
 from beam_ros.rig.rig import Rig
 
 CALIBRATION_FILE = "calibration.yaml"
@@ -151,15 +153,19 @@ def _calibrate(recording: PlannedRecording, means: Means) -> Callable[[Path, Pat
 
 def _estimate(estimation: Estimation, bag: str) -> Callable[[Path, Path, Report], str]:
     def run(done: Path, place: Path, report: Report) -> str:
-        found = identify_bag(
+        found = identification_of_bags(
             done / bag_of(bag),
             estimator=estimation.estimator,
             structure=estimation.structure,
             n_modes=estimation.modes,
-            folder=place / estimate_of(estimation.name, bag),
             progress=lambda phrase, share: report(share, phrase),
         )
-        return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found["modes"]) or "no modes"
+        state = ProgressFile.read(done)
+        # The date is the experiment's, so that an interrupted one comes to the same report.
+        report_identification(
+            found, place / estimate_of(estimation.name, bag), made=state.begun if state is not None else ""
+        )
+        return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found.content["modes"]) or "no modes"
 
     return run
 
@@ -192,13 +198,13 @@ def _validate(estimation: Estimation, bag: str, unseen: str) -> Callable[[Path, 
 
 
 def stored_models(folder: Path) -> list[Any]:
-    """Return the models that ``identify_bag`` wrote into a folder."""
+    """Return the models that a report has in its folder."""
     document: Mapping[str, Any] = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     stored = document.get("models") or [document["model"]]
     return [restore(content) for content in stored]
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """Return what ``identify_bag`` said of its result in a folder."""
+    """Return what was said of the result that a report has in its folder."""
     document: dict[str, Any] = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     return dict(document["summary"])

@@ -18,6 +18,7 @@ from beam_ros.vision.camera.image_messages import read_image
 IMAGES = "camera/image_raw"
 _MAX_FRAMES = 1500
 _SHOWN_RATE = 25.0  # frames a second that a person follows
+_WIDE = 200  # pixels from which the time stands in a corner
 _NEAR = 0.6  # of the time between two samples
 _COLOUR = (60, 110, 255)  # blue, green, red
 _CODECS = ("vp09", "mp4v")  # the first is what browsers show
@@ -81,9 +82,9 @@ def write_film(
                     )
                     cv2.drawMarker(frame, place, _COLOUR, cv2.MARKER_CROSS, 15, 1, cv2.LINE_AA)
                     drawn += 1
-                cv2.putText(
-                    frame, f"{at_s:7.3f} s", (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _COLOUR, 1, cv2.LINE_AA
-                )
+                if grey.shape[1] >= _WIDE:
+                    corner = (8, grey.shape[0] - 10)
+                    cv2.putText(frame, f"{at_s:.3f} s", corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _COLOUR, 1)
                 if writer is None:
                     writer = _writer(path, rate, (grey.shape[1], grey.shape[0]))
                 writer.write(frame)

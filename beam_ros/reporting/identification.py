@@ -133,6 +133,7 @@ def report_identification(
     pdf: bool = False,
     operator: str = "",
     temperature_k: float | None = None,
+    made: str = "",
     progress: Progress = lambda phrase, share: None,
 ) -> Files:
     """Write the report of an identification, its model, poles, figures and film.
@@ -146,6 +147,7 @@ def report_identification(
     pdf : bool -- whether a browser prints the page too
     operator : str -- who answers for the experiment
     temperature_k : float, optional -- standard uncertainty of the beam's temperature [K]
+    made : str -- the date that the report bears; empty: now
     progress : callable -- called with a phrase and the share done
 
     Raises
@@ -166,7 +168,7 @@ def report_identification(
         f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
         [record for one in found.experiments for record in one.records],
         found.result,
-        provenance=_provenance(found, operator, temperature_k),
+        provenance=_provenance(found, operator, temperature_k, made),
         notes=[note for one in found.experiments for note in one.notes],
         gates=gates,
         validation=[Unseen(other.path.name, results) for other, results in found.unseen],
@@ -227,12 +229,12 @@ def deflection_of(record: TimeRecord) -> float:
 
 
 def _provenance(
-    found: Identification, operator: str, temperature_k: float | None
+    found: Identification, operator: str, temperature_k: float | None, made: str
 ) -> dict[str, Mapping[str, Any]]:
     asked = {"estimator": found.options.estimator, "structure": found.experiment.structure}
     if temperature_k is not None:
         asked["temperature known to"] = f"{temperature_k:g} K"
-    groups: dict[str, Mapping[str, Any]] = {"Report": provenance_of_report(operator, asked)}
+    groups: dict[str, Mapping[str, Any]] = {"Report": provenance_of_report(operator, asked, made)}
     for one in found.experiments:
         groups[f"Bag {one.path.name}"] = provenance_of_bag(one)
     for other, _ in found.unseen:

@@ -76,10 +76,10 @@ def provenance_of_software() -> dict[str, str]:
     return versions
 
 
-def provenance_of_report(operator: str, entries: Mapping[str, str]) -> dict[str, Any]:
-    """Return when and by whom a report was made, and what was asked for."""
-    now = datetime.now(timezone.utc)
-    return {"made": f"{now:%Y-%m-%d %H:%M:%S} UTC", "operator": operator or "not said", **entries}
+def provenance_of_report(operator: str, entries: Mapping[str, str], made: str = "") -> dict[str, Any]:
+    """Return when and by whom a report was made, now unless something else is given, and what was asked for."""
+    now = f"{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
+    return {"made": made or now, "operator": operator or "not said", **entries}
 
 
 def _with_unit(value: object, unit: str) -> str:
