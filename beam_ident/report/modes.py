@@ -352,5 +352,6 @@ def add_theory(page: Page, modes: Sequence[ModeRow], theory: Theory, sources: Er
         page.paragraph(
             f"All compared modes together, with the correlations that the common sources make: chi-squared "
             f"{theory.chi_squared:.2f} over {len(parts)} modes; near their number means that theory and experiment "
-            "agree within their uncertainties."
+            "agree within their uncertainties. Far above it the pattern over the modes fits no mixture of the named "
+            "sources: something acts that the budget lacks, or a stated shift is not there, as with a simulated beam."
         )

@@ -47,6 +47,7 @@ nav ol{margin:.8rem 0 0;padding:0;list-style:none;display:flex;flex-wrap:wrap;ga
 .box{overflow-x:auto;max-width:100%;margin:1rem 0 1.6rem}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.88rem;min-width:50%}
 caption{text-align:left;color:var(--soft);padding-bottom:.4rem;min-width:16rem}
+caption span{position:sticky;left:0;display:inline-block;max-width:min(100%,calc(100vw - 2.2rem))}
 th,td{text-align:left;vertical-align:top;padding:.32rem .6rem;border-bottom:1px solid var(--line)}
 thead th{color:var(--soft);font-weight:600;vertical-align:bottom}
 tbody th{font-weight:600}
@@ -71,6 +72,7 @@ code{font-size:.92em;overflow-wrap:anywhere}
 @media print{:root{color-scheme:light;--ink:#000;--soft:#374151;--line:#9ca3af;--paper:#fff;--desk:#fff;
   --link:#000;--good:#0b5f58;--good-paper:#fff;--doubt:#854d0e;--doubt-paper:#fff;--bad:#9a3412;--bad-paper:#fff}
   body{font-size:9.5pt;line-height:1.4}header,nav,main{max-width:none;padding:0}
+  caption span{max-width:none}
   .box{overflow:visible}.number{white-space:normal}.text{min-width:0}table{width:100%;font-size:8pt}
   th,td{padding:.2rem .35rem;overflow-wrap:break-word}
   table.wide{font-size:6.6pt}table.wide :is(th,td){padding:.15rem .2rem}
@@ -202,7 +204,7 @@ class Page:
         wide = ' class="wide"' if len(columns) >= _WIDE else ""
         label = f"t{self._count_box()}"
         content = (
-            f'<table{wide}><caption id="{label}">{_escape(caption)}</caption>'
+            f'<table{wide}><caption id="{label}"><span>{_escape(caption)}</span></caption>'
             f"<thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
         )
         self._add(_box(content, label))

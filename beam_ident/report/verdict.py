@@ -56,10 +56,9 @@ def judge(result: Result, gates: Sequence[Gate] = (), unseen: Sequence[Unseen] =
     doubts += result.warnings
     reasons = (*against, *doubts)
     if against:
-        return Verdict("bad", f"The model cannot be relied on: {_first(against)}.", reasons)
+        return Verdict("bad", f"The model cannot be relied on, for {_counted(against, 'reason')}.", reasons)
     if doubts:
-        n = "one reservation" if len(doubts) == 1 else f"{len(doubts)} reservations"
-        return Verdict("doubt", f"The model can be used with {n}, which are named below.", reasons)
+        return Verdict("doubt", f"The model can be used with {_counted(doubts, 'reservation')}.", reasons)
     if not unseen:
         return Verdict(
             "doubt",
@@ -70,9 +69,8 @@ def judge(result: Result, gates: Sequence[Gate] = (), unseen: Sequence[Unseen] =
     return Verdict("good", "The model can be relied on: it predicts data that it has not seen.", ())
 
 
-def _first(reasons: Sequence[str]) -> str:
-    more = f", and {len(reasons) - 1} more" if len(reasons) > 1 else ""
-    return f"{reasons[0].rstrip('.')}{more}"
+def _counted(reasons: Sequence[str], what: str) -> str:
+    return f"one {what}, named below" if len(reasons) == 1 else f"{len(reasons)} {what}s, named below"
 
 
 def add_verdict(page: Page, verdict: Verdict) -> None:

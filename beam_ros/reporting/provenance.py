@@ -88,4 +88,4 @@ def _with_unit(value: object, unit: str) -> str:
         for part in (value if isinstance(value, tuple) else (value,))
     ]
     suffix = f" {unit}" if unit not in ("", "1") else ""
-    return f"{', '.join(texts)}{suffix}"
+    return f"{', '.join(texts)}{suffix}" if any(texts) else "–"

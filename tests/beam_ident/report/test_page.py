@@ -90,7 +90,7 @@ def test_tables_have_a_caption_and_headings_of_rows_and_columns():
     text = full_page().text()
     assert text.count('<th scope="col"') == 3
     assert text.count('<th scope="row"') == 2
-    assert "What was found.</caption>" in text
+    assert "What was found.</span></caption>" in text
     assert re.search(r'<td class="number">4.384 ± 0.001</td>', text)
     assert '<tr class="chosen">' in text
     assert '<td class="text bad"><a href="other.html">failed</a></td>' in text

@@ -37,7 +37,7 @@ def test_without_unseen_data_the_verdict_asks_for_them(found):
 def test_a_gate_that_failed_or_is_doubtful_is_named(found, unseen):
     bad = judge(found, [Gate("frames", "failed", "900 of 1000 lost", "none lost")], [unseen])
     assert bad.tone == "bad"
-    assert "900 of 1000 lost" in bad.text
+    assert "900 of 1000 lost" in bad.reasons[0]
     doubtful = judge(found, [Gate("frames", "doubtful", "62 lost", "none lost")], [unseen])
     assert doubtful.tone == "doubt"
     assert doubtful.reasons == ("doubtful data: frames, 62 lost",)
@@ -48,7 +48,7 @@ def test_a_fit_that_did_not_end_or_a_poor_prediction_condemns_the_model(found, u
     detuned = replace(found.model, natural_frequencies=1.05 * found.model.natural_frequencies)
     verdict = judge(found, [], [Unseen("another", (validate(detuned, beam_record(2)),))])
     assert verdict.tone == "bad"
-    assert "poor prediction" in verdict.text
+    assert "poor prediction" in verdict.reasons[0]
 
 
 def test_warnings_of_the_estimator_are_reservations(found, unseen):
