@@ -207,7 +207,7 @@ def _page(plan: Plan, outcome: Mapping[str, Any], begun: str) -> Page:
                     own["unseen"],
                     name,
                     *(_figure(score[key]) for key in _SCORES),
-                    score["verdict"],
+                    score["verdict"].partition(":")[0],
                 )
                 for own in outcome["validations"]
                 for name, score in own["scores"].items()
@@ -251,8 +251,8 @@ def _lead(plan: Plan, outcome: Mapping[str, Any]) -> str:
         if not doubts and not open_fits
         else f"{open_fits} fits did not converge, {doubts} modes are doubted"
     )
-    counts = ", ".join(f"{len(outcome[key])} {key}" for key in ("recordings", "estimates", "validations"))
-    return f"On the {outcome['rig']} rig {counts}: {judged if outcome['estimates'] else 'nothing was estimated'}."
+    counts = ", ".join(f"{key}: {len(outcome[key])}" for key in ("recordings", "estimates", "validations"))
+    return f"On the {outcome['rig']} rig, {counts}; {judged if outcome['estimates'] else 'nothing was estimated'}."
 
 
 def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> None:

@@ -46,8 +46,7 @@ ENTRIES = (
         "Figure 4.2",
         "Simulation frequencies response of the system.",
         "the same, from the hub's position to both points",
-        "What the camera sees of it: a mode above half its frame rate is drawn at its own frequency, where its alias "
-        "appears is said in the caption.",
+        "Modes above half the camera's frame rate are there too, each at its own frequency.",
     ),
     Entry(
         "Figure 4.3",
@@ -132,7 +131,7 @@ ENTRIES = (
         "Table 4.3",
         "Model order selection results using dataset E2 for output at 225mm.",
         "the same at the upper point",
-        "As table 4.2. Six poles win here where the flank of the third mode is felt, which the camera cannot follow.",
+        "As table 4.2. Six poles win where the flank of a third mode is felt that the excitation does not reach.",
     ),
     Entry(
         "Table 4.4",

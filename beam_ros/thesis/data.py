@@ -65,7 +65,8 @@ class AtPoint:
     ----------
     point : Point
     orders : OrderSelection -- on E2
-    models : dict of str to TransferFunctionResult -- of the chosen degrees, by the data set E1 or E2
+    models : dict of str to TransferFunctionResult
+        By the data set E1 or E2, with two poles and zeros for each mode that all points together show in E2.
     """
 
     point: Point
@@ -241,7 +242,7 @@ def _point(experiment: Experiment, rig: Rig, number: str, height: float) -> Poin
 def _at_point(
     point: Point, experiments: Mapping[str, Experiment], modal: Mapping[str, IdentificationResult]
 ) -> AtPoint:
-    """Choose degrees on E2, and estimate models of these degrees from E1 and E2."""
+    """Make the table of orders on E2, and estimate models from E1 and E2."""
     options: dict[str, Any] = {"has_offset": True, "has_ramp": True, "n_integrators": 0}
 
     def known(name: str) -> dict[str, Any]:
@@ -250,11 +251,12 @@ def _at_point(
 
     record = experiments["E2"].record.select((point.name,))
     orders = select_transfer_function(record, DEGREES, DEGREES, n_starts=2, **known("E2"))
-    chosen = next(entry for entry in orders.table if entry.is_chosen)
+    # A single point may ask for more, where a mode is felt that it cannot place: what all points see decides.
+    degree = 2 * modal["E2"].model.n_modes
     models = {}
     for name in ("E1", "E2"):
         own = experiments[name].record.select((point.name,))
-        result = estimate_transfer_function(own, chosen.n_poles, chosen.n_zeros, **known(name))
+        result = estimate_transfer_function(own, degree, degree, **known(name))
         assert isinstance(result, TransferFunctionResult)  # of one input
         models[name] = result
     return AtPoint(point, orders, models)

@@ -117,7 +117,8 @@ def _show_table(page: Page, number: str, table: Table) -> None:
 
 def _show_figure(page: Page, number: str, figure: Any, data: ThesisData) -> None:
     entry = BY_NUMBER[number]
-    caption = f"{entry.title} {_said_of(number, data)} {entry.beyond}".strip()
+    title = entry.title if entry.title.endswith(".") else f"{entry.title}."
+    caption = f"{title} {_said_of(number, data)} {entry.beyond}".strip()
     own = number.removeprefix("Figure ")
     if number == "Figure 4.4":
         caption = (

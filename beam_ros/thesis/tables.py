@@ -17,11 +17,11 @@ from beam_ros.thesis.data import AtPoint, ThesisData, deflection_fit_percent, hu
 _COVERAGE = 1.96
 
 _FUNCTIONS = {
-    "E1": "estimation: one sweep through both resonances, in time",
-    "E2": "order selection, and a second estimation: all frequencies at once, with known lines",
+    "E1": "estimation by a sweep",
+    "E2": "order selection, estimation by all frequencies at once",
     "V1": "validation on another sweep",
     "V2": "validation on other phases of the multisine",
-    "S": "validation on a step, tables 4.8 and figure 4.17",
+    "S": "validation on a step",
 }
 
 
@@ -96,6 +96,7 @@ def orders(data: ThesisData, at: AtPoint) -> Table:
         )
         for entry in selection.table
     )
+    degree = at.transfer_functions["E2"].n_poles
     agree = (by_yic.n_poles, by_yic.n_zeros) == (chosen.n_poles, chosen.n_zeros)
     said = f"BIC among the structures that pass takes {chosen.n_poles} poles and {chosen.n_zeros} zeros; " + (
         "the lowest YIC is the same one."
@@ -105,7 +106,10 @@ def orders(data: ThesisData, at: AtPoint) -> Table:
     return Table(
         ("poles", "zeros", "FIT [%]", "R²", "YIC", "AIC", "BIC", "gates"),
         rows,
-        (said,),
+        (
+            said,
+            f"The models below have {degree} poles and zeros, for {degree // 2} modes that all points together show.",
+        ),
         tuple(k for k, entry in enumerate(selection.table) if entry.is_chosen),
     )
 
@@ -113,7 +117,7 @@ def orders(data: ThesisData, at: AtPoint) -> Table:
 def excitations(data: ThesisData) -> Table:
     """Return table 4.4."""
     rows = []
-    for name in sorted(data.experiments):
+    for name in (name for name in _FUNCTIONS if name in data.experiments):
         excitation, plan = data.rigs[name].excitation, plan_excitation(data.rigs[name])
         kind = KINDS[excitation.kind]
         band = f"{excitation.start_frequency:g} – {excitation.end_frequency:g}" if kind.is_band else "–"
@@ -137,8 +141,8 @@ def excitations(data: ThesisData) -> Table:
             "band [Hz]",
             "length [s]",
             "travel [mm]",
-            "acceleration [m/s²]",
-            "tip, predicted [mm]",
+            "peak [m/s²]",
+            "tip [mm]",
         ),
         tuple(rows),
     )
