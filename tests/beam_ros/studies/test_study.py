@@ -52,6 +52,7 @@ def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
     assert row["fit_percent_z285"] == pytest.approx(expected["fit_percent"]["z285"], abs=0.05)
     assert (row["frames_lost"], row["markers_unseen"], row["hub_samples_lost"]) == (15, 91, 0)
     assert row["hub_clock_ppm"] == pytest.approx(400.0, abs=1.0)
+    assert (row["gates_failed"], rows[0]["gates_doubtful"].count("mode at")) == ("", 3)
     assert len(row["sha256"]) == 64
     assert row["recorded"].startswith("2023-11-14T22:13:20")
     assert "excitation.kind:=chirp" in row["excitation"]
