@@ -28,10 +28,10 @@ from beam_ident.figures import (
     stabilisation_figure,
 )
 from beam_ident.figures.response_curves import drawing_lines, response_curves
-from beam_ros.bags.reading import Bag
-from beam_ros.messages import BagTypes
 from beam_ident.report.evidence import mode_rows
 from beam_ident.responses.local_polynomial import local_polynomial_response
+from beam_ros.bags.reading import Bag
+from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import load_experiment
 from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig

@@ -228,7 +228,9 @@ def describe_plan(plan: Plan) -> list[str]:
         )
     lines += [
         step.name
-        for step in steps_of(plan, Means(_nothing, lambda bag, rig, file: 0))
+        for step in steps_of(
+            plan, Means(_nothing, lambda bag, rig, file: 0, lambda found, folder, made: None)
+        )
         if not step.name.startswith("record ")
     ]
     return [*lines, "report"]

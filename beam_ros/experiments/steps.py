@@ -12,10 +12,9 @@ from beam_ident import restore, validate
 from beam_ros.errors import UsageError
 from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import ProgressFile
-from beam_ros.offline.identification import identification_of_bags, load_experiment
+from beam_ros.offline.identification import Identification, identification_of_bags, load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.strict_json import strict_json
-from beam_ros.reporting.identification import report_identification
 from beam_ros.rig.rig import Rig
 
 CALIBRATION_FILE = "calibration.yaml"
@@ -35,6 +34,13 @@ Calibrate = Callable[[Path, Rig, Path], int]
 """Called with a bag of moves, its rig, and the calibration file to write; returns the positions."""
 
 
+class WriteReport(Protocol):
+    """Writes the report of an identification into a new folder."""
+
+    def __call__(self, found: Identification, folder: Path, *, made: str) -> object:
+        """Write it, with the date given."""
+
+
 @dataclass(frozen=True)
 class Means:
     """What an experiment is carried out with.
@@ -43,10 +49,12 @@ class Means:
     ----------
     record : callable -- how this rig records
     calibrate : callable -- how pixels become metres
+    write_report : callable -- how a model is reported
     """
 
     record: Record
     calibrate: Calibrate
+    write_report: WriteReport
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,9 @@ def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
         for bag in estimation.recordings:
             output = estimate_of(estimation.name, bag)
             steps.append(
-                PlanStep(f"estimate {estimation.name} from {bag}", (output,), _estimate(estimation, bag))
+                PlanStep(
+                    f"estimate {estimation.name} from {bag}", (output,), _estimate(estimation, bag, means)
+                )
             )
     for hold_out in plan.validations:
         estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
@@ -151,7 +161,7 @@ def _calibrate(recording: PlannedRecording, means: Means) -> Callable[[Path, Pat
     return run
 
 
-def _estimate(estimation: Estimation, bag: str) -> Callable[[Path, Path, Report], str]:
+def _estimate(estimation: Estimation, bag: str, means: Means) -> Callable[[Path, Path, Report], str]:
     def run(done: Path, place: Path, report: Report) -> str:
         found = identification_of_bags(
             done / bag_of(bag),
@@ -162,7 +172,7 @@ def _estimate(estimation: Estimation, bag: str) -> Callable[[Path, Path, Report]
         )
         state = ProgressFile.read(done)
         # The date is the experiment's, so that an interrupted one comes to the same report.
-        report_identification(
+        means.write_report(
             found, place / estimate_of(estimation.name, bag), made=state.begun if state is not None else ""
         )
         return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found.content["modes"]) or "no modes"

@@ -131,13 +131,16 @@ def _holds_state(folder: Path | None) -> bool:
 
 def _means(plan: Plan, folder: Path) -> Means:
     from beam_ros.experiments.steps import Means, record_by_core
+    from beam_ros.reporting.identification import report_identification
 
     if not plan.is_live:
-        return Means(record_by_core, _calibrate)
+        return Means(record_by_core, _calibrate, report_identification)
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.recording import record_live
 
-    return Means(partial(_record_live, record_live, plan.kind, folder / "logs"), _calibrate)
+    return Means(
+        partial(_record_live, record_live, plan.kind, folder / "logs"), _calibrate, report_identification
+    )
 
 
 def _record_live(

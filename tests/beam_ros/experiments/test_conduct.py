@@ -22,6 +22,7 @@ from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile, checksu
 from beam_ros.experiments.steps import Means, Report, record_by_core
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
+from beam_ros.reporting.identification import report_identification
 
 PLAN = """
 title: Short
@@ -52,7 +53,7 @@ def no_calibration(bag: Path, rig: Any, file: Path) -> int:
     raise AssertionError("the plan has none")
 
 
-MEANS = Means(record_by_core, no_calibration)
+MEANS = Means(record_by_core, no_calibration, report_identification)
 
 
 class Interruption(Exception):
@@ -283,10 +284,10 @@ def test_what_a_real_axis_moved_for_is_kept_when_it_is_interrupted(plan: Plan, t
 
     begun = begin(live, tmp_path / "run", resume=False, overwrite=False, now="")
     with pytest.raises(Interruption):
-        conduct(live, begun, Means(record, no_calibration), Silent())
+        conduct(live, begun, Means(record, no_calibration, report_identification), Silent())
     begun = begin(live, tmp_path / "run", resume=True, overwrite=False, now="")
     with pytest.raises(Interruption):
-        conduct(live, begun, Means(record, no_calibration), Silent())
+        conduct(live, begun, Means(record, no_calibration, report_identification), Silent())
     kept = tmp_path / "run" / "interrupted" / "record-E1-1-1" / "bags" / "E1-1" / "samples"
     assert kept.read_text() == "half"
 
