@@ -114,6 +114,7 @@ class McapPieces:
     notes : list of Metadata
     statistics : Statistics or None -- the writer's own count of everything
     summary_is_checked : bool -- the summary's checksum is right
+    has_wrong_checksum : bool -- the summary has a checksum, and another one; a writer need not give any
     indexed : dict of int to int -- messages by channel, counted by the indexes behind the chunks
     damaged : list of (int, int) -- start and end of what no record explains
     has_end : bool -- the writer came to its end
@@ -126,6 +127,7 @@ class McapPieces:
     notes: list[Metadata] = field(default_factory=list)
     statistics: Statistics | None = None
     summary_is_checked: bool = False
+    has_wrong_checksum: bool = False
     indexed: dict[int, int] = field(default_factory=dict)
     damaged: list[tuple[int, int]] = field(default_factory=list)
     has_end: bool = False
@@ -176,8 +178,8 @@ def damage_of(data: Buffer, pieces: McapPieces) -> Iterator[str]:
                 yield f"the last chunk, from byte {chunk.start}, is torn"
     if not pieces.has_end:
         yield "the file has no end: its writer was cut off"
-    elif not pieces.summary_is_checked and not pieces.damaged:
-        yield "the summary has a wrong checksum, or none"
+    elif pieces.has_wrong_checksum and not pieces.damaged:
+        yield "the summary has a wrong checksum"
 
 
 def _let_go(data: Buffer, kept_from: int, position: int) -> int:
@@ -290,6 +292,7 @@ def _take_record(data: Buffer, start: int, pieces: McapPieces, *, is_chunked: bo
         pieces.has_end = True
         summary = data[record.summary_start : body + 16] if record.summary_start else b""
         pieces.summary_is_checked = bool(summary) and zlib.crc32(summary) == record.summary_crc
+        pieces.has_wrong_checksum = record.summary_crc != 0 and not pieces.summary_is_checked
     return end
 
 

@@ -63,3 +63,12 @@ def test_an_empty_file_is_refused(tmp_path):
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(NotABagError, match="is empty"):
         open_file(tmp_path / "empty.mcap")
+
+
+@pytest.mark.parametrize(
+    ("checksum", "said"), [(b"\0\0\0\0", []), (b"\1\2\3\4", ["the summary has a wrong checksum"])]
+)
+def test_a_summary_without_a_checksum_is_whole_and_one_with_another_is_not(tmp_path, checksum, said):
+    data = bytearray(_write(tmp_path / "bag.mcap").read_bytes())
+    data[-12:-8] = checksum  # the last field of the footer, before the magic bytes
+    assert list(damage_of(bytes(data), find_pieces(bytes(data)))) == said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from beam_ros.bags.errors import MissingTopicsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
+from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import identify_bag
 from beam_ros.offline.options import FitOptions
@@ -118,6 +120,32 @@ def test_a_stamp_three_seconds_back_is_named_and_moves_no_pole(tmp_path: Path) -
     (note,) = [note for note in result["notes"] if "cannot be right" in note]
     assert "2.996 s back" in note or "3.0" in note
     holds_the_truth(result)
+
+
+def test_the_verb_reports_what_it_finds_and_writes_nothing_over(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    words = (
+        "--input",
+        AXIS,
+        "--output",
+        LASER,
+        "--output",
+        IMU,
+        "--modes",
+        "2",
+        "--report",
+        str(tmp_path / "out"),
+    )
+    assert main(["identify", str(bag), *words]) == 0
+    assert "5.99999" in capsys.readouterr().out
+    written = (tmp_path / "out" / "model.json").read_bytes()
+    assert main(["identify", str(bag), *words]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert (tmp_path / "out" / "model.json").read_bytes() == written
+    assert main(["identify", str(bag), *words, "--overwrite", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["checks"][0]["can_be_identified"] is True
 
 
 def test_without_signals_a_foreign_bag_is_refused_with_what_it_holds(bag: Path) -> None:
