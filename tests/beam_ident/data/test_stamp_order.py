@@ -52,3 +52,10 @@ def test_a_stamp_that_is_there_already_is_counted() -> None:
     found = StampOrder.of(stamps)
     assert found.repeated == 1
     assert len(found.order) == 200
+
+
+def test_a_stray_sample_beside_a_whole_record_did_not_come_late() -> None:
+    found = StampOrder.of(np.insert(REGULAR, 50, REGULAR[-1] + 400_000 * MS))
+    assert found.late == 0
+    assert len(found.misplaced) == 1
+    assert len(found.order) == 200
