@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_input, require_output, require_records, split_at_gaps
+from beam_ident.data.own_clocks import on_common_clock
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
@@ -169,10 +170,8 @@ def _predict(
 
 def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
     structure = ModalStructure(model.structure)
-    delays = dict(zip(model.output_names, model.output_delays, strict=True))
-    outputs = tuple(replace(o, times_s=o.times_s - delays[o.name]) for o in record.outputs)
-    shifted = TimeRecord(record.inputs, outputs, record.start_ns, record.name)
-    regression = ModalRegression([shifted], structure, model.input_names)
+    common = on_common_clock(record, model.own_clocks)
+    regression = ModalRegression([common], structure, model.input_names)
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
     n_shared, parameters = regression.n_shared(model.n_modes), model.column_parameters()
     drive = record.input(model.input_name)

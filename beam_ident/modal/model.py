@@ -19,6 +19,7 @@ from scipy.special import chdtrc as chi_squared_tail
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import finite_row, require_input_signal, require_time
+from beam_ident.data.own_clocks import OwnClock
 from beam_ident.data.records import InputSignal
 from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
 from beam_ident.errors import EstimationError, ModelFormatError
@@ -58,6 +59,8 @@ class ModalModel:
     output_delays, output_delay_sd : ndarray, shape (n_outputs,)
         How much later than ``latency`` says the stamps of each output are, with its standard deviation [s]; 0 for
         outputs that share the clock.
+    output_rates, output_rate_sd : ndarray, shape (n_outputs,)
+        How much faster than ``clock_rate`` says the clock of each output runs, with its standard deviation.
     covariance : ndarray, shape (n_parameters, n_parameters)
     parameter_names : tuple of str
         ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
@@ -82,15 +85,17 @@ class ModalModel:
     parameter_names: tuple[str, ...] = field(default=())
     output_delays: FloatArray = field(default_factory=lambda: np.empty(0))
     output_delay_sd: FloatArray = field(default_factory=lambda: np.empty(0))
+    output_rates: FloatArray = field(default_factory=lambda: np.empty(0))
+    output_rate_sd: FloatArray = field(default_factory=lambda: np.empty(0))
     further_inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("output_delays", "output_delay_sd"):
+        of_own_clocks = ("output_delays", "output_delay_sd", "output_rates", "output_rate_sd")
+        for name in of_own_clocks:
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.zeros(len(self.output_names)))
         for name in (
-            "output_delays",
-            "output_delay_sd",
+            *of_own_clocks,
             "natural_frequencies",
             "damping_ratios",
             "residues",
@@ -111,8 +116,7 @@ class ModalModel:
             "residues": (*paths, n),
             "residual_terms": paths,
             "gains": paths,
-            "output_delays": (m,),
-            "output_delay_sd": (m,),
+            **dict.fromkeys(of_own_clocks, (m,)),
             "noise_sd": (m,),
             "covariance": (len(names), len(names)),
         }
@@ -502,6 +506,8 @@ class ModalModel:
             "clock_rate": self.clock_rate,
             "output_delays_s": self.output_delays.tolist(),
             "output_delay_sd_s": self.output_delay_sd.tolist(),
+            "output_rates": self.output_rates.tolist(),
+            "output_rate_sd": self.output_rate_sd.tolist(),
             "noise_sd": self.noise_sd,
             "parameter_names": self.parameter_names,
             "covariance": self.covariance,
@@ -539,10 +545,21 @@ class ModalModel:
                 # Files of earlier versions know none.
                 output_delays=np.asarray(data.get("output_delays_s", []), dtype=np.float64),
                 output_delay_sd=np.asarray(data.get("output_delay_sd_s", []), dtype=np.float64),
+                output_rates=np.asarray(data.get("output_rates", []), dtype=np.float64),
+                output_rate_sd=np.asarray(data.get("output_rate_sd", []), dtype=np.float64),
                 covariance=np.asarray(data["covariance"], dtype=np.float64),
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
                 further_inputs=further,
             )
+
+    @property
+    def own_clocks(self) -> dict[str, OwnClock]:
+        """The clocks of outputs that have one of their own beside ``clock``, by name."""
+        found = {}
+        for name, delay, rate in zip(self.output_names, self.output_delays, self.output_rates, strict=True):
+            if delay or rate:
+                found[name] = OwnClock(float(delay), float(rate), bool(rate))
+        return found
 
     @property
     def clock(self) -> ClockState:

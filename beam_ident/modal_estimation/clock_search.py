@@ -15,7 +15,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray, IndexArray
+from beam_ident.data.own_clocks import OwnClock
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
@@ -36,10 +37,11 @@ _SEARCHED_SD = 5.0  # standard deviations of a finite prior
 _STRETCHES = 16
 _STEPS_PER_CYCLE = 10
 _RIDGE = 1e-4  # of a whole column's power: a stretch with less says nothing
-_OWN_DELAY_LEVEL = 1e-3  # how often some output without a delay of its own is taken to have one
+_OWN_CLOCK_LEVEL = 1e-3  # how often some output without a delay, or a rate, of its own is taken to have one
 _DEPENDENT = 1e-9  # of the largest information: delays that the common clock takes
 _MAX_OWN_DELAY_S = 0.05
 _MAX_STEPS = 60  # to either side
+_APART = 4.0  # standard deviations by which outputs contradict a clock in common
 _CROWDED = 0.15  # cycles of the fastest mode: places closer than this lead to the same crest
 
 
@@ -223,6 +225,7 @@ def own_delays(
     regression: ModalRegression,
     fit: ModalFit,
     present: Sequence[FloatArray],
+    columns: Sequence[FloatArray],
     latency: Prior,
     known: Collection[int] = (),
 ) -> dict[int, float]:
@@ -233,6 +236,7 @@ def own_delays(
     regression : ModalRegression
     fit : ModalFit -- of it, with one clock for all outputs
     present : sequence of ndarray -- ``designs`` of both
+    columns : sequence of ndarray -- of every output, the first of its ``own_clock_columns``
     latency : Prior -- of that clock
     known : collection of int -- outputs whose own delay is estimated already
 
@@ -242,13 +246,68 @@ def own_delays(
     of the outputs by their own delays meet nothing but noise where there are none. The most telling output is
     returned, if less than one record in a thousand without delays would tell as much.
     """
-    if regression.n_outputs < 2 or not len(fit.omegas):
+    rest = [j for j in range(regression.n_outputs) if j not in known]
+    # A latency that is free takes the common part: one output fewer than there are can have a delay of its own.
+    if regression.n_outputs < 2 or not len(fit.omegas) or len(rest) <= int(latency.is_free):
         return {}
+    _, gains, colour = _own_steps(regression, fit, present, columns)
+    needed = float(chi_squared_isf(1, _OWN_CLOCK_LEVEL / regression.n_outputs))
+    places, left = np.zeros(1), np.zeros((regression.n_outputs, 1))
+    is_told = max(gains[rest]) > needed
+    if is_told or not all(Whiteness.of(noise).is_white for noise in fit.residuals):
+        # Past half a cycle of a mode the derivatives point anywhere: what is left at every delay decides.
+        places, left = _left_by_delay(regression, fit)
+        sizes = np.array([len(values) for values in regression.values])
+        gains = np.maximum(gains, sizes * np.log(left[:, len(places) // 2] / np.min(left, axis=1)) / colour)
+    best = max(rest, key=lambda j: float(gains[j]))
+    return {best: _best_delay(regression, fit, best, places, left[best])} if gains[best] > needed else {}
+
+
+def own_rates(
+    regression: ModalRegression,
+    fit: ModalFit,
+    present: Sequence[FloatArray],
+    columns: Sequence[FloatArray],
+    clock_rate: Prior,
+    known: Collection[int] = (),
+) -> dict[int, float]:
+    """Return which output's clock runs at a rate of its own, and by about how much it is faster; or none.
+
+    Parameters
+    ----------
+    regression : ModalRegression
+    fit : ModalFit -- of it, with one clock rate for all outputs
+    present : sequence of ndarray -- ``designs`` of both
+    columns : sequence of ndarray -- of every output, the second of its ``own_clock_columns``
+    clock_rate : Prior -- of the clock in common; one that is known leaves no rate open
+    known : collection of int -- outputs whose own rate is estimated already
+    """
+    rest = [j for j in range(regression.n_outputs) if j not in known]
+    if not clock_rate.is_free or len(rest) < 2 or not len(fit.omegas):
+        return {}
+    steps, gains, _ = _own_steps(regression, fit, present, columns)
+    best = max(rest, key=lambda j: float(gains[j]))
+    needed = float(chi_squared_isf(1, _OWN_CLOCK_LEVEL / regression.n_outputs))
+    return {best: float(steps[best])} if gains[best] > needed else {}
+
+
+def _own_steps(
+    regression: ModalRegression,
+    fit: ModalFit,
+    present: Sequence[FloatArray],
+    columns: Sequence[FloatArray],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what a parameter of its own would be at each output alone, its score statistic, and the noise's colour.
+
+    Parameters
+    ----------
+    regression, fit, present : as of ``own_delays``
+    columns : sequence of ndarray, each (n_rows,) -- of every output, the model's derivative by its own parameter
+    """
     n_theta, n_outputs = fit.n_theta, regression.n_outputs
     of_theta, spread = np.zeros((n_theta, n_theta)), np.zeros(n_outputs)
     cross, score_of_theta = np.zeros((n_theta, n_outputs)), np.zeros(n_theta)
     scores, colour = np.zeros(n_outputs), np.ones(n_outputs)
-    columns = own_delay_columns(regression, fit)
     for j, design in enumerate(present):
         basis = LinearSolution.of(design[:, n_theta:]).basis
         both = np.column_stack([design[:, :n_theta], columns[j] / regression.row_levels(j)]) / fit.sigmas[j]
@@ -266,22 +325,57 @@ def own_delays(
     inverse = inverse / np.outer(scale, scale)
     information = np.diag(spread) - cross.T @ inverse @ cross
     scores = scores - cross.T @ inverse @ score_of_theta
-    # A latency that is free takes the common part: one output fewer than there are can have a delay of its own.
-    rest = [j for j in range(n_outputs) if j not in known]
-    if len(rest) <= int(latency.is_free):
-        return {}
-    needed = float(chi_squared_isf(1, _OWN_DELAY_LEVEL / n_outputs))
     variances = np.where(np.diag(information) > _DEPENDENT * np.max(spread), np.diag(information), np.inf)
-    gains = np.square(scores) / variances / colour
-    places, left = np.zeros(1), np.zeros((n_outputs, 1))
-    is_told = max(gains[rest]) > needed
-    if is_told or not all(Whiteness.of(noise).is_white for noise in fit.residuals):
-        # Past half a cycle of a mode the derivatives point anywhere: what is left at every delay decides.
-        places, left = _left_by_delay(regression, fit)
-        sizes = np.array([len(values) for values in regression.values])
-        gains = np.maximum(gains, sizes * np.log(left[:, len(places) // 2] / np.min(left, axis=1)) / colour)
-    best = max(rest, key=lambda j: float(gains[j]))
-    return {best: _best_delay(regression, fit, best, places, left[best])} if gains[best] > needed else {}
+    return scores / variances, np.square(scores) / variances / colour, colour
+
+
+class OwnClocks(Exception):  # noqa: N818 - no error: a search begins anew with what it says
+    """Some outputs have clocks of their own.
+
+    Parameters
+    ----------
+    clocks : mapping -- by the output's name
+    """
+
+    def __init__(self, clocks: Mapping[str, OwnClock]) -> None:
+        super().__init__(", ".join(clocks))
+        self.clocks = dict(clocks)
+
+
+def contradicting_clocks(alone: Mapping[str, ModalFit]) -> dict[str, OwnClock]:
+    """Return which outputs have clocks of their own, from what each one shows without the others.
+
+    Parameters
+    ----------
+    alone : mapping -- by the output's name, a fit of it with a latency of its own; all with a rate or none
+
+    Notes
+    -----
+    The clock that most outputs agree with, within four standard deviations, is the common one.
+    """
+    found: dict[str, OwnClock] | None = None
+    for reference in alone.values():
+        own: dict[str, OwnClock] = {}
+        for name, fit in alone.items():
+            apart = [
+                (value - common, (value - common) ** 2 > _APART**2 * (variance + common_variance))
+                for (value, variance), (common, common_variance) in zip(
+                    _clock_of(fit), _clock_of(reference), strict=True
+                )
+            ]
+            (delay, is_late), (rate, is_fast) = apart
+            if is_late or is_fast:
+                own[name] = OwnClock(delay, rate if is_fast else 0.0, is_fast)
+        if found is None or len(own) < len(found):
+            found = own
+    return found or {}
+
+
+def _clock_of(fit: ModalFit) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return latency [s] and rate of a fit, each with its variance; that of a rate which is known is zero."""
+    place = 2 * len(fit.omegas)
+    variances = np.append(np.diag(fit.covariance)[place : fit.n_theta], [0.0, 0.0])
+    return (fit.clock.latency, float(variances[0])), (fit.clock.rate, float(variances[1]))
 
 
 def _left_by_delay(regression: ModalRegression, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
@@ -319,14 +413,15 @@ def _best_delay(
     return float(found.x)
 
 
-def own_delay_columns(regression: ModalRegression, fit: ModalFit) -> list[FloatArray]:
-    """Return of every output the derivative of the model by a delay of its own, unweighed, each (n_rows,)."""
+def own_clock_columns(regression: ModalRegression, fit: ModalFit) -> list[tuple[FloatArray, FloatArray]]:
+    """Return of every output the derivatives of the model by delay and rate of its own, unweighed, each (n_rows,)."""
     columns: list[list[FloatArray]] = [[] for _ in fit.coefficients]
     for piece in regression.with_own_columns({}).pieces:
         blocks = piece.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
         for j, (number, found) in enumerate(zip(piece.block_of, fit.coefficients, strict=True)):
             block = blocks[number]
             assert block.by_time is not None
-            speed = block.by_time @ found[: block.matrix.shape[1]]
-            columns[j].append(np.asarray(speed * block.latency_factor * piece.row_levels(j)))
-    return [np.concatenate(parts) for parts in columns]
+            speed = block.by_time @ found[: block.matrix.shape[1]] * piece.row_levels(j)
+            columns[j].append(np.stack([speed * block.latency_factor, speed * block.rate_factor]))
+    joined = [np.concatenate(parts, axis=1) for parts in columns]
+    return [(by_delay, by_rate) for by_delay, by_rate in joined]

@@ -125,6 +125,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
         self.progress = progress
         self.max_iterations = _ITERATIONS
+        self.is_trusting = False  # whether the search ends at the first mode that is not believed
         self.stopped_by: BaseException | None = None  # before its time
         if start is None:
             base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
@@ -162,6 +163,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def reweigh(self) -> None:
         """Let what the present model leaves decide how the data weigh against each other."""
+
+    def doubt(self) -> None:
+        """Look for what may be wrong with the data, once a mode that explains much is not believed."""
 
     def weighed(self, fit: ModalFit) -> Weighed[ProblemT]:
         """Return a fit of the search, weighed by the noise as it is."""
@@ -361,6 +365,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             if trial.reason != HOPELESS:
                 trial = self.untangled(trial)
             refusal = self._refusal(trial, current, n_modes is not None)
+            if refusal and trial.reason != HOPELESS and not trial.converged:
+                self.doubt()
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:
                 self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
@@ -372,7 +378,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                     doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
         patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
-        if not doubted or n + 1 > len(self._believed[0].omegas) + patience:
+        if self.is_trusting or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
             return False
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True

@@ -26,6 +26,7 @@ from beam_ident.data.argument_checks import (
 )
 from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
+from beam_ident.data.own_clocks import OwnClock, middle_of, on_common_clock
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
@@ -37,10 +38,13 @@ from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
 from beam_ident.modal_estimation.clock_search import (
+    OwnClocks,
     clock_places,
+    contradicting_clocks,
     out_of_phase,
-    own_delay_columns,
+    own_clock_columns,
     own_delays,
+    own_rates,
 )
 from beam_ident.modal_estimation.hub_friction import FrictionEstimate
 from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
@@ -82,9 +86,12 @@ CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
 _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is reported
 _CLOCK_STARTS = 3
-_DELAY_SETTLED = 0.5  # standard deviations that the last turn may still move a delay
-_DELAY_TURNS = 3  # for every output: of delays that outputs have of their own, and the modes that show them
+_CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
+_LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
+_IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
+_CLOCK_TURNS = 3  # for every output: of clocks that outputs have of their own, and the modes that show them
 _CLOCK_ROUNDS = 3
+_ASKED = 3  # outputs by themselves, until one shows its modes without a doubt
 _FAR_STARTS = 12  # crests that poles which were bent by a wrong clock are tried at
 _GLANCE = 2  # iterations that sort them
 _AS_GOOD = 10.0  # in log-likelihood: less than BIC charges for a mode
@@ -294,15 +301,17 @@ class _Task:
     def _outcome(self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]) -> IdentificationResult:
         """Return what is found in some records with the jumps of their clocks, and outputs late by themselves."""
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
-        delays: dict[str, float] = {}
+        clocks: dict[str, OwnClock] = {}
+        has_asked = False  # every output by itself
         known: tuple[_TimeSearch, Weighed[ModalRegression]] | None = None
-        most = _DELAY_TURNS * len(records[0].outputs)
+        most = _CLOCK_TURNS * len(records[0].outputs)
         for turn in range(most):
-            shifted = [_earlier(one, delays) for one in measured]
+            shifted = [on_common_clock(one, clocks) for one in measured]
             try:
                 regression = ModalRegression(shifted, self.terms, self.input_names)
                 _refuse_hopeless(regression, self.n_modes)
-                search = self._begun(shifted, regression, delays=delays, jumps=jumps)
+                search = self._begun(shifted, regression, clocks=clocks, jumps=jumps)
+                search.is_in_doubt = has_asked
                 if turn == 0 and (result := self._untangled(shifted, regression, search, jumps)) is not None:
                     return result
                 try:
@@ -316,16 +325,24 @@ class _Task:
                     raise search.stopped_by
                 known = search, weighed
                 goes_on = search.stopped_by is None and turn + 1 < most
-                further = search.further_delays(weighed) if goes_on else {}
+                further = search.further_clocks(weighed) if goes_on else {}
+            except OwnClocks as own:
+                clocks, has_asked = own.clocks, True
+                continue
             except Stopped as stop:
                 if known is None:
                     raise
                 search, weighed = known
-                missing = "a further look for delays that outputs have of their own"
+                missing = "a further look for clocks that outputs have of their own"
                 weighed, further = search.unfinished(weighed, stop, missing), {}
             if not further:
-                break
-            delays = {name: delays.get(name, 0.0) + further.get(name, 0.0) for name in (*delays, *further)}
+                idle = search.idle_clocks(weighed) if goes_on else []
+                if not idle:
+                    break
+                clocks = {name: own for name, own in clocks.items() if name not in idle}
+            clocks |= {
+                name: clocks.get(name, OwnClock()).moved(own.delay, own.rate) for name, own in further.items()
+            }
         return search.result(weighed, self.n_modes)
 
     def _begun(
@@ -333,7 +350,7 @@ class _Task:
         records: list[TimeRecord],
         regression: ModalRegression,
         highest_hz: float = math.inf,
-        delays: Mapping[str, float] = MappingProxyType({}),
+        clocks: Mapping[str, OwnClock] = MappingProxyType({}),
         jumps: Sequence[ClockJump] = (),
     ) -> _TimeSearch:
         is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
@@ -346,7 +363,7 @@ class _Task:
             self.input_names,
             self.progress,
             highest_hz,
-            delays,
+            clocks,
             found_noise=self.found_noise,
             jumps=jumps,
         )
@@ -405,16 +422,6 @@ def _prediction(result: IdentificationResult, record: TimeRecord, name: str) -> 
     return said
 
 
-def _earlier(record: TimeRecord, delays: Mapping[str, float]) -> TimeRecord:
-    """Return a record without the delays that some outputs have of their own."""
-    if not any(output.name in delays for output in record.outputs):
-        return record
-    outputs = [
-        replace(output, times_s=output.times_s - delays.get(output.name, 0.0)) for output in record.outputs
-    ]
-    return TimeRecord(record.inputs, tuple(outputs), record.start_ns, record.name)
-
-
 def _refuse_hopeless(regression: ModalRegression, n_modes: int | None) -> None:
     for drive in regression.drives:
         require_input(drive, is_needed=False)
@@ -443,13 +450,14 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         input_names: tuple[str, ...],
         progress: Progress,
         highest_hz: float = math.inf,
-        delays: Mapping[str, float] = MappingProxyType({}),
+        clocks: Mapping[str, OwnClock] = MappingProxyType({}),
         scan: ModalScan | None = None,
         start: ModalFit | None = None,
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
         jumps: Sequence[ClockJump] = (),
     ) -> None:
-        self.delays, self.found_noise, self.jumps = delays, found_noise, tuple(jumps)
+        self.is_in_doubt = False  # since a mode that explains much was not believed
+        self.clocks, self.found_noise, self.jumps = clocks, found_noise, tuple(jumps)
         self.records, self.input_names = records, input_names
         self.bridges: BridgeUncertainty | None = None
         self._samples: tuple[ModalFit, _Samples] | None = None
@@ -545,6 +553,74 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             search.run_plain(n_modes)
             yield search.chosen
 
+    def doubt(self) -> None:
+        """Ask every output by itself when it was measured, and begin anew where they do not agree.
+
+        Raises
+        ------
+        OwnClocks
+            Some outputs have a clock of their own.
+        """
+        may_ask, self.is_in_doubt = not (self.is_in_doubt or self.clocks or self.is_trusting), True
+        if not may_ask or self.plain.n_outputs < 2 or not self.band.is_excited:
+            return
+        searches = [own for name in self.plain.output_names if (own := self._alone(name)) is not None]
+        for reference in searches[:_ASKED]:
+            reference._extend(None, MANY_MODES)
+            if len(reference.chosen.omegas) and not reference.is_in_doubt:
+                break
+        else:
+            return
+        known, fits = reference.chosen, {}
+        for search in searches:
+            fit = known
+            if search is not reference:
+                fit = search.untangled(search.fit(known.omegas, known.zetas, known.clock))
+            if fit.converged:
+                fits[search.plain.output_names[0]] = fit
+        if clocks := contradicting_clocks(fits):
+            raise OwnClocks(self._refined(clocks, known))
+
+    def _refined(self, clocks: Mapping[str, OwnClock], modes: ModalFit) -> dict[str, OwnClock]:
+        """Return clocks of outputs by themselves as all outputs together say, with modes that one of them shows."""
+        found = dict(clocks)
+        for _ in range(_CLOCK_TURNS):
+            records = [on_common_clock(one, found) for one in self.records]
+            regression = ModalRegression(records, self.plain.structure, self.input_names)
+            if max(map(len, regression.times)) > _THINNED:
+                regression = regression.thinned(_THINNED)
+            search = _TimeSearch(
+                records,
+                regression,
+                self.latency,
+                self.clock_rate,
+                self.input_names,
+                self.progress,
+                clocks=found,
+                scan=self.scan,
+                start=modes,
+            )
+            search.problem = search.plain = search._with_own_clocks(regression, search.chosen)
+            modes = search.fit(search.chosen.omegas, search.chosen.zetas, search.chosen.clock)
+            for j, name in enumerate(regression.output_names):
+                if name in found:
+                    found[name] = found[name].moved(*search._own_clock(j, modes)[0])
+        return found
+
+    def _alone(self, name: str) -> _TimeSearch | None:
+        """Return a search that ends at the first doubt, for one output and its own latency; None without data."""
+        records = [one.select([name]) for one in self.records if name in one.output_names]
+        latency = self.latency if self.latency.is_free else Prior(self.latency.mean, math.inf)
+        try:
+            regression = ModalRegression(records, self.plain.structure, self.input_names)
+        except EstimationError:
+            return None
+        if max(map(len, regression.times)) > _THINNED:
+            regression = regression.thinned(_THINNED)
+        search = _TimeSearch(records, regression, latency, self.clock_rate, self.input_names, self.progress)
+        search.is_trusting = True
+        return search
+
     def run_plain(self, n_modes: int) -> None:
         """Search for as many modes with equal weights, and nowhere else."""
         self._extend_anew(n_modes, n_modes, self._extend(n_modes, n_modes))
@@ -573,7 +649,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return a fit with equal weights, weighed by the colour of the outputs' noise or by that of the input."""
         fit, self.problem = unweighed(self.problem, fit), self.plain
         fit = self._restarted(fit)
-        if self.delays or self.jumps:
+        if self.clocks or self.jumps:
             self.problem = self.plain = self._with_own_clocks(self.plain, fit)
             fit = self.fit(fit.omegas, fit.zetas, fit.clock)
             if self.bridges is not None:  # which gaps are bridged is decided; there are more parameters now
@@ -588,7 +664,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             regression = ModalRegression(
                 self.records, regression.structure, self.input_names, smoothing, regression.restarts
             )
-            if self.delays or self.jumps:
+            if self.clocks or self.jumps:
                 regression = self._with_own_clocks(regression, fit)
             fit = fit_modes(regression, fit.omegas, fit.zetas, fit.clock, self.latency, self.clock_rate)
         by_record = regression
@@ -601,19 +677,42 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             found = replace(found, covariance=found.covariance + self.bridges.covariance)
         return Weighed(found, regression, by_record)
 
-    def further_delays(self, weighed: Weighed[ModalRegression]) -> dict[str, float]:
-        """Return what is to be added to the delays that outputs have of their own, by name [s]."""
+    def further_clocks(self, weighed: Weighed[ModalRegression]) -> dict[str, OwnClock]:
+        """Return what is to be added to the clocks that outputs have of their own, by name."""
         if not self.band.is_excited:
             return {}
         fit, regression = weighed.fit, weighed.problem
-        late = [j for j, name in enumerate(regression.output_names) if name in self.delays]
-        some = self._looked_at(fit, regression)
-        found = own_delays(some.regression, some.fit, some.designs, self.latency, late)
+        names = regression.output_names
+        late = [j for j, name in enumerate(names) if name in self.clocks]
+        running = [j for j in late if self.clocks[names[j]].runs]
+        found: dict[str, OwnClock] = {}
+        if len(names) > 1:
+            some = self._looked_at(fit, regression)
+            by_delay, by_rate = zip(*own_clock_columns(some.regression, some.fit), strict=True)
+            present = some.regression, some.fit, some.designs
+            for j, delay in own_delays(*present, by_delay, self.latency, late).items():
+                found[names[j]] = OwnClock(delay)
+            rates = {} if found else own_rates(*present, by_rate, self.clock_rate, running)
+            for j, rate in rates.items():
+                found[names[j]] = OwnClock(0.0, rate, True)
         for j in late:
-            value, sd = self._own_delay(j, fit)
-            if abs(value) > _DELAY_SETTLED * sd:
-                found[j] = value
-        return {regression.output_names[j]: delay for j, delay in found.items()}
+            values, sds = self._own_clock(j, fit)
+            turns = fit.omegas[-1] * np.abs(values) * [1.0, 0.5 * regression.duration_s]
+            if np.any((np.abs(values) > _CLOCK_SETTLED * sds) & (turns > _LINEAR)):
+                rate = found.get(names[j], OwnClock()).rate
+                found[names[j]] = OwnClock(float(values[0]), float(values[1]) + rate)
+        return found
+
+    def idle_clocks(self, weighed: Weighed[ModalRegression]) -> list[str]:
+        """Return the outputs whose own clock does not differ from that of the others after all."""
+        names = weighed.problem.output_names
+        found = []
+        for name, own in self.clocks.items():
+            values, sds = self._own_clock(names.index(name), weighed.fit)
+            values += np.array([own.delay, own.rate])
+            if np.all(np.abs(values) <= _IDLE_CLOCK * sds):
+                found.append(name)
+        return found
 
     def _looked_at(self, fit: ModalFit, regression: ModalRegression) -> _Samples:
         """Return what tests need of a fit, made once for all of them."""
@@ -622,21 +721,28 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         return self._samples[1]
 
     def _with_own_clocks(self, regression: ModalRegression, fit: ModalFit) -> ModalRegression:
-        """Return a regression that knows delays of some outputs, and jumps of clocks, to be estimates."""
-        slopes, columns = own_delay_columns(regression, fit), {}
-        for j, name in enumerate(regression.output_names):
-            own = [slopes[j]] if name in self.delays else []
-            own += [slopes[j] * after for after in self._after_jumps(j, regression)]
+        """Return a regression that knows own clocks of some outputs, and jumps of clocks, to be estimates."""
+        slopes, columns = own_clock_columns(regression, fit), {}
+        for j, (name, (by_delay, by_rate)) in enumerate(zip(regression.output_names, slopes, strict=True)):
+            own = [by_delay, by_rate][: self._n_of_clock(name)]
+            own += [by_delay * after for after in self._after_jumps(j, regression)]
             if own:
                 columns[j] = np.stack(own, axis=1)
         return regression.with_own_columns(columns)
+
+    def _n_of_clock(self, name: str) -> int:
+        """Return how many parameters the own clock of an output has: none, a delay, or a delay and a rate."""
+        return 1 + int(self.clocks[name].runs) if name in self.clocks else 0
 
     def _after_jumps(self, output: int, regression: ModalRegression) -> list[FloatArray]:
         """Return where the stamps of an output are late for each jump that it sees; -1 where they are early."""
         name, times = regression.output_names[output], regression.times[output]
         found = []
         for jump in self._jumps_of(name):
-            after = is_after(jump, self.jumps, times + self.delays.get(name, 0.0))
+            # Jumps stand at stamps of the output's own clock.
+            own = self.clocks.get(name, OwnClock())
+            stamps = own.stamped(times, middle_of(self.records[jump.record]))
+            after = is_after(jump, self.jumps, stamps)
             record = np.zeros_like(after)
             for number, part in regression.segments[output]:
                 record[part] = float(number == jump.record)
@@ -651,15 +757,18 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     def _own_places(self, output: int, fit: ModalFit) -> list[int]:
         """Return where among all parameters those of an output's own clock are: delay, then jumps."""
         name = self.plain.output_names[output]
-        count = int(name in self.delays) + len(self._jumps_of(name))
+        count = self._n_of_clock(name) + len(self._jumps_of(name))
         end = fit.n_theta + sum(len(found) for found in fit.coefficients[: output + 1])
         return list(range(end - count, end))
 
-    def _own_delay(self, output: int, fit: ModalFit) -> tuple[float, float]:
-        """Return by how much the delay of an output's own differs from that taken off its stamps, and its sd [s]."""
+    def _own_clock(self, output: int, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+        """Return what an output's own delay [s] and rate are beyond what its stamps were corrected by, and sd."""
         places = self._own_places(output, fit)
-        value = float(fit.coefficients[output][-len(places)])
-        return value, math.sqrt(max(float(fit.covariance[places[0], places[0]]), 0.0))
+        n = self._n_of_clock(self.plain.output_names[output])
+        values, sds = np.zeros(2), np.zeros(2)
+        values[:n] = fit.coefficients[output][-len(places) :][:n]
+        sds[:n] = np.sqrt(np.maximum(np.diag(fit.covariance)[places[:n]], 0.0))
+        return values, sds
 
     def _estimated_jumps(self, fit: ModalFit) -> tuple[ClockJump, ...]:
         """Return the jumps as what the outputs that see them say together."""
@@ -713,14 +822,20 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         names = regression.input_names
         return fitted_model(fit, regression.structure, names, regression.output_names, clock_is_free)
 
-    def _delayed(self, model: ModalModel, fit: ModalFit) -> ModalModel:
-        """Return the model with the delays that outputs have of their own."""
-        values, sds = np.zeros(len(fit.coefficients)), np.zeros(len(fit.coefficients))
+    def _clocked(self, model: ModalModel, fit: ModalFit) -> ModalModel:
+        """Return the model with the clocks that outputs have of their own."""
+        values, sds = np.zeros((len(fit.coefficients), 2)), np.zeros((len(fit.coefficients), 2))
         for j, name in enumerate(model.output_names):
-            if name in self.delays:
-                further, sds[j] = self._own_delay(j, fit)
-                values[j] = self.delays[name] + further
-        return replace(model, output_delays=values, output_delay_sd=sds)
+            if (own := self.clocks.get(name)) is not None:
+                further, sds[j] = self._own_clock(j, fit)
+                values[j] = np.array([own.delay, own.rate]) + further
+        return replace(
+            model,
+            output_delays=values[:, 0],
+            output_delay_sd=sds[:, 0],
+            output_rates=values[:, 1],
+            output_rate_sd=sds[:, 1],
+        )
 
     def result(self, weighed: Weighed[ModalRegression], n_modes: int | None) -> IdentificationResult:
         """Return what was found."""
@@ -731,7 +846,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 f"{unrelated}. Check that input and outputs belong together and share a clock, excite more, or ask "
                 "for a number of modes to see the best candidates"
             )
-        model, jumps = self._delayed(self._model(fit), fit), self._estimated_jumps(fit)
+        model, jumps = self._clocked(self._model(fit), fit), self._estimated_jumps(fit)
         with contextlib.suppress(TimeoutError):  # what is found is returned, however late
             self.progress("done", 1.0)
         rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
@@ -751,6 +866,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             iterations=fit.iterations,
             warnings=tuple(
                 [f"{unrelated}."] * bool(unrelated)
+                + [_clock_sentence(name, own) for name, own in model.own_clocks.items()]
                 + [jump.sentence for jump in jumps]
                 + self._gain_warnings(model)
                 + self._input_warnings(model)
@@ -890,11 +1006,6 @@ class _TimeSearch(ModeSearch[ModalRegression]):
     ) -> list[str]:
         warnings = mode_warnings(fit, regression, self.band)
         warnings += gap_sentences(regression)
-        warnings += [
-            f"The stamps of {name} are {1e3 * delay:.4g} ms later than those of the other outputs: its own delay was "
-            "estimated along."
-            for name, delay in self.delays.items()
-        ]
         if not regression.structure.has_free_response:
             warnings += self._left_out_motion(fit, regression)
         if regression.structure.kind == "force" and self.band.is_excited:
@@ -941,6 +1052,19 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 *zip(*((o.whiteness, o.measured, o.residuals) for o in outputs), strict=True),
             )
         return warnings
+
+
+def _clock_sentence(name: str, own: OwnClock) -> str:
+    """Return what must be known of an output with a clock of its own."""
+    if not own.runs:
+        return (
+            f"The stamps of {name} are {1e3 * own.delay:.4g} ms later than those of the other outputs: its own delay "
+            "was estimated along."
+        )
+    return (
+        f"The clock of {name} runs {1e6 * own.rate:+.4g} ppm fast and is {1e3 * own.delay:.4g} ms later than that of "
+        "the other outputs: its own delay and rate were estimated along."
+    )
 
 
 def _rate_warnings(found: float, known: Prior) -> list[str]:
@@ -1016,7 +1140,7 @@ class _LongSearch(_TimeSearch):
             before.clock_rate,
             before.input_names,
             before.progress,
-            delays=before.delays,
+            clocks=before.clocks,
             scan=before.scan,
             start=before.chosen,
             found_noise=before.found_noise,

@@ -36,7 +36,7 @@ def stored() -> dict[str, Any]:
 
 
 NAMES = tuple(stored())
-ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s"}
+ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"}
 OWN = ("subspace_model", "free_decay", "modal_analysis", "frequency_record")
 
 

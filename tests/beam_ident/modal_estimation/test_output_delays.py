@@ -1,4 +1,4 @@
-"""Outputs whose stamps are late by themselves, beside a latency that all share."""
+"""Outputs with clocks of their own, beside a latency and a rate that all share."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from beam_ident import ModalModel, TimeRecord, identify, validate
+from beam_ident import ModalModel, Prior, TimeRecord, identify, validate
+from benchmarks.ident.forced_beam import PLAIN, ForcedBeam
 from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
 
-def late(seed: int, delays: Mapping[str, float]) -> TimeRecord:
-    """Return a record in which the stamps of some outputs are late."""
+def late(seed: int, delays: Mapping[str, float], rates: Mapping[str, float] | None = None) -> TimeRecord:
+    """Return a record in which the stamps of some outputs are late, or come from a clock that runs fast."""
     record = beam_record(seed)
-    outputs = [
-        dataclasses.replace(own, times_s=own.times_s + delays.get(own.name, 0.0)) for own in record.outputs
-    ]
+    middle = 0.5 * (record.outputs[0].times_s[0] + record.outputs[0].times_s[-1])
+    outputs = []
+    for own in record.outputs:
+        fast = middle + (own.times_s - middle) * (1.0 + (rates or {}).get(own.name, 0.0))
+        outputs.append(dataclasses.replace(own, times_s=fast + delays.get(own.name, 0.0)))
     return TimeRecord(record.inputs, tuple(outputs))
 
 
@@ -42,6 +45,44 @@ def test_a_delay_of_one_output_is_found_and_costs_nothing(delay: float) -> None:
     assert min(own.scores.fit_percent for own in unseen) > 99.5
 
 
+def test_a_rate_of_one_output_is_found_beside_its_delay() -> None:
+    record = late(1, {"z225": 3e-3}, {"z225": 6e-5})
+    found = identify(record)
+    model = found.model
+    assert model.n_modes == 3
+    assert abs(model.output_delays[1] - 3e-3) < 4.0 * model.output_delay_sd[1] < 1e-5
+    assert abs(model.output_rates[1] - 6e-5) < 4.0 * model.output_rate_sd[1] < 4e-6
+    np.testing.assert_array_equal(model.output_rates[[0, 2]], 0.0)
+    assert np.max(np.abs((model.natural_frequencies - OMEGAS) / model.natural_frequency_sd)) < 4.0
+    assert any("z225 runs +6" in said for said in found.warnings)
+    stored = ModalModel.from_dict(json.loads(json.dumps(model.to_dict())))
+    assert stored.own_clocks == model.own_clocks
+    unseen = validate(stored, late(5, {"z225": 3e-3}, {"z225": 6e-5})).outputs
+    assert min(own.scores.fit_percent for own in unseen) > 99.5
+
+
+def test_modes_are_not_added_for_a_delay_of_one_output() -> None:
+    # With one clock for both, eight modes follow each other before a ninth is refused.
+    looked_for = []
+    beam = ForcedBeam()
+    stamps = beam.period * np.arange(10, beam.n - 10)
+    record = beam.record(0, 20.0, stamps + 7.3e-3, stamps)
+    first, second = record.outputs
+    second = dataclasses.replace(second, times_s=second.times_s + 3e-3)
+    clocks = Prior(0.0, np.inf), Prior()
+    found = identify(
+        TimeRecord(record.inputs, (first, second)),
+        PLAIN,
+        None,
+        *clocks,
+        progress=lambda phrase, share: looked_for.append(phrase),
+    )
+    assert found.model.n_modes == 3
+    assert "looking for mode 5" not in looked_for
+    own = found.model.output_delays[1] - found.model.output_delays[0]
+    assert abs(own - 3e-3) < 4.0 * float(np.linalg.norm(found.model.output_delay_sd)) < 1e-4
+
+
 def test_outputs_that_share_a_clock_have_no_delays() -> None:
     # One record in a thousand.
     for seed in range(4):
@@ -52,5 +93,6 @@ def test_outputs_that_share_a_clock_have_no_delays() -> None:
 
 def test_a_file_of_an_earlier_version_has_no_delays() -> None:
     stored = identify(beam_record(1), n_modes=3).model.to_dict()
-    del stored["output_delays_s"], stored["output_delay_sd_s"]
+    for name in ("output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"):
+        del stored[name]
     np.testing.assert_array_equal(ModalModel.from_dict(stored).output_delays, np.zeros(3))
