@@ -26,6 +26,7 @@ _UPPER_SHARE = 1e-3  # of the largest density of the force-like quantity
 _LOWER_SHARE = 1e-4
 _ABOVE_FLOOR = 5.0  # times the noise floor: what a noisy or quantised position must stand out by
 _STILL = 1.5  # times the noise's sigma: an input that moves no more than this stands still
+_ROUGH = 1.25  # times the largest force-like value that is known: no bridge has more
 _NOISE_BEYOND = 1e-6  # chance that noise alone has one value as large as makes a blow
 _MIN_SEGMENT = 256
 _SEGMENT_S = 2.0  # a sweep is loud at each frequency for a moment only
@@ -126,10 +127,14 @@ def _between_gaps(
     for first, last in places:
         is_known[max(first + 1 - differentiations, 0) : last] = False
     least = POOR_BRIDGE * float(np.std(force_like[is_known])) if np.any(is_known) else 0.0
+    # A bridge may be rough as well, on a scale of its own.
+    most = _ROUGH * float(np.max(np.abs(force_like[is_known]), initial=0.0))
     offset = (len(values) - len(drive.values)) // 2  # mirrored at the ends
     ends = [0, len(values)]
     for gap, (first, last) in zip(drive.gaps, places, strict=True):
-        if not gap.sigma * (math.pi / (gap.end_s - gap.start_s)) ** differentiations < least:
+        inside = np.abs(force_like[max(first + 1 - differentiations, 0) : last])
+        is_smooth = np.max(inside, initial=0.0) < most
+        if not (is_smooth and gap.sigma * (math.pi / (gap.end_s - gap.start_s)) ** differentiations < least):
             ends[-1:] = [offset + first + 1, offset + last, len(values)]
     pieces = [values[first:last] for first, last in zip(ends[::2], ends[1::2], strict=True)]
     longest = max(len(piece) for piece in pieces)

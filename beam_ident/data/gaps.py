@@ -251,7 +251,10 @@ def describe_gaps(
         f"to {worst:.2g} {unit}"
     )
     if anew:
-        said += f"; after {len(anew)} of them the motion begins anew, since that is not sure enough"
+        said += (
+            f"; after {len(anew)} of them the motion begins anew, since that is not sure enough, and a mode that the "
+            "input moved there alone may be missed"
+        )
     if rigid:
         said += f"; after {len(rigid)} of them the constants of the input's integration begin anew"
     return f"{said}."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import InputSignal
+from beam_ident import InputSignal, LogChirp
 from beam_ident.data.bandwidth import excited_band
 
 PERIOD_S = 1e-4
@@ -51,3 +51,16 @@ def test_a_short_blow_is_no_standstill_and_noise_is():
     # A blow of 50 standard deviations hardly moves the root mean square over two seconds.
     assert band_of(noise + 50.0 * blow(1.0, 1e-3), sigma=1.0).is_excited
     assert not band_of(noise, sigma=1.0).is_excited
+
+
+@pytest.mark.parametrize(("start_s", "length_s"), [(0.119, 0.44), (5.619, 0.06), (9.219, 0.8)])
+def test_a_rough_bridge_over_a_gap_is_no_excitation(start_s, length_s):
+    # An encoder of 0.1 um: what fills the gap moves as little as it should, and shakes.
+    positions = LogChirp(duration=10.0, still=4.0).sample(1e-3).positions
+    positions = 1e-7 * np.round(positions / 1e-7)
+    first = round(start_s / 1e-3) + 1
+    positions[first : first + round(length_s / 1e-3)] = np.nan
+    drive = InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic", 1e-7 / np.sqrt(12.0))
+    band = excited_band(drive, 2, 14.0, 100.0)
+    assert band.low_hz < 1.0
+    assert 50.0 < band.high_hz < 100.0
