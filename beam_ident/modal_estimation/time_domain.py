@@ -88,6 +88,7 @@ _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is repor
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
+_LEAST_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
 _IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
 _CLOCK_TURNS = 3  # for every output: of clocks that outputs have of their own, and the modes that show them
 _CLOCK_ROUNDS = 3
@@ -115,8 +116,8 @@ def identify(
     record: TimeRecord | Sequence[TimeRecord],
     structure: StructureKind | ModalStructure = "base_motion",
     n_modes: int | None = None,
-    latency: Prior | None = None,
-    clock_rate: Prior | None = None,
+    latency: Prior | Mapping[str, Prior | float] | None = None,
+    clock_rate: Prior | Mapping[str, Prior | float] | None = None,
     input_name: str | Sequence[str] | None = None,
     max_modes: int = MAX_MODES,
     progress: Progress | None = None,
@@ -133,11 +134,13 @@ def identify(
         Which model goes with the input, or with every input; "base_motion" for a hub position.
     n_modes : int or None
         Number of modes; None lets the Bayesian information criterion decide.
-    latency, clock_rate : Prior or None
+    latency, clock_rate : Prior, mapping or None
         Knowledge about the outputs' clock against the input's: latency [s] and relative
         rate.  ``Prior(mean, 0)`` fixes them, ``Prior(0, inf)`` leaves them to the data.
         None is an unknown latency and a rate of 0 +- 50 ppm, as of a camera beside an axis;
         for a receptance, mobility or accelerance, whose signals commonly share a clock, it is no error at all.
+        A mapping from the names of some outputs to a Prior, or to a number that is known, is of their own clocks
+        (a laser beside a camera); of what all others share it says nothing.
     input_name : str, sequence of str or None
         Which input, or which inputs together; None takes all that the records have.  Inputs share the poles and
         the clock; each has gains, residual terms, residues and a hold of its own (``ModalModel.path``).
@@ -156,17 +159,15 @@ def identify(
     ------
     EstimationError
         A record from which nothing can be identified: too few samples for the order,
-        a constant output, an input and outputs at rest, an impossible order, no such input.
+        a constant output, an input and outputs at rest, an impossible order, no such input, no such output.
     """
     records = require_records(record, may_lack_outputs=True)
     input_names = tuple(drive.name for drive in chosen_inputs(records[0], input_name))
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     checked_limit(n_modes, max_modes)
-    for name, prior in (("latency", latency), ("clock_rate", clock_rate)):
-        if prior is not None and not isinstance(prior, Prior):
-            raise EstimationError(
-                f"{name} is {prior!r}; expected a Prior, as Prior({prior!r}) for a known one"
-            )
+    names = list(dict.fromkeys(name for one in records for name in one.output_names))
+    own_latencies, latency = _own_priors("latency", latency, names)
+    own_rates_known, clock_rate = _own_priors("clock_rate", clock_rate, names)
     if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
         terms = replace(terms, has_residual=False)
     for one in records:
@@ -175,6 +176,10 @@ def identify(
     records, found = with_found_noise(records, input_names)
     latency = latency or (Prior() if terms.is_test else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if terms.is_test else CLOCK_RATE_PRIOR)
+    if not set(names) - set(own_latencies):  # nothing is left that could be in common
+        latency = Prior()
+    if not set(names) - set(own_rates_known):
+        clock_rate = Prior()
     task = _Task(
         terms,
         may_rest=not isinstance(structure, ModalStructure) and not terms.is_motion,
@@ -185,8 +190,9 @@ def identify(
         input_names=input_names,
         progress=progress or silent,
         found_noise=found,
+        own_latencies=own_latencies,
+        own_rates=own_rates_known,
     )
-    names = list(dict.fromkeys(name for one in records for name in one.output_names))
     result, said = without_clipped(records, names, task.result, _prediction)
     doubts = [said] if said else []
     doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
@@ -206,6 +212,7 @@ class _Task:
     input_names : tuple of str
     progress : callable
     found_noise : mapping -- of the records whose input did not state its own
+    own_latencies, own_rates : mapping -- what is known of the clocks of single outputs, by name
     """
 
     terms: ModalStructure
@@ -217,6 +224,8 @@ class _Task:
     input_names: tuple[str, ...]
     progress: Progress
     found_noise: Mapping[int, StillNoise]
+    own_latencies: Mapping[str, Prior]
+    own_rates: Mapping[str, Prior]
 
     def result(self, records: list[TimeRecord]) -> IdentificationResult:
         """Return what is found in some records, clocks that jump among them."""
@@ -301,7 +310,7 @@ class _Task:
     def _outcome(self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]) -> IdentificationResult:
         """Return what is found in some records with the jumps of their clocks, and outputs late by themselves."""
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
-        clocks: dict[str, OwnClock] = {}
+        clocks = self._known_clocks(measured)
         has_asked = False  # every output by itself
         known: tuple[_TimeSearch, Weighed[ModalRegression]] | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)
@@ -312,7 +321,7 @@ class _Task:
                 _refuse_hopeless(regression, self.n_modes)
                 search = self._begun(shifted, regression, clocks=clocks, jumps=jumps)
                 search.is_in_doubt = has_asked
-                if turn == 0 and (result := self._untangled(shifted, regression, search, jumps)) is not None:
+                if turn == 0 and (result := self._untangled(regression, search)) is not None:
                     return result
                 try:
                     search, weighed = self._finished(search, regression)
@@ -345,6 +354,28 @@ class _Task:
             }
         return search.result(weighed, self.n_modes)
 
+    def _known_clocks(self, records: list[TimeRecord]) -> dict[str, OwnClock]:
+        """Return the clocks that outputs are known to have against that which the others share."""
+        known = {*self.own_latencies, *self.own_rates}
+        if not known:
+            return {}
+        latency, rate = self.latency.mean, self.clock_rate.mean
+        rest = [
+            one.select(left) for one in records if (left := [n for n in one.output_names if n not in known])
+        ]
+        if rest and len(rest) == len(records):
+            with contextlib.suppress(IdentificationError):
+                model = replace(self, own_latencies={}, own_rates={}).result(rest).model
+                latency, rate = model.latency, model.clock_rate
+        return {
+            name: OwnClock(
+                self.own_latencies[name].mean - latency if name in self.own_latencies else 0.0,
+                self.own_rates[name].mean - rate if name in self.own_rates else 0.0,
+                name in self.own_rates,
+            )
+            for name in known
+        }
+
     def _begun(
         self,
         records: list[TimeRecord],
@@ -366,6 +397,7 @@ class _Task:
             clocks,
             found_noise=self.found_noise,
             jumps=jumps,
+            known=(self.own_latencies, self.own_rates),
         )
 
     def _finished(
@@ -385,26 +417,48 @@ class _Task:
             return search, search.ended_early(search.chosen, stop, missing)
         return following, following.run(self.n_modes, self.max_modes)
 
-    def _untangled(
-        self,
-        records: list[TimeRecord],
-        regression: ModalRegression,
-        search: _TimeSearch,
-        jumps: Sequence[ClockJump],
-    ) -> IdentificationResult | None:
+    def _untangled(self, regression: ModalRegression, search: _TimeSearch) -> IdentificationResult | None:
         """Return the result from rest where a blow at the beginning is not told from motion that was there before."""
         if not (self.may_rest and search.band.is_excited and search.scan.is_tangled):
             return None
         # Of a decay alone, samples do not tell a frequency from its aliases: the lowest is meant.
+        records = search.records
         still = ModalRegression(records, replace(self.terms, has_free_response=False), self.input_names)
         try:
-            begun = self._begun(records, still, 0.5 * regression.rate_hz, jumps=jumps)
+            begun = self._begun(records, still, 0.5 * regression.rate_hz, search.clocks, search.jumps)
             from_rest, weighed = self._finished(begun, still)
             result = from_rest.result(weighed, self.n_modes)
         except EstimationError:
             return None  # a record that begins in motion may not fit at all
         clocks = self.latency, self.clock_rate
         return None if _begins_in_motion(regression, still, result.model, clocks) else result
+
+
+def _own_priors(
+    what: str, given: Prior | Mapping[str, Prior | float] | None, names: Sequence[str]
+) -> tuple[dict[str, Prior], Prior | None]:
+    """Return what is known of single outputs, by name, and of the clock in common."""
+    if given is None or isinstance(given, Prior):
+        return {}, given
+    if not isinstance(given, Mapping):
+        raise EstimationError(
+            f"{what} is {given!r}; expected a Prior, as Prior({given!r}) for a known one, or a mapping from names of "
+            "outputs to such"
+        )
+    strangers = [name for name in given if name not in names]
+    if strangers:
+        raise EstimationError(
+            f"{what} names {', '.join(map(repr, strangers))}, and the records have the outputs {', '.join(names)}; "
+            "expected names of outputs"
+        )
+    found = {}
+    for name, value in given.items():
+        if isinstance(value, bool) or not isinstance(value, Prior | float | int):
+            raise EstimationError(f"{what} of {name} is {value!r}; expected a number or a Prior")
+        prior = value if isinstance(value, Prior) else Prior(float(value))
+        if prior.sd < math.inf:  # else the data find it by themselves
+            found[name] = prior
+    return found, None
 
 
 def _prediction(result: IdentificationResult, record: TimeRecord, name: str) -> FloatArray:
@@ -455,7 +509,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         start: ModalFit | None = None,
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
         jumps: Sequence[ClockJump] = (),
+        known: tuple[Mapping[str, Prior], Mapping[str, Prior]] = ({}, {}),
     ) -> None:
+        self.known = known  # of latency and clock rate of single outputs
         self.is_in_doubt = False  # since a mode that explains much was not believed
         self.clocks, self.found_noise, self.jumps = clocks, found_noise, tuple(jumps)
         self.records, self.input_names = records, input_names
@@ -670,7 +726,9 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         by_record = regression
         if smoothing is None:
             by_record, fit = weigh_records(regression, fit, self.latency, self.clock_rate)
-        priors = () if self.bridges is None else restart_priors(by_record, fit)
+        priors = self._clock_priors(fit)
+        if self.bridges is not None:
+            priors += [((place,), 0.0, sd) for place, sd in restart_priors(by_record, fit)]
         weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing, priors)
         found = unweighed(by_record, weighted.result())
         if self.bridges is not None:
@@ -707,7 +765,10 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return the outputs whose own clock does not differ from that of the others after all."""
         names = weighed.problem.output_names
         found = []
+        stated = {*self.known[0], *self.known[1]}
         for name, own in self.clocks.items():
+            if name in stated:
+                continue
             values, sds = self._own_clock(names.index(name), weighed.fit)
             values += np.array([own.delay, own.rate])
             if np.all(np.abs(values) <= _IDLE_CLOCK * sds):
@@ -769,6 +830,20 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         values[:n] = fit.coefficients[output][-len(places) :][:n]
         sds[:n] = np.sqrt(np.maximum(np.diag(fit.covariance)[places[:n]], 0.0))
         return values, sds
+
+    def _clock_priors(self, fit: ModalFit) -> list[tuple[tuple[int, ...], float, float]]:
+        """Return what is known of the latencies and rates of single outputs: common and own part together."""
+        found = []
+        commons = (self.latency, self.clock_rate)
+        place = 2 * len(fit.omegas)
+        for kind, (known, common, least) in enumerate(zip(self.known, commons, _LEAST_SD, strict=True)):
+            shared = (place,) if common.is_free else ()
+            place += len(shared)
+            for name, prior in known.items():
+                own, clock = self._own_places(self.plain.output_names.index(name), fit), self.clocks[name]
+                corrected = (clock.delay, clock.rate)[kind] + (0.0 if common.is_free else common.mean)
+                found.append(((*shared, own[kind]), prior.mean - corrected, max(prior.sd, least)))
+        return found
 
     def _estimated_jumps(self, fit: ModalFit) -> tuple[ClockJump, ...]:
         """Return the jumps as what the outputs that see them say together."""
@@ -1145,6 +1220,7 @@ class _LongSearch(_TimeSearch):
             start=before.chosen,
             found_noise=before.found_noise,
             jumps=before.jumps,
+            known=before.known,
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
 

@@ -103,8 +103,8 @@ class WeightedFit:
     latency, clock_rate : Prior
     smoothing : Smoothing or None
         Given where the input's ``sigma`` matters.
-    priors : sequence of (int, float)
-        Parameters, by their place in ``ModalFit.covariance``, that are zero up to a standard deviation.
+    priors : sequence of (tuple of int, float, float)
+        Sums of parameters, by their places in ``ModalFit.covariance``, and what is known of them: mean and sd.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class WeightedFit:
         latency: Prior,
         clock_rate: Prior,
         smoothing: Smoothing | None = None,
-        priors: Sequence[tuple[int, float]] = (),
+        priors: Sequence[tuple[tuple[int, ...], float, float]] = (),
     ) -> None:
         self.priors = priors
         self.records, self.regression, self.fit = list(records), regression, fit
@@ -440,12 +440,13 @@ class WeightedFit:
                 values.append((prior.mean - value) / prior.sd)
             place += 1
         if self.priors:
-            present = np.concatenate([np.zeros(self.n_theta), *point.coefficients])
-            for index, sd in self.priors:
+            clock_values = [value for prior, value in clock if prior.is_free]
+            present = np.concatenate([np.log(point.omegas), point.zetas, clock_values, *point.coefficients])
+            for places, mean, sd in self.priors:
                 row = np.zeros(linear.design.shape[1])
-                row[index] = 1.0 / sd
+                row[list(places)] = 1.0 / sd
                 rows.append(row)
-                values.append(-present[index] / sd)
+                values.append((mean - float(np.sum(present[list(places)]))) / sd)
         if not rows:
             return linear.design, linear.residuals
         return np.vstack([linear.design, *rows]), np.append(linear.residuals, values)

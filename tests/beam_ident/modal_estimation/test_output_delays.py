@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from beam_ident import ModalModel, Prior, TimeRecord, identify, validate
+from beam_ident import EstimationError, ModalModel, Prior, TimeRecord, identify, validate
 from benchmarks.ident.forced_beam import PLAIN, ForcedBeam
 from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
@@ -59,6 +59,38 @@ def test_a_rate_of_one_output_is_found_beside_its_delay() -> None:
     assert stored.own_clocks == model.own_clocks
     unseen = validate(stored, late(5, {"z225": 3e-3}, {"z225": 6e-5})).outputs
     assert min(own.scores.fit_percent for own in unseen) > 99.5
+
+
+def test_what_is_known_of_single_clocks_is_taken_as_it_is() -> None:
+    # Camera 2 ms late, which nobody knows; the laser known to be 5 ms late, or known to 1 us.
+    record = late(2, {"z010": 2e-3, "z225": 5e-3, "z285": 2e-3})
+    sure = identify(record, latency={"z225": 5e-3}, n_modes=3).model
+    assert abs(sure.latency - 2e-3) < 4.0 * sure.latency_sd
+    assert sure.latency + sure.output_delays[1] == pytest.approx(5e-3, abs=1e-8)
+    free = identify(record, n_modes=3).model
+    nearly = identify(record, latency={"z225": Prior(5e-3, 1e-6)}, n_modes=3).model
+    for own in (free, nearly):
+        assert abs(own.latency + own.output_delays[1] - 5e-3) < 1e-5
+    # Poles in common tie the phases of both: what is known of one sensor tells of the other, too.
+    assert nearly.latency_sd < 0.5 * free.latency_sd
+    known = identify(record, latency={"z010": 2e-3, "z225": 5e-3, "z285": 2e-3}, n_modes=3).model
+    assert known.latency == 0.0
+    np.testing.assert_allclose(known.output_delays, [2e-3, 5e-3, 2e-3], atol=1e-8)
+    for own in (sure, nearly, known):
+        assert np.max(np.abs((own.natural_frequencies - OMEGAS) / own.natural_frequency_sd)) < 4.0
+
+
+@pytest.mark.parametrize(
+    ("latency", "said"),
+    [
+        ({"z999": 0.0}, "latency names 'z999'.*z010, z225, z285"),
+        ({"z225": "late"}, "latency of z225 is 'late'; expected a number or a Prior"),
+        (2e-3, "a mapping from names of outputs"),
+    ],
+)
+def test_an_unfit_latency_is_refused(latency, said) -> None:
+    with pytest.raises(EstimationError, match=said):
+        identify(beam_record(1), latency=latency)
 
 
 def test_modes_are_not_added_for_a_delay_of_one_output() -> None:
