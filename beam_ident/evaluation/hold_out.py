@@ -1,7 +1,7 @@
 """A model against records that it was not estimated from.
 
 Poles, residues, gains and clock stay as they are.  What belongs to the record and
-not to the model (offset, ramp, the motion that was already there at its beginning)
+not to the model (offset, ramp, the motion that was already there at its beginning, a clock that jumps)
 is fitted to it, because it would otherwise be charged to the model.  How the model
 does from rest, without a fitted motion, is said beside it.
 """
@@ -13,11 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_input, require_output, require_records, split_at_gaps
 from beam_ident.data.own_clocks import on_common_clock
 from beam_ident.data.records import TimeRecord
+from beam_ident.data.stamp_jumps import ClockJump, possible_jumps, without_jumps
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
@@ -32,6 +34,7 @@ from beam_ident.transfer_function.multi_input_model import MultiInputModel
 _FAIR_FIT = 80.0
 _MIN_SAMPLES = 20
 _GOOD_FIT = 95.0
+_JUMP_LEVEL = 1e-3  # how often a steady clock is taken to jump
 _NO_MORE_THAN_NOISE = 1.2  # residuals over those of the estimation
 
 
@@ -82,10 +85,12 @@ class ValidationResult:
     ----------
     outputs : tuple of OutputValidation -- over all records, in their order; scores about each one's mean
     records : tuple of ValidationResult -- of every record by itself, where there are several
+    clock_jumps : tuple of ClockJump -- steps of clocks that were taken out of the stamps, of a modal model's records
     """
 
     outputs: tuple[OutputValidation, ...]
     records: tuple[ValidationResult, ...] = ()
+    clock_jumps: tuple[ClockJump, ...] = ()
 
     def output(self, name: str) -> OutputValidation:
         """Return the validation of one output by its name."""
@@ -123,13 +128,18 @@ def validate(
         )
     if not isinstance(model, ModalModel):  # whose prediction steps over gaps by itself
         records, _ = split_at_gaps(records, _MIN_SAMPLES)
-    predicted = [_predict(model, one) for one in records]
-    each = tuple(ValidationResult(tuple(_judged([part]) for part in parts)) for parts in predicted)
+    found = [_steady(model, one, number) for number, one in enumerate(records)]
+    predicted = [_predict(model, one) for one, _ in found]
+    each = tuple(
+        ValidationResult(tuple(_judged([part], jumps) for part in parts), (), jumps)
+        for parts, (_, jumps) in zip(predicted, found, strict=True)
+    )
     if len(each) == 1:
         return each[0]
+    all_jumps = tuple(jump for _, jumps in found for jump in jumps)
     names = dict.fromkeys(part.name for parts in predicted for part in parts)
     together = [[part for parts in predicted for part in parts if part.name == name] for name in names]
-    return ValidationResult(tuple(_judged(parts) for parts in together), each)
+    return ValidationResult(tuple(_judged(parts, all_jumps) for parts in together), each, all_jumps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +155,42 @@ class _Prediction:
     deflection: FloatArray
     noise_sd: float
     drive: FloatArray
+
+
+def _steady(
+    model: ModalModel | TransferFunctionModel | MultiInputModel, record: TimeRecord, number: int
+) -> tuple[TimeRecord, tuple[ClockJump, ...]]:
+    """Return a record whose stamps do not jump, and the jumps that the model tells from lost samples.
+
+    Notes
+    -----
+    A likelihood-ratio test over all places and sizes, with everything that belongs to the model held.
+    """
+    if not isinstance(model, ModalModel):
+        return record, ()
+    # Of several inputs one that is late moves a share of the outputs only.
+    inputs = [drive.name for drive in record.inputs if model.input_names == (drive.name,)]
+    places = possible_jumps(record, number, inputs)
+    known: tuple[ClockJump, ...] = ()
+    while places:
+        tried = [known, *((*known, jump) for place in places for jump in place)]
+        costs = np.array([_cost(model, without_jumps(record, number, jumps)) for jumps in tried])
+        best = int(np.argmin(costs))
+        if not 2.0 * (costs[0] - costs[best]) > chi_squared_isf(1, _JUMP_LEVEL / len(tried)):
+            break
+        known = tried[best]
+        places = [place for place in places if known[-1] not in place]
+    return without_jumps(record, number, known), known
+
+
+def _cost(model: ModalModel, record: TimeRecord) -> float:
+    """Return the negative log-likelihood of a record under a model, the level of its noise unknown."""
+    cost = 0.0
+    for part in _predict(model, record):
+        # A few stamps more or fewer may be within the input's span.
+        power = max(float(np.mean(np.square(part.residuals))), 1e-300)
+        cost += 0.5 * len(record.output(part.name).times_s) * math.log(power)
+    return cost
 
 
 def _predict(
@@ -227,7 +273,7 @@ def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: Ti
     )
 
 
-def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
+def _judged(parts: Sequence[_Prediction], jumps: Sequence[ClockJump]) -> OutputValidation:
     """Return how well one output is predicted, over one record or several."""
     first = parts[0]
     for part in parts:
@@ -263,6 +309,7 @@ def _judged(parts: Sequence[_Prediction]) -> OutputValidation:
         f"{simulation.fit_percent:.2f} % simulated from rest){against}; "
         f"{correlation.verdict}"
     )
+    verdict = ". ".join([verdict, *(jump.sentence.rstrip(".") for jump in jumps)])
     return OutputValidation(
         first.name,
         first.unit,

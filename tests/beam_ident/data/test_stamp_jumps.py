@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, identify
+from beam_ident import InputSignal, OutputSignal, TimeRecord, identify, validate
 from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from benchmarks.ident.delay import JumpingClock
 from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN
@@ -70,6 +70,18 @@ def test_a_jump_is_found_at_its_place_and_size_and_does_not_move_the_poles(
     values, sds = case.flat(result.model)
     assert np.max(np.abs(values - case.truth) / sds) < 4.0
     assert any("jumps by" in said for said in result.warnings)
+
+
+@pytest.mark.parametrize("seed", [1, 7])  # the camera's clock, the input's
+def test_validation_takes_a_jump_out_of_an_unseen_record(case: JumpingClock, seed: int) -> None:
+    model = case.found(0).model
+    steady, unseen = validate(model, case.record(2)), validate(model, case.record(seed))
+    assert steady.clock_jumps == ()
+    (jump,) = unseen.clock_jumps
+    assert abs(jump.size_s - case.jump(seed)[1]) < 4.0 * 2e-5 * np.sqrt(2.0)  # stamps scatter by 20 us
+    for own, other in zip(unseen.outputs, steady.outputs, strict=True):
+        assert own.scores.fit_percent > other.scores.fit_percent - 0.5
+        assert "jumps by" in own.verdict
 
 
 def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
