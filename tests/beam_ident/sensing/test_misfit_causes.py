@@ -58,6 +58,15 @@ def test_noise_of_any_colour_has_no_cause(numerator, denominator):
     assert alarms <= 1
 
 
+def test_noise_as_slow_as_the_record_is_hardly_ever_a_drift():
+    alarms = 0
+    for seed in range(25):  # of a tenth of the records before its slowest part was allowed for, of 1 % now
+        rng = np.random.default_rng([seed, 990])
+        noise = lfilter([1.0], [1.0, -0.99], rng.standard_normal(4000))[3000:]
+        alarms += "drift" in " ".join(misfit_warnings([("y", [(TIMES[:1000], CLEAN[:1000], 0.01 * noise)])]))
+    assert alarms <= 1
+
+
 def test_a_few_samples_and_rounding_have_no_cause():
     assert not misfit_warnings([("y", [(TIMES[:20], CLEAN[:20], CLEAN[:20])])])
     assert not misfit_warnings([("y", [(TIMES, CLEAN, 1e-14 * CLEAN**2)])])
