@@ -72,6 +72,8 @@ class RemotePath:
             info: dict[str, Any] = self._store.info(self._inner)
         except FileNotFoundError:
             return None
+        except Exception as err:
+            raise _unreachable(self._url, err) from err
         return info
 
     def exists(self) -> bool:
@@ -126,8 +128,13 @@ def _store_of(url: str) -> Any:
         ) from err
     try:
         return url_to_fs(url)[0]
-    except (ImportError, ValueError) as err:
-        raise UsageError(
-            f"{url}: cannot be reached ({err}); install what serves this protocol (s3fs for s3://: the `remote` "
-            "extra), or copy the bag here"
-        ) from err
+    except Exception as err:
+        raise _unreachable(url, err) from err
+
+
+def _unreachable(url: str, err: Exception) -> UsageError:
+    """Return what to say of whatever a store's library raises: each has exceptions of its own."""
+    return UsageError(
+        f"{url}: cannot be reached ({str(err) or type(err).__name__}); expected a protocol that is installed "
+        "(s3fs for s3://: the `remote` extra), the store's address and keys; mend that, or copy the bag here"
+    )

@@ -138,6 +138,14 @@ def test_what_cannot_be_reached_is_said_with_a_remedy(url, error, words):
         Bag(url)
 
 
+def test_what_a_stores_library_raises_is_one_line(tmp_path, capsys):
+    (tmp_path / "no.zip").write_text("no archive")
+    assert main(["info", f"zip://run.mcap::{tmp_path}/no.zip"]) == 2
+    said = capsys.readouterr().err
+    assert "cannot be reached" in said
+    assert len(said.strip().splitlines()) == 1
+
+
 def test_a_cut_bag_elsewhere_is_refused(in_memory):
     store = fsspec.filesystem("memory")
     store.pipe("/lab/run/run_0.mcap", store.cat("/lab/run/run_0.mcap")[:-50])
