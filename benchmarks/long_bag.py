@@ -1,11 +1,11 @@
-"""Time and memory of ``beam identify`` on a long bag, and what is left of it when it is interrupted.
+"""Time and memory of ``beam info`` and ``beam identify`` on a long bag, and what an interruption leaves.
 
     python -m benchmarks.long_bag [--seconds 3600] [--interrupt SECONDS] [--folder DIR]
 
 The bag is one that a recorder makes: a hub at 1 kHz whose encoder counts 0.1 um, three markers at 200 frames a
-second with 5 um of noise, clock comparisons every 100 ms.  Reading it and identifying from it run in processes of
-their own; times are processor seconds, memory is the peak of the process.  With --interrupt, SIGINT is sent so many
-seconds after the start, and what the command then says and writes is shown.
+second with 5 um of noise, clock comparisons every 100 ms.  Looking at it, reading it and identifying from it run
+in processes of their own; times are processor seconds, memory is the peak of the process.  With --interrupt, SIGINT
+is sent so many seconds after the start, and what the command then says and writes is shown.
 """
 
 from __future__ import annotations
@@ -93,9 +93,11 @@ def main() -> None:
         if not bag.exists():
             write_bag(bag, arguments.seconds)
         report = Path(temporary) / "report"
-        beam = [str(Path(sys.executable).with_name("beam")), "identify", str(bag), "--report", str(report)]
+        beam = str(Path(sys.executable).with_name("beam"))
+        info = [beam, "info", str(bag)]
+        identify = [beam, "identify", str(bag), "--report", str(report)]
         read = [sys.executable, "-c", f"{_READ}load_experiment(Path(sys.argv[1]))", str(bag)]
-        for name, command in (("read", read), ("identify", beam)):
+        for name, command in (("info", info), ("read", read), ("identify", identify)):
             interrupt = arguments.interrupt if name == "identify" else None
             seconds, peak_mb, status, said = measured(command, interrupt)
             print(f"{name}: {seconds:.1f} s of processor time, {peak_mb:.0f} MB, exit status {status}")
