@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 from beam_ros.bags.reading import STORAGE_SUFFIXES, Bag
 from beam_ros.bags.summary import BagInfo, summarise
+from beam_ros.checks.bag_check import BagCheck, check_bag
 from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
@@ -158,9 +159,11 @@ def failed_row(item: Item, reason: str) -> Row:
 def _row_of_bag(path: Path, settings: Settings) -> Row:
     with Bag(path) as bag:
         info = summarise(bag)
-    found = identify_bag(path, rig=settings.rig, options=FitOptions.of(settings.identifier))
+    options = FitOptions.of(settings.identifier)
+    check = check_bag(path, settings.rig, replace(options, estimator="modal"))
+    found = identify_bag(path, rig=settings.rig, options=options)
     doubts = [mode["doubt"] for mode in found["modes"] if mode.get("doubt")]
-    is_good = found["converged"] and not doubts and not found["warnings"]
+    is_good = check.can_be_identified and found["converged"] and not doubts and not found["warnings"]
     return {
         "verdict": "passed" if is_good else "doubtful",
         **_provenance(path, info),
@@ -172,6 +175,7 @@ def _row_of_bag(path: Path, settings: Settings) -> Row:
         **{name: found.get(name) for name in ("latency_s", "latency_sd_s", "clock_rate", "clock_rate_sd")},
         **{f"fit_percent_{name}": own["fit_percent"] for name, own in found["scores"].items()},
         **_quality(info),
+        **{f"gates_{verdict}": _gates(check, verdict) for verdict in ("failed", "doubtful")},
         "notes": " | ".join(found["notes"]),
         "doubts": " | ".join((*doubts, *found["warnings"])),
     }
@@ -219,6 +223,11 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+
+
+def _gates(check: BagCheck, verdict: str) -> str:
+    """Return the names of the gates of a check that came out so."""
+    return ", ".join(gate.name for gate in check.gates if gate.verdict == verdict)
 
 
 def _quality(info: BagInfo) -> Row:

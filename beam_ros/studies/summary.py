@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _FEW = 20  # rows, below which a share says nothing of a 95 % interval
 _TONES: dict[str, Tone] = {"passed": "good", "doubtful": "doubt", "failed": "bad"}
+_GATES = (("gates failed", "gates_failed"), ("gates doubtful", "gates_doubtful"))
 _COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce", "#4b5563")
 
 
@@ -102,7 +103,8 @@ def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
     page.table(
         ["experiment", "verdict", "modes", "f1 [Hz]", "ζ1 [%]", "frames lost", "hub lost", "notes"],
         [_row_cells(row) for row in rows],
-        f"All columns are in {table.name}. A row is doubtful where the fit did not converge or has warnings.",
+        f"All columns are in {table.name}. A row is doubtful where a gate of the data failed, the fit did not "
+        "converge, or it has warnings.",
     )
     page.section("Provenance")
     page.table(
@@ -191,7 +193,8 @@ def _row_cells(row: Row) -> list[str | Cell]:
         value = row.get(name)
         return "–" if value is None else f"{scale * value:.{digits}g}"
 
-    notes = " | ".join(filter(None, (row.get("notes"), row.get("doubts"), row["error"])))
+    gates = [f"{word}: {row[name]}" for word, name in _GATES if row.get(name)]
+    notes = " | ".join(filter(None, (*gates, row.get("notes"), row.get("doubts"), row["error"])))
     return [
         _short(row["bag"]),
         Cell(row["verdict"], _TONES[row["verdict"]]),

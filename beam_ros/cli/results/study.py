@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
@@ -71,6 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         items = [Item(seed=seed) for seed in range(arguments.seed, arguments.seed + count)]
     identifier, rig = read_settings(arguments)
+    # What says where, not how: a study goes on wherever it was begun.
+    identifier = replace(identifier, bag="", report="", validate="", overwrite=False)
     settings = Settings(identifier, read_rig(arguments) if count else rig)
     folder = arguments.out or run_folder(None, "study")
     open_study(folder, settings, arguments.overwrite)

@@ -171,6 +171,9 @@ def test_seeds_take_the_place_of_bags(tmp_path: Path, capsys: pytest.CaptureFixt
     assert [own["count"] for own in statistics[:2]] == [2, 2]
     assert statistics[0]["largest_error"] < 1e-3
     assert (tmp_path / "out" / "index.html").is_file()
+    # Begun anew, and then gone on with: how it was begun is none of the study's options.
+    assert main([*command, "--overwrite"]) == 0
+    assert main(command) == 0
 
 
 @pytest.mark.parametrize(
