@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beam_ros.arrays import FloatArray, StampArray
-from beam_ros.hub.contract import SequenceChunk
-from beam_ros.hub.gate.sequence_assembly import MAX_CHUNK_POINTS
+from beam_ros.hub.contract import MAX_CHUNK_POINTS, SequenceChunk
 from beam_ros.interfaces import graph
 from beam_ros.messages.errors import MessageContentError
 from beam_ros.messages.message_types import MessageTypes

@@ -14,7 +14,7 @@ from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
 from beam_ros.excitation.handing_over import SILENCE_S, HandingOver
 from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
-from beam_ros.hub.gate.sequence_assembly import MAX_CHUNK_POINTS
+from beam_ros.hub.contract import MAX_CHUNK_POINTS
 from beam_ros.messages import MessageContentError
 from beam_ros.shell.freeze_watch import FreezeWatch
 from beam_ros.shell.node import REQUEST_SENT_NS, RigNode, run_node

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ros.arrays import FloatArray
-from beam_ros.hub.contract import SequenceChunk
+from beam_ros.hub.contract import MAX_CHUNK_POINTS, SequenceChunk
 from beam_ros.hub.parameters import AxisParameters, Hold
 
-MAX_CHUNK_POINTS = 500
 MAX_CHUNKS = 20_000
 MAX_TICKS = 3_600_000
 """Longest sequence in device ticks, an hour at 1 kHz: 29 MB of samples, some seconds of checking."""
