@@ -30,6 +30,9 @@ def provenance(rig: Rig, operator: str = "") -> dict[str, str]:
     -------
     dict of str to str -- what is not known is left out
     """
+    # A recorder obeys none of these parameters: it hands the whole table on.
+    tree = rig.to_nested()
+    calibration = str(tree["tracker"]["calibration"])
     said = {
         "operator": operator or _user(),
         "host": platform.node(),
@@ -38,11 +41,11 @@ def provenance(rig: Rig, operator: str = "") -> dict[str, str]:
         "ros": os.environ.get("ROS_DISTRO", ""),
         **{name: _version(name) for name in ("beam_ros", "numpy", "rclpy", "mcap")},
         "git": _git_state(Path(__file__).resolve().parent),
-        "rig": strict_json(rig.to_nested()),
-        "camera": rig.camera.name,
-        "lens": rig.camera.focus,
-        "calibration_file": rig.tracker.calibration,
-        "calibration": _text_of(rig.tracker.calibration),
+        "rig": strict_json(tree),
+        "camera": str(tree["camera"]["name"]),
+        "lens": str(tree["camera"]["focus"]),
+        "calibration_file": calibration,
+        "calibration": _text_of(calibration),
     }
     return {name: text for name, text in said.items() if text}
 
