@@ -365,7 +365,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             if trial.reason != HOPELESS:
                 trial = self.untangled(trial)
             refusal = self._refusal(trial, current, n_modes is not None)
-            if refusal and trial.reason != HOPELESS and not trial.converged:
+            is_open = trial.reason != HOPELESS and not trial.converged
+            if refusal and is_open and self._bic(trial) < self._bic(current):
                 self.doubt()
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:

@@ -178,37 +178,6 @@ class LateOutput(LateBeam):
         return values, sds
 
 
-class RunningOutput(LateBeam):
-    """One of the two points with a clock of its own, late and too fast: nobody says so."""
-
-    own, rate = 3e-3, 4e-5
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.truth = np.concatenate([self.beam.truth, [self.own, self.rate]])
-
-    def identify(self, seed: int, quiet: float = 1.0, n_modes: int | None = None) -> ModalModel:
-        """Identify one record, the rate of both clocks known to 50 ppm."""
-        record = self.beam.record(seed, 20.0, self.times + self.delay, self.times, quiet=quiet)
-        first, second = record.outputs
-        middle = 0.5 * (self.times[0] + self.times[-1])
-        late = middle + (second.times_s - middle) * (1.0 + self.rate) + self.own
-        return identify(
-            TimeRecord(record.inputs, (first, replace(second, times_s=late))), PLAIN, n_modes
-        ).model
-
-    @staticmethod
-    def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies, damping ratios, delay and rate of the second clock beside the first, and their sds."""
-        values, sds = LateBeam.flat(model)
-        own = np.array([model.output_delays, model.output_rates])
-        own_sds = np.array([model.output_delay_sd, model.output_rate_sd])
-        return (
-            np.append(values[:-1], own[:, 1] - own[:, 0]),
-            np.append(sds[:-1], np.linalg.norm(own_sds, axis=1)),
-        )
-
-
 def _steps(n: int) -> np.ndarray:
     """Return a binary sequence of n samples, every step held for two."""
     return (2.0 * max_len_seq(13)[0][: n // 2] - 1.0).repeat(2)
@@ -300,9 +269,6 @@ STUDIES = {
     "clock-jump": Study("beam at two points whose clock jumps by 1 to 100 ms, 20 dB", 200, JumpingClock),
     "output-delays": Study(
         "beam at two points, one of them 3 ms late by itself, modal, 20 dB", 200, LateOutput
-    ),
-    "output-clocks": Study(
-        "beam at two points, one of them with a clock of its own, modal, 20 dB", 200, RunningOutput
     ),
     "delay-beam-modes": Study("beam 7.3 ms late, two points, modal, 20 dB", 400, LateBeam),
     "delay-beam": Study("beam 7.3 ms late, 20 dB", 400, DelayedBeam),
