@@ -31,6 +31,7 @@ from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ident.report.evidence import mode_rows
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.bags.reading import Bag
+from beam_ros.checks.bag_check import gates_of_bag
 from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import load_experiment
 from beam_ros.reporting.theory import theory_of_rig
@@ -243,7 +244,7 @@ def study_picture() -> Figure:
     """Draw the first natural frequency in the recordings of a hub that is moved, as the page of a study does."""
     settings = Settings(Rig.from_file().identifier)
     bags = [bag for bag in find_bags([str(ROOT / "bags")]) if bag.name != "hammer"]
-    rows = [study_row(Item(bag=bag), settings) for bag in bags]
+    rows = [study_row(Item(bag=bag), settings, gates_of_bag) for bag in bags]
     figure = deviation_figure(rows, mode=1)
     figure.axes[0].set_xticks(range(1, len(bags) + 1), [bag.name for bag in bags], fontsize=8)
     figure.axes[0].set_xlabel("")

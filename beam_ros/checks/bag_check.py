@@ -181,6 +181,11 @@ def _spacing_hz(experiment: Experiment, near_hz: float) -> float | None:
     return float(recipe.line_spacing_hz(near_hz))
 
 
+def gates_of_bag(path: AnyPath, rig: Rig | None, options: FitOptions) -> tuple[Gate, ...]:
+    """Return the gates of ``check_bag`` alone."""
+    return check_bag(path, rig, options).gates
+
+
 def format_check(check: BagCheck) -> str:
     """Format the gates as a table for a terminal, the verdict below."""
     width = max((len(gate.name) for gate in check.gates), default=0)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from beam_ident.report.gates import Gate
 from beam_ros.bags.reading import STORAGE_SUFFIXES, Bag
 from beam_ros.bags.summary import BagInfo, summarise
-from beam_ros.checks.bag_check import BagCheck, check_bag
 from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
@@ -25,6 +25,9 @@ from beam_ros.offline.identification import identify_bag
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
+
+GatesOf = Callable[[Path, Rig | None, FitOptions], Sequence[Gate]]
+"""What is said of a bag before it is identified; a function of a module, so that it goes to workers."""
 
 Row = dict[str, Any]
 """Column by name: numbers, words, truth values, or None where there is nothing to say."""
@@ -131,19 +134,19 @@ def _bags_in(path: Path) -> Iterator[Path]:
                 yield from _bags_in(inside)
 
 
-def study_row(item: Item, settings: Settings) -> Row:
+def study_row(item: Item, settings: Settings, gates_of: GatesOf) -> Row:
     """Make the row of a bag or a seed; whatever is wrong with it is in the row."""
     row: Row = {"bag": item.name, "verdict": "failed", "error": None, "mark": item.mark}
     row["beam_ros"] = version("beam_ros")
     try:
         if item.bag is not None:
-            row.update(_row_of_bag(item.bag, settings))
+            row.update(_row_of_bag(item.bag, settings, gates_of))
         else:
             assert item.seed is not None
             with tempfile.TemporaryDirectory(prefix="beam-study-") as scratch:
                 rig = (settings.rig or Rig.from_file()).with_values({"simulation.seed": item.seed})
                 simulate(rig, Path(scratch) / "bag")
-                row.update(_row_of_bag(Path(scratch) / "bag", settings))
+                row.update(_row_of_bag(Path(scratch) / "bag", settings, gates_of))
     except faults_of_the_user() as err:
         row["error"] = str(err)
     except Exception as err:  # noqa: BLE001 - one bag must not end the study of a thousand
@@ -156,14 +159,14 @@ def failed_row(item: Item, reason: str) -> Row:
     return {"bag": item.name, "verdict": "failed", "error": reason, "mark": item.mark}
 
 
-def _row_of_bag(path: Path, settings: Settings) -> Row:
+def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
     with Bag(path) as bag:
         info = summarise(bag)
     options = FitOptions.of(settings.identifier)
-    check = check_bag(path, settings.rig, replace(options, estimator="modal"))
+    gates = gates_of(path, settings.rig, replace(options, estimator="modal"))
     found = identify_bag(path, rig=settings.rig, options=options)
     doubts = [mode["doubt"] for mode in found["modes"] if mode.get("doubt")]
-    is_good = check.can_be_identified and found["converged"] and not doubts and not found["warnings"]
+    is_good = not _names(gates, "failed") and found["converged"] and not doubts and not found["warnings"]
     return {
         "verdict": "passed" if is_good else "doubtful",
         **_provenance(path, info),
@@ -175,7 +178,7 @@ def _row_of_bag(path: Path, settings: Settings) -> Row:
         **{name: found.get(name) for name in ("latency_s", "latency_sd_s", "clock_rate", "clock_rate_sd")},
         **{f"fit_percent_{name}": own["fit_percent"] for name, own in found["scores"].items()},
         **_quality(info),
-        **{f"gates_{verdict}": _gates(check, verdict) for verdict in ("failed", "doubtful")},
+        **{f"gates_{verdict}": _names(gates, verdict) for verdict in ("failed", "doubtful")},
         "notes": " | ".join(found["notes"]),
         "doubts": " | ".join((*doubts, *found["warnings"])),
     }
@@ -225,9 +228,9 @@ def _files(path: Path) -> list[Path]:
     return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
 
 
-def _gates(check: BagCheck, verdict: str) -> str:
-    """Return the names of the gates of a check that came out so."""
-    return ", ".join(gate.name for gate in check.gates if gate.verdict == verdict)
+def _names(gates: Sequence[Gate], verdict: str) -> str:
+    """Return the names of the gates that came out so."""
+    return ", ".join(gate.name for gate in gates if gate.verdict == verdict)
 
 
 def _quality(info: BagInfo) -> Row:

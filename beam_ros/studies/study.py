@@ -21,7 +21,7 @@ from beam_ident.report.page import write_whole
 from beam_ros.errors import UsageError
 from beam_ros.process.folders import make_folder
 from beam_ros.process.strict_json import strict_json
-from beam_ros.studies.rows import Item, Row, Settings, failed_row, study_row
+from beam_ros.studies.rows import GatesOf, Item, Row, Settings, failed_row, study_row
 from beam_ros.studies.workers import MOST_DEATHS, on_cluster, on_cores
 
 SCHEMA = 1
@@ -58,6 +58,7 @@ def run_study(
     items: Sequence[Item],
     settings: Settings,
     folder: Path,
+    gates_of: GatesOf,
     *,
     n_workers: int = 1,
     scheduler: str | None = None,
@@ -70,6 +71,7 @@ def run_study(
     items : sequence of Item -- the bags, or the seeds
     settings : Settings
     folder : Path -- a study that ``open_study`` opened
+    gates_of : callable -- what is said of a bag before it is identified
     n_workers : int -- processes on this machine
     scheduler : str, optional -- address of a Dask scheduler, whose workers see the bags under the same paths
     progress : callable
@@ -90,7 +92,7 @@ def run_study(
             rows[item] = row
     missing = [item for item in items if item not in rows]
     progress(len(rows), "")
-    work = partial(study_row, settings=settings)
+    work = partial(study_row, settings=settings, gates_of=gates_of)
     results: Iterable[tuple[Item, Row | None]] = ()
     if missing:
         results = on_cluster(work, missing, scheduler) if scheduler else on_cores(work, missing, n_workers)

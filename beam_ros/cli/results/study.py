@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
+    from beam_ros.checks.bag_check import gates_of_bag
     from beam_ros.studies.rows import Item, Settings, find_bags
     from beam_ros.studies.statistics import mode_statistics
     from beam_ros.studies.study import open_study, run_study
@@ -83,6 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
                 items,
                 settings,
                 folder,
+                gates_of_bag,
                 n_workers=arguments.jobs,
                 scheduler=arguments.scheduler,
                 progress=lambda done, name: stage.update(done, Path(name).name),

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from beam_ros.checks.bag_check import gates_of_bag
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.rig.rig import Rig
@@ -40,7 +41,10 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     bad = tmp_path_factory.mktemp("bad") / "cut"
     bad.mkdir()
     (bad / "cut_0.mcap").write_bytes((BAGS / "step" / "step_0.mcap").read_bytes()[:5000])
-    return [study_row(Item(bag=bag), settings_of()) for bag in (BAGS / "step", BAGS / "drifting", bad)]
+    return [
+        study_row(Item(bag=bag), settings_of(), gates_of_bag)
+        for bag in (BAGS / "step", BAGS / "drifting", bad)
+    ]
 
 
 def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
@@ -130,13 +134,16 @@ def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tm
     items = [Item(bag=tmp_path / "step"), Item(bag=BAGS / "decay")]
     folder, settings = tmp_path / "study", settings_of(modes=1)
     open_study(folder, settings)
-    first = run_study(items[:1], settings, folder)
+    first = run_study(items[:1], settings, folder, gates_of_bag)
     stored = next((folder / "rows").iterdir())
     stored.write_text(json.dumps({**json.loads(stored.read_text()), "verdict": "kept"}))
     open_study(folder, settings)
-    assert [row["verdict"] for row in run_study(items, settings, folder)] == ["kept", first[0]["verdict"]]
+    assert [row["verdict"] for row in run_study(items, settings, folder, gates_of_bag)] == [
+        "kept",
+        first[0]["verdict"],
+    ]
     os.utime(tmp_path / "step" / "step_0.mcap", ns=(0, 1))
-    assert run_study(items, settings, folder)[0]["verdict"] == first[0]["verdict"]
+    assert run_study(items, settings, folder, gates_of_bag)[0]["verdict"] == first[0]["verdict"]
     with pytest.raises(UsageError, match="other options or another rig"):
         open_study(folder, settings_of(modes=2))
     open_study(folder, settings_of(modes=2), overwrite=True)
