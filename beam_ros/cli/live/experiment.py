@@ -22,6 +22,7 @@ from beam_ros.process.strict_json import strict_json
 if TYPE_CHECKING:
     from beam_ros.experiments.plan import Plan
     from beam_ros.experiments.steps import Means, Report
+    from beam_ros.offline.identification import Identification
     from beam_ros.rig.rig import Rig
 
 
@@ -129,18 +130,24 @@ def _holds_state(folder: Path | None) -> bool:
     return folder is not None and (folder / STATE_FILE).exists()
 
 
-def _means(plan: Plan, folder: Path) -> Means:
-    from beam_ros.experiments.steps import Means, record_by_core
+def _report(found: Identification, folder: Path, *, made: str) -> None:
+    """Write the report of an identification, with what its bags are worth."""
+    from beam_ros.checks.bag_check import gates_of_bag
     from beam_ros.reporting.identification import report_identification
 
+    gates = [gate for own in found.experiments for gate in gates_of_bag(own.path, own.rig, found.options)]
+    report_identification(found, folder, gates=gates, made=made)
+
+
+def _means(plan: Plan, folder: Path) -> Means:
+    from beam_ros.experiments.steps import Means, record_by_core
+
     if not plan.is_live:
-        return Means(record_by_core, _calibrate, report_identification)
+        return Means(record_by_core, _calibrate, _report)
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.recording import record_live
 
-    return Means(
-        partial(_record_live, record_live, plan.kind, folder / "logs"), _calibrate, report_identification
-    )
+    return Means(partial(_record_live, record_live, plan.kind, folder / "logs"), _calibrate, _report)
 
 
 def _record_live(
