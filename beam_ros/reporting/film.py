@@ -13,7 +13,6 @@ from beam_ros.arrays import ImageArray
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError
 from beam_ros.offline.identification import Identification
-from beam_ros.vision.camera.image_messages import read_image
 
 IMAGES = "camera/image_raw"
 _MAX_FRAMES = 1500
@@ -49,6 +48,8 @@ def write_film(
     outputs = fitted_outputs(outcome.result, experiment.record)
     try:
         import cv2
+
+        from beam_ros.vision.camera.image_messages import read_image
     except ImportError:
         return ""
     if experiment.rig is None:
