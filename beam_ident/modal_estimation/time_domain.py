@@ -88,7 +88,7 @@ _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is repor
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
-_LEAST_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
+_MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
 _IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
 _CLOCK_TURNS = 3  # for every output: of clocks that outputs have of their own, and the modes that show them
 _CLOCK_ROUNDS = 3
@@ -836,7 +836,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         found = []
         commons = (self.latency, self.clock_rate)
         place = 2 * len(fit.omegas)
-        for kind, (known, common, least) in enumerate(zip(self.known, commons, _LEAST_SD, strict=True)):
+        for kind, (known, common, least) in enumerate(zip(self.known, commons, _MIN_SD, strict=True)):
             shared = (place,) if common.is_free else ()
             place += len(shared)
             for name, prior in known.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,7 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.gaps import describe_gaps
 from beam_ident.data.records import OutputSignal, TimeRecord
-from beam_ident.errors import EstimationError
+from beam_ident.errors import EstimationError, IdentificationError
 from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
@@ -149,7 +150,7 @@ def add_stabilisation(
             output_units=tuple(unit for one in responses for unit in one.output_units),
             warnings=(),
         )
-    high = min(measured.frequencies_hz[-1], 1.3 * _highest_hz(modes))
+    high = min(measured.frequencies_hz[-1], 1.3 * _highest_hz(modes) if modes else math.inf)
     low = min([0.5 * mode.omega / (2.0 * np.pi) for mode in modes] or [measured.frequencies_hz[0]])
     try:
         measured = measured.between(low, high)
@@ -157,7 +158,7 @@ def add_stabilisation(
             page.paragraph(f"There is no stabilisation chart: {measured.n_lines} lines are too many for one.")
             return
         chart = stabilisation_chart(measured, form, max_order=max(12, 4 * len(modes)))
-    except EstimationError as err:
+    except IdentificationError as err:
         page.paragraph(f"There is no stabilisation chart: {err}.")
         return
     page.figure(

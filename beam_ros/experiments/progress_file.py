@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from beam_ros.errors import UsageError
+from beam_ros.process.strict_json import strict_json
 
 STATE_FILE = "state.json"
 
@@ -105,7 +106,7 @@ class ProgressFile:
         path = self.folder / STATE_FILE
         partial = path.with_name(path.name + ".partial")
         with partial.open("w", encoding="utf-8") as stream:
-            json.dump(content, stream, indent=1)
+            stream.write(strict_json(content, indent=1))
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(partial, path)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
 from beam_ros.interfaces.graph import RIG_FRAME
+from beam_ros.process.strict_json import strict_json
 from beam_ros.viewers.curves import COLOURS, Plot, live_plots
 
 
@@ -46,7 +46,7 @@ def foxglove_layout(markers: Sequence[str], namespace: str = "") -> str:
             _split("column", *(name for name in panels if name not in plots)),
         ),
     }
-    return json.dumps(layout, indent=1) + "\n"
+    return strict_json(layout, indent=1) + "\n"
 
 
 def _plot(plot: Plot, prefix: str) -> dict[str, Any]:

@@ -81,8 +81,8 @@ def test_pieces_weigh_by_their_noise_like_the_whole(kind, monkeypatch):
     monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
     found, sds = flat(identify(record, n_modes=3).model)
     expected, expected_sds = flat(whole.model)
-    # Two ways to the same sums.
-    assert np.max(np.abs(found - expected) / expected_sds) < 1e-3
+    # Two ways to the same sums, each ended by a step of less than a thousandth of a deviation.
+    assert np.max(np.abs(found - expected) / expected_sds) < 2e-3
     # With noise found on the input, what it feigns is drawn on a stretch.
     np.testing.assert_allclose(sds, expected_sds, rtol=0.1 if kind == "late" else 1e-4)
 
@@ -137,7 +137,7 @@ def test_a_model_is_not_lost_when_a_later_look_for_delays_is_stopped():
         if said == "looking for mode 1" and "weighing by the noise as it is" in looks:
             raise TimeoutError
 
-    found = identify(late(1, {"z225": -20e-3}), n_modes=3, progress=progress)
+    found = identify(late(1, {"z225": -50e-6}), n_modes=3, progress=progress)
     assert found.model.n_modes == 3
     assert not found.converged
-    assert "the time was up; missing is a further look for delays" in found.reason
+    assert "the time was up; missing is a further look for clocks" in found.reason

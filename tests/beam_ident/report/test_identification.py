@@ -107,7 +107,7 @@ def test_the_report_shows_modes_data_and_provenance_escaped(page):
 
 def test_a_report_names_every_unit_of_its_equation(modal):
     text = identification_page("t", *modal).text()
-    table = re.search(r"<caption[^>]*>Every symbol.*?</table>", text, re.DOTALL)[0]
+    table = re.search(r"<caption[^>]*><span>Every symbol.*?</table>", text, re.DOTALL)[0]
     units = re.findall(r"<tr><th[^>]*>([^<]*)</th><td[^>]*>[^<]*</td><td[^>]*>([^<]*)</td>", table)
     found = dict(units)
     assert found["ω1"] == "rad/s"

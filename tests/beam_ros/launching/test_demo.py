@@ -36,7 +36,8 @@ def test_the_demo_identifies_the_simulated_beam(executables, tmp_path: Path, rig
     assert first["frequency_hz"] == pytest.approx(first["theory_frequency_hz"], rel=3e-3)
     assert second["frequency_hz"] == pytest.approx(second["theory_frequency_hz"], rel=3e-3)
     run = tmp_path / "run"
-    assert {"bag", "logs", "model.json", "report.html", "rig.yaml"} == {path.name for path in run.iterdir()}
+    written = {"bag", "figures", "logs", "model.json", "poles.csv", "report.html", "rig.yaml"}
+    assert written == {path.name for path in run.iterdir()}
     _read_back(run / "bag")
 
 
