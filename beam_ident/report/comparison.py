@@ -161,10 +161,7 @@ def comparison_page(
     _add_responses(page, trials)
     page.section("Side by side")
     add_trials(page, trials)
-    if provenance:
-        page.section("Provenance")
-        for group, entries in provenance.items():
-            page.table([group, "value"], [[key, str(value)] for key, value in entries.items()], f"{group}.")
+    page.provenance(provenance or {})
     return page
 
 

@@ -135,10 +135,7 @@ def identification_page(
     if len(trials) > 1:
         page.section("Linearity and repeatability")
         add_trials(page, trials)
-    if provenance:
-        page.section("Provenance")
-        for group, entries in provenance.items():
-            page.table([group, "value"], [[key, str(value)] for key, value in entries.items()], f"{group}.")
+    page.provenance(provenance or {})
     return page
 
 

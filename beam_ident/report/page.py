@@ -14,9 +14,9 @@ import io
 import os
 import re
 import tempfile
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from beam_ident.errors import ReportError
 
@@ -281,6 +281,13 @@ class Page:
             )
         write_whole(target, self.text())
         return target
+
+    def provenance(self, groups: Mapping[str, Mapping[str, Any]]) -> None:
+        """Begin the section that says where the numbers come from, a table for each group; nothing without groups."""
+        if groups:
+            self.section("Provenance")
+        for group, entries in groups.items():
+            self.table([group, "value"], [[key, str(value)] for key, value in entries.items()], f"{group}.")
 
     def _add(self, block: str) -> None:
         (self._sections[-1][1] if self._sections else self._head).append(block)

@@ -16,7 +16,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
-from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_length, stretches
+from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_omegas, stretches
 
 _MAX_DEGREE = 10  # of local polynomials: beyond it their powers are alike
 
@@ -109,12 +109,11 @@ def _compared(
     pair: SignalPair, response: ComplexArray, of_input: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, FloatArray, float, bool]:
     """Return spectra of stretches of what the response makes of the whole input, and of the output."""
-    n, length = len(pair.output), stretch_length(len(pair.output))
+    n = len(pair.output)
     spectrum = np.zeros(len(of_input), dtype=np.complex128)
     spectrum[1 : len(response) + 1] = response * of_input[1 : len(response) + 1]
     modelled = stretches(np.fft.irfft(spectrum, n) * np.sqrt(n))
-    omegas = 2.0 * np.pi * np.arange(2, 2 + modelled.shape[1]) / (length * pair.period)
-    return modelled, stretches(pair.output), np.asarray(omegas, dtype=np.float64), SHARED_BY_HANN, True
+    return modelled, stretches(pair.output), stretch_omegas(n, pair.period), SHARED_BY_HANN, True
 
 
 def _reach(degree: int, width: int) -> float:

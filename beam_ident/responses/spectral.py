@@ -18,7 +18,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
-from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_length, stretches
+from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_omegas, stretches
 
 SpectralMethod = Literal["h1", "h2", "hv", "reference"]
 
@@ -113,9 +113,7 @@ def _welch(pair: SignalPair, method: SpectralMethod, segment_s: float | None) ->
 
 def _compared(pair: SignalPair) -> tuple[ComplexArray, ComplexArray, FloatArray, float, bool]:
     """Return spectra of stretches: what their common response makes of the input, and the output."""
-    length = stretch_length(len(pair.output))
     drives, answers = stretches(pair.drive), stretches(pair.output)
     power = np.maximum(np.sum(np.abs(drives) ** 2, axis=0), 1e-300)
     modelled = np.sum(answers * np.conj(drives), axis=0) / power * drives
-    omegas = 2.0 * np.pi * np.arange(2, 2 + drives.shape[1]) / (length * pair.period)
-    return modelled, answers, np.asarray(omegas, dtype=np.float64), SHARED_BY_HANN, True
+    return modelled, answers, stretch_omegas(len(pair.output), pair.period), SHARED_BY_HANN, True

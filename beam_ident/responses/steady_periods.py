@@ -155,15 +155,16 @@ def stretches(values: FloatArray) -> ComplexArray:
     -------
     complex ndarray, shape (n_stretches, n_lines) -- from the second line on: into the first the mean leaks
     """
-    length = stretch_length(len(values))
+    length = len(values) // _STRETCHES
     rows = values[: length * _STRETCHES].reshape(_STRETCHES, length)[1:-1]
     rows = (rows - np.mean(rows, axis=1)[:, None]) * np.hanning(length + 1)[:length]
     return np.asarray(np.fft.rfft(rows, axis=1)[:, 2 : (length + 1) // 2])
 
 
-def stretch_length(n: int) -> int:
-    """Return how many of ``n`` samples a stretch holds."""
-    return n // _STRETCHES
+def stretch_omegas(n: int, period: float) -> FloatArray:
+    """Return where the lines of ``stretches`` of ``n`` samples lie [rad/s]; ``period`` of the samples [s]."""
+    length = n // _STRETCHES
+    return np.asarray(2.0 * np.pi * np.arange(2, (length + 1) // 2) / (length * period), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

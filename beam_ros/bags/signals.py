@@ -7,6 +7,7 @@ carry time: receive times order nothing. A message that cannot be read is left o
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -196,7 +197,7 @@ class Intake(Generic[_T]):
         self._items.append((receive_ns, item))
 
 
-class _TableIntake(Intake[_T]):
+class _TableIntake(Intake[_T], ABC):
     """Takes messages of one shape as a table.
 
     Parameters
@@ -233,9 +234,9 @@ class _TableIntake(Intake[_T]):
                 self._samples[data] = None
         return self._samples[data]
 
+    @abstractmethod
     def _take_table(self, alike: Alike, sample: _T) -> Any:
         """Take messages of the sample's shape; return which of them were taken, shape (n,)."""
-        raise NotImplementedError
 
 
 # --- the hub's samples -----------------------------------------------------------------------------------

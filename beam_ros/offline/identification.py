@@ -8,7 +8,6 @@ prior knowledge of the clock rate, and so the stated standard deviations.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from beam_ident import (
 )
 from beam_ident.data.gaps import Bridge
 from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
+from beam_ident.report.page import write_whole
 from beam_ident.sensing.still_noise import StillNoise
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
@@ -789,9 +789,7 @@ def write_models(found: Identification, path: Path) -> Path:
     stored = [model.to_dict() for model in models_of(found.result)]
     models = {"model": stored[0]} if len(stored) == 1 else {"models": stored}
     document = {"schema": SCHEMA, **models, "summary": found.content}
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(strict_json(document, indent=1), encoding="utf-8")
-    os.replace(partial, path)
+    write_whole(path, strict_json(document, indent=1))
     return path
 
 
