@@ -24,13 +24,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 IN_REAL_TIME = (
     *(f"tests/beam_ros/{room}/" for room in ("bags", "hub", "launching", "nodes", "shell")),
+    "tests/beam_ros/experiments/test_conduct.py",
     "tests/firmware/test_host_build.py",
     "tests/packaging/test_colcon.py",
     "tests/packaging/test_environment.py",
     "tests/packaging/test_plug_in.py",
+    "tests/test_full_demo.py",
 )
 
 IN_VIRTUAL_TIME = ("tests/beam_ros/hub/conformance/",)
+
+
+_BACKGROUND = 10
+"""Niceness of a worker once it runs what has no clock."""
+
+
+def is_in_real_time(file: str) -> bool:
+    """Tell whether a file's tests wait for a clock."""
+    return file.startswith(IN_REAL_TIME) and not file.startswith(IN_VIRTUAL_TIME)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -44,10 +55,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.partition("::")[0]
-            is_timed = file.startswith(IN_REAL_TIME) and not file.startswith(IN_VIRTUAL_TIME)
-            return "in real time" if is_timed else file
+            return "in real time" if is_in_real_time(file) else file
 
     return ByFile(config, log)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Beside a worker that runs in real time, let what has no clock wait for the processor."""
+    is_beside = "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "nice")
+    if is_beside and not is_in_real_time(item.nodeid) and os.nice(0) < _BACKGROUND:
+        os.nice(_BACKGROUND)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

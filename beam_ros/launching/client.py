@@ -91,6 +91,15 @@ class RigClient:
                 self.hub_counters = dict(status.values)
                 self.hub_trouble = status.message if status.level == "ERROR" else ""
 
+    def is_hub_heard(self) -> bool:
+        """Tell whether the hub has said where it is."""
+        return not math.isnan(self.hub_position)
+
+    def is_recording(self) -> bool:
+        """Tell whether the recorder has samples of the hub."""
+        name = self._node.resolve_topic_name("hub/measured").lstrip("/")
+        return self.recorded.get(name, 0) > 0
+
     @staticmethod
     def reach() -> str:
         """Say in which domain and how far this process looks for nodes."""

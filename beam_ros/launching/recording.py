@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping
@@ -85,7 +84,7 @@ def wait_for_rig(client: RigClient, logs: Path, timeout_s: float, on_tick: Calla
         They are not in time, or a node has fallen.
     """
     client.wait(
-        lambda: bool(client.displacement) and not math.isnan(client.hub_position),
+        lambda: bool(client.displacement) and client.is_hub_heard(),
         timeout_s,
         "neither hub/state nor beam/displacement arrived",
         f"look at the nodes' logs in {logs}",

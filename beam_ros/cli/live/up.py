@@ -7,7 +7,6 @@ viewers, `ros2` and other nodes can attach.
 from __future__ import annotations
 
 import argparse
-import math
 import tempfile
 import time
 from pathlib import Path
@@ -67,15 +66,16 @@ def run(arguments: argparse.Namespace) -> int:
                 nodes.start(executable, node_arguments(executable, rig, rig_file, arguments.namespace))
             # A real axis may be plugged in later: the rig stays up, and says what it waits for.
             patience_ends = time.monotonic() + rig.serial.patience + _CONNECT_S
+            is_heard = client.is_recording if arguments.record else client.is_hub_heard
             client.wait(
                 lambda: (
-                    not math.isnan(client.hub_position)
+                    is_heard()
                     or (
                         kind is RigKind.REAL and bool(client.hub_trouble) and time.monotonic() > patience_ends
                     )
                 ),
                 _START_TIMEOUT_S + rig.serial.patience,
-                "the hub published no state",
+                f"the hub published no {'samples that were recorded' if arguments.record else 'state'}",
                 f"look at the nodes' logs in {logs}",
             )
             print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")

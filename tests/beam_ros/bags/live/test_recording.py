@@ -121,10 +121,15 @@ def test_a_recording_ends_as_a_whole_bag_before_the_disk_is_full(tmp_path):
     _announce(recording)
     for k in range(100):
         _put(recording, k)
+    while recording.message_count < 100:  # the writer has its own time
+        time.sleep(0.01)
     recording._min_free = 10**18  # as if others had filled the disk meanwhile
-    for k in range(100, 200):
+    k = 100
+    while not recording.failure:
         _put(recording, k)
         time.sleep(0.01)
+        k += 1
+    _put(recording, k)
     assert "before the disk is full" in recording.failure
     with pytest.raises(BagError, match="make space"):
         recording.stop()
