@@ -168,7 +168,7 @@ class MeasuringChain:
         """Judge a frame by its stamp; False for one that was seen before or comes from the past.
 
         A clock that was set back is believed after some frames, so that the chain does not wait for the old time
-        to come again. After a long gap the markers may be anywhere and are acquired anew.
+        to come again. After a long gap the markers may be elsewhere, and are still what they were.
         """
         step = self.continuity.observe(stamp_ns)
         if step.step == "backwards":
@@ -178,7 +178,7 @@ class MeasuringChain:
                 self.continuity.restart()
                 step = self.continuity.observe(stamp_ns)
         if step.missing >= _LOST_SIGHT_FRAMES:
-            self.tracker.reset()
+            self.tracker.pass_over(step.missing)
         if step.is_usable:
             self._past_frames = 0
         return step.is_usable

@@ -10,6 +10,9 @@ from beam_ros.vision.tracking.jumps import NEVER
 from beam_ros.vision.tracking.rivals import Track
 from beam_ros.vision.tracking.spots import Gates
 
+LONELY_FRAMES = 25
+"""Frames in which a spot must be the only one of its kind in its row, or what else is there must rest."""
+
 
 @dataclass
 class MarkerState:
@@ -17,30 +20,30 @@ class MarkerState:
 
     Attributes
     ----------
-    known_row : float or None -- row in which the marker is looked for when it is not followed [px]
+    known_row : float or None -- row in which the marker is looked for before it is acquired [px]
     light, appearance, gates : Light, Appearance, Gates or None -- what it looks like; None before it is acquired
-    is_followed : bool -- it has a place: acquired, and not given up since
     u, v : float -- where it was last seen [px]
     velocity : float -- its last step [px per frame]
     hold_error, linear_error : float -- how well it is predicted by staying, and by its velocity [px]
     lost_frames : int -- frames in a row in which it was not valid
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
-    lonely_since : int -- number of the frame since which it has been alone in its row, while given up
+    rivals : list of Track -- other spots of its kind in its row
     is_mixed : bool -- it met a rival, and which of the two is which is not known
-    rivals : list of Track
-    is_accompanied : bool -- another spot of its kind was last in its whole row
     lost_at : int -- number of the frame in which it last was not where it should have been
     lost_u : float -- where it had been seen before that [px]
-    moved : float -- how far from there it was found again [px]
+    company_u : tuple of float -- where all markers had been seen then [px]
     is_doubtful : bool -- since that frame a spot in its row may be another one
-    sighting : (int, float) or None -- frame and column in which a spot was last seen alone in its whole row [px]
+    alone_frames : int -- frames in a row in which, while it was lost, one spot of its kind was in its row
+    acquired_at : int -- number of the frame in which it was acquired
+    sighting : (int, float, float) or None -- before that: frame, column and excess of the spot in its row [px, px^2]
+    clutter : tuple of float -- columns of what else was in its row then [px]
+    lonely_since : int -- number of the frame since which nothing in its row has changed
     """
 
     known_row: float | None
     light: Light | None = None
     appearance: Appearance | None = None
     gates: Gates | None = None
-    is_followed: bool = False
     u: float = math.nan
     v: float = math.nan
     velocity: float = 0.0
@@ -49,28 +52,29 @@ class MarkerState:
     lost_frames: int = 0
     centre: float = math.nan
     swing: float = 0.0
-    lonely_since: int = 0
-    is_mixed: bool = False
     rivals: list[Track] = field(default_factory=list)
-    is_accompanied: bool = False
+    is_mixed: bool = False
     lost_at: int = NEVER
     lost_u: float = math.nan
-    moved: float = 0.0
+    company_u: tuple[float, ...] = ()
     is_doubtful: bool = False
-    sighting: tuple[int, float] | None = None
+    alone_frames: int = 0
+    acquired_at: int = NEVER
+    sighting: tuple[int, float, float] | None = None
+    clutter: tuple[float, ...] = ()
+    lonely_since: int = NEVER
 
-    def note_loss(self, frame: int) -> None:
-        """Note where and in which company the marker was last seen, once in a frame."""
-        if self.lost_at != frame:
-            self.lost_at, self.lost_u = frame, self.u
-            self.is_doubtful = self.is_accompanied or bool(self.rivals)
+    @property
+    def is_followed(self) -> bool:
+        """True once the marker is acquired."""
+        return self.appearance is not None
 
-    def remember(self, u: float, v: float) -> None:
-        """Carry a valid measurement into the state."""
-        if self.lost_frames > 0:
+    def remember(self, u: float, v: float, *, is_fresh: bool) -> None:
+        """Carry a valid measurement into the state; a fresh one is the first after a loss."""
+        if is_fresh:
             self.velocity = 0.0
             self.hold_error = self.linear_error = 1.0
-            self.lost_frames = 0
+            self.lost_frames = self.alone_frames = 0
             self.is_mixed = False
         else:
             step = u - self.u
@@ -86,8 +90,11 @@ class MarkerState:
         self.u, self.v, self.centre = u, v, u
         self.velocity = self.swing = 0.0
         self.hold_error = self.linear_error = 1.0
-        self.lost_frames = 0
-        self.is_followed = True
-        self.is_mixed = self.is_accompanied = False
+        self.lost_frames = self.alone_frames = 0
+        self.is_mixed = False
         self.rivals = []
-        self.sighting = None
+
+    def forget(self, frame: int) -> None:
+        """Take back that the marker was acquired."""
+        self.appearance = self.light = self.gates = self.sighting = None
+        self.lonely_since = frame

@@ -1,64 +1,128 @@
-"""Looking for a marker in a part of the image: which spots look like it, and why the others do not."""
+"""Looking for a marker in its row: which spots look like it, why others do not, and what one disc explains."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 from beam_ros.arrays import ImageArray
+from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
 
 _THRESHOLD = 0.5
-"""Fraction of a marker's own contrast at which it is looked for."""
+"""Fraction of a contrast at which a marker is looked for."""
+_OTHER_LIGHT = 0.25
+"""Where the row's strongest contrast differs by more than this from the marker's, both are tried."""
+_SIGNIFICANT = 2.0
+"""Standard deviations of the image noise that are left to a spot at rest: a frame too many costs a frame."""
 
 
-def alike_spots(
+@dataclass(frozen=True)
+class RowSpots:
+    """What lies in a marker's row.
+
+    Attributes
+    ----------
+    alike : list of (Spot, Light) -- spots with the marker's appearance, each in its own light
+    others : list of (float, Reason) -- column of every other spot [px], and why it is not the marker's image
+    """
+
+    alike: list[tuple[Spot, Light]]
+    others: list[tuple[float, Reason]]
+
+    def nearest(self, u: float, otherwise: Reason) -> Reason:
+        """Why the other spot nearest to a column is not the marker's image."""
+        return min(self.others, key=lambda other: abs(other[0] - u), default=(u, otherwise))[1]
+
+
+def spots_in_row(
     meter: SpotMeter,
     image: ImageArray,
-    window: tuple[int, int, int, int],
+    row: float,
+    reach: float,
     light: Light,
     appearance: Appearance,
     own: float,
-    rows: tuple[float, float] | None = None,
-) -> tuple[list[tuple[Spot, Light]], list[tuple[float, Reason]]]:
-    """Find spots with a marker's appearance in a window of the image, each in its own light.
+) -> RowSpots:
+    """Find spots with a marker's appearance in a band of the image from edge to edge.
 
     Parameters
     ----------
     meter : SpotMeter
     image : ndarray, shape (height, width)
-    window : (int, int, int, int) -- left, top, right, bottom, the last two exclusive [px]
+    row, reach : float -- middle of the band, and how far from it spots may lie [px]
     light, appearance : Light, Appearance -- of the marker
     own : float -- column of the spot that is the marker itself and is left out [px]; NaN for none
-    rows : (float, float) or None -- rows between which the spots lie [px]; None: about the marker's own
-
-    Returns
-    -------
-    alike : list of (Spot, Light)
-    others : list of (float, Reason) -- column of every other spot [px], and why it is not the marker's image
     """
-    left, top, right, bottom = window
-    alike: list[tuple[Spot, Light]] = []
-    others: list[tuple[float, Reason]] = []
-    if right <= left or bottom <= top:
-        return alike, others
-    for x, y, is_crowded in meter.centres(
-        image[top:bottom, left:right], light.background, _THRESHOLD * light.contrast
-    ):
-        u = left + x
-        if abs(u - own) < meter.radius:
-            continue
-        candidate = meter.candidate(
-            image, u, top + y, light.background, known_noise=1.2 * light.noise, is_narrow=is_crowded
-        )
-        if candidate is None:
-            others.append((u, "shape"))
-            continue
-        spot, own_light = candidate
-        gates = meter.gates(own_light, appearance)
-        why = meter.judge(spot, gates if rows is None else gates._replace(row=rows))
-        if abs(own_light.contrast / light.contrast - 1) > meter.parameters.brightness_tolerance:
-            why = "brightness"
-        if why != "ok":
-            others.append((u, why))
-        elif all(abs(spot.u - other.u) > 1.0 or abs(spot.v - other.v) > 1.0 for other, _ in alike):
-            alike.append(candidate)
-    return alike, others
+    top = max(0, math.floor(row - reach) - meter.half)
+    bottom = min(image.shape[0], math.ceil(row + reach) + meter.half + 1)
+    found = RowSpots([], [])
+    if bottom <= top:
+        return found
+    band = image[top:bottom]
+    grounds = [(light.background, light.contrast)]
+    if math.isnan(own):
+        background, extreme = meter.levels(band)
+        contrast = abs(extreme - background)
+        if (
+            abs(contrast / light.contrast - 1) > _OTHER_LIGHT
+            and contrast >= meter.parameters.min_contrast_grey
+        ):
+            grounds.append((background, contrast))
+    for background, contrast in grounds:
+        for x, y, is_crowded in meter.centres(band, background, _THRESHOLD * contrast):
+            v = top + y
+            if abs(x - own) < meter.radius or abs(v - row) > reach + meter.radius:
+                continue
+            noise = 1.2 * light.noise * max(1.0, contrast / light.contrast)
+            candidate = meter.candidate(image, x, v, background, known_noise=noise, is_narrow=is_crowded)
+            if candidate is None:
+                found.others.append((x, "shape"))
+                continue
+            spot, own_light = candidate
+            gates = meter.gates(own_light, appearance)
+            why = meter.judge(spot, gates._replace(row=(row - reach, row + reach)))
+            if why == "jump":
+                continue
+            if why != "ok":
+                found.others.append((x, why))
+            elif all(math.dist(spot[:2], other[:2]) > 1.0 for other, _ in found.alike):
+                found.alike.append(candidate)
+    return found
+
+
+@dataclass(frozen=True)
+class OneDisc:
+    """Whether one disc explains a spot that was never seen before.
+
+    Attributes
+    ----------
+    reason : Reason -- "ok", or why no disc does, at rest or smeared along u
+    excess : float -- second moment along u beyond that along v, which a smear must explain [px^2]
+    tolerance : float -- of this excess, for a disc at rest [px^2]
+    """
+
+    reason: Reason
+    excess: float
+    tolerance: float
+
+
+def one_disc(spot: Spot, light: Light, parameters: TrackerParameters) -> OneDisc:
+    """Compare a spot with the image of one disc.
+
+    Notes
+    -----
+    A blurred disc of area S has second moments S / (4 pi) + b^2 along both axes, b the blur. A smear of length s adds
+    s^2 / 12 along u and leaves the area and the moment along v as they are. A second disc that touches adds area,
+    which the moment along v does not follow.
+    """
+    scatter = light.noise / (max(light.contrast - light.above, 1.0) * math.sqrt(spot.area))
+    tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * spot.variance_v
+    excess = spot.variance_u - spot.variance_v
+    is_round = (
+        excess >= -tolerance
+        and abs(spot.covariance) <= tolerance
+        and spot.variance_v - spot.area / (4 * math.pi) >= -tolerance
+    )
+    return OneDisc("ok" if is_round else "shape", excess, tolerance)

@@ -33,6 +33,7 @@ Reason = Literal[
     "area",
     "shape",
     "asymmetry",
+    "smear",
     "brightness",
     "jump",
     "border",
@@ -42,7 +43,8 @@ Reason = Literal[
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
 spot where the marker should be; ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry,
 brightness: the spot differs from the marker as acquired (covered, merged with another spot, glare, out of
-focus); jump: too far from the prediction or from the marker's row; border: cut by the edge of the image.
+focus); smear: longer than its speed explains, before the marker is acquired; jump: too far from the prediction or
+from the marker's row; border: cut by the edge of the image.
 """
 
 _MAX_PASSES = 4
@@ -395,7 +397,7 @@ class SpotMeter:
         diameter = parameters.marker_diameter_px
         smallest = (1 - parameters.diameter_tolerance) * diameter - 2
         tallest = (1 + parameters.diameter_tolerance) * diameter + 2
-        widest = tallest + parameters.max_smear_px
+        widest = 2 * tallest + parameters.max_smear_px  # two that touch are one object
         boxes = [cv2.boundingRect(contour) for contour in contours]
         boxes = [(x + (w - 1) / 2, y + (h - 1) / 2, w, h) for x, y, w, h in boxes if w >= 3 and h >= 3]
         near = self.half + 2
@@ -476,8 +478,9 @@ class SpotMeter:
             and spot.variance_u >= spot.variance_v * (1 - roundness)
             and spot.variance_u <= spot.variance_v * (1 + roundness) + self.smear_variance
             and abs(spot.covariance) <= roundness * spot.variance_v
-            # A uniform disc of this area has a second moment of area / (4 pi); blur adds to it.
-            and spot.variance_v <= (spot.area / (4 * math.pi) + 2.0) * (1 + roundness)
+            # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
+            and spot.variance_v
+            <= (spot.area / (4 * math.pi) + max(2.0, self.radius**2 / 4)) * (1 + roundness)
             and abs(spot.skew_u) <= roundness
             and abs(spot.skew_v) <= roundness
             and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise

@@ -1,21 +1,25 @@
 """The markers of one beam, frame after frame: who is who, and when not to believe it.
 
 Markers are *acquired* in the whole image (threshold, contours, gates on size and roundness) and named by
-their order along the beam: marker 0 is the lowest in the image. From then on each is *followed* in a small
-region about its prediction, where ``vision.tracking.spots`` measures it and compares it with itself.
+their order along the beam: marker 0 is the lowest in the image. A spot is a marker only if one disc explains it,
+smeared by no more than it moves; while anything else that is new lies in its row, nothing is acquired, and a marker
+of a few frames beside which something appears is acquired anew. From then on each is *followed* in a small region
+about its prediction, where ``vision.tracking.spots`` measures it and compares it with itself.
 
-A measurement that fails a gate is reported as not valid, with the reason, in the same frame. The marker is
-then looked for in its own row, within a distance from where it was last seen that grows with every frame.
-Other spots of its kind in that row (rivals) are watched while the marker is still seen. Where the two met,
-or where the one spot in view may be the rival, the marker stays lost until the rival has left: nothing is
-invented and identities are never exchanged. Markers that were lost together are looked for from edge to edge of
-their rows at once (``vision.tracking.jumps``).
+A measurement that fails a gate is reported as not valid, with the reason, unless the marker is found in the same
+frame: it is looked for from edge to edge of the row in which it was last seen, in whatever light all markers have
+now, and is believed within a distance that grows with every frame, as its own and the other markers' motion allow.
+Other spots of its kind in that row (rivals) are watched while the marker is still seen. Where the two met, or where
+the one spot in view may be the rival, the marker stays lost until the rival has left: nothing is invented and
+identities are never exchanged. Markers that were lost together are believed wherever they are
+(``vision.tracking.jumps``).
 """
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -25,20 +29,39 @@ from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.jumps import TOGETHER_FRAMES, Move, is_common, moved_together
-from beam_ros.vision.tracking.marker_state import MarkerState
+from beam_ros.vision.tracking.jumps import TOGETHER_FRAMES, is_common, moved_together
+from beam_ros.vision.tracking.marker_state import LONELY_FRAMES, MarkerState
 from beam_ros.vision.tracking.rivals import FORGET_AFTER_FRAMES, Track, associated, continued, present
-from beam_ros.vision.tracking.spot_search import alike_spots
+from beam_ros.vision.tracking.spot_search import RowSpots, one_disc, spots_in_row
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
 
 _ACQUISITION_THRESHOLDS = (0.5, 0.3, 0.7)
 """Fractions of the image's strongest contrast at which spots are looked for."""
-_LONELY_FRAMES = 25
-"""A marker given up must be the only spot of its kind in its row for so many frames to be followed again."""
+_PROBATION_FRAMES = 10
+"""A marker acquired for the first time is doubted anew where something appears in its row within so many frames."""
 _CHORES_EVERY_FRAMES = 8
 """Noise and levels are measured anew, and rivals looked for, once in so many frames."""
-_COMPANY_EVERY_FRAMES = 64
-"""Whether a marker is alone in its whole row is looked at once in so many frames, a multiple of the above."""
+_ROW_GROWTH_PX = 0.1
+"""A lost marker's row is looked for in a band that grows so much a frame [px]."""
+_GAINS = 0.25, 4.0
+"""Least and largest change of the light from one frame to the next."""
+_STEPS = 3.0
+"""A marker may have moved by so many of its usual steps with every frame since it was lost."""
+_LEVERAGE = 2.5
+"""A marker may have moved by so many times as much as the others."""
+_LASTING_FRAMES = 2
+"""The only marker of a beam has changed its brightness with the light where that lasts for so many frames."""
+_MAJORITY = 3
+"""So many sizes have one that most of them agree on."""
+_SPEED_SLACK = 0.15
+"""Relative uncertainty of a smear that follows from two frames."""
+_SIGNIFICANT = 3.0
+_SAME_PLACE_PX = 2.0
+"""What lies so near to where something was seen before is the same [px]."""
+_EQUAL_SIZE = 0.1
+"""Relative tolerance of the area of a marker against that of the others when it is acquired."""
+_EQUAL_LIGHT = 0.15
+"""Relative tolerance of a marker's change of brightness against that of the others."""
 
 
 class MarkerMeasurement(NamedTuple):
@@ -110,9 +133,10 @@ class MarkerTracker:
         self.timing = timing
         self._meter = SpotMeter(parameters)
         self._markers: list[MarkerState] = []
+        self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
+        self._before: ImageArray | None = None
         self._shape: tuple[int, int] | None = None
-        self._frame = 0
-        self._are_all_lost = False
+        self._frame = self._stamp_ns = self._elapsed_ns = 0
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -121,9 +145,16 @@ class MarkerTracker:
         """Forget every marker; the next frame starts with acquisition."""
         rows = self.parameters.expected_rows_px
         self._markers = [MarkerState(None if rows is None else rows[k]) for k in range(self.n_markers)]
-        self._shape = None
+        self._before = self._shape = None
         self._frame = 0
-        self._are_all_lost = False
+
+    def pass_over(self, n_frames: int) -> None:
+        """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
+        self._frame += n_frames
+        for k, marker in enumerate(self._markers):
+            if marker.is_followed:
+                self._note_loss(k)
+                marker.lost_frames += n_frames
 
     @property
     def is_acquired(self) -> bool:
@@ -168,20 +199,22 @@ class MarkerTracker:
                 self.reset()
             self._shape = (int(image.shape[0]), int(image.shape[1]))
         self._frame += 1
-        missing: dict[int, Reason] = {}
+        self._elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
+        reasons: dict[int, Reason] = {}
         if not self.is_acquired:
-            missing = self._acquire(image)
-        measurements = []
+            reasons = self._acquire(image)
+        spots: dict[int, Spot] = {}
         for k, marker in enumerate(self._markers):
-            if missing and k in missing:
-                measurements.append(self._invalid(marker, missing[k], stamp_ns, math.nan))
-            else:
-                measurements.append(self._follow(image, marker, stamp_ns, k))
-        lost = [k for k, measurement in enumerate(measurements) if not measurement.is_valid]
-        if lost or self._are_all_lost:
-            for k in self._rejoin(image, lost):
-                measurements[k] = self._follow(image, self._markers[k], stamp_ns, k)
-        return FrameResult(stamp_ns, tuple(measurements))
+            if k not in reasons and marker.lost_frames == 0:
+                spot, reasons[k] = self._measure(image, marker)
+                if spot is not None:
+                    spots[k] = spot
+        lost = [k for k, marker in enumerate(self._markers) if marker.is_followed and reasons.get(k) != "ok"]
+        if lost:
+            self._find(image, lost, spots, reasons)
+        results = [self._result(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
+        self._before = image
+        return FrameResult(stamp_ns, tuple(results))
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
@@ -189,77 +222,66 @@ class MarkerTracker:
         return self.timing.row_middle(stamp_ns, row)
 
     def _invalid(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
-        """Count a lost frame; after many, give the marker's place up."""
-        if marker.lost_frames == 0:
-            marker.note_loss(self._frame)
+        """Count a lost frame."""
         marker.lost_frames += 1
-        if marker.is_followed and marker.lost_frames > FORGET_AFTER_FRAMES:
-            marker.is_followed = False
-            marker.lonely_since = self._frame
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(
             math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
         )
 
-    def _follow(self, image: ImageArray, marker: MarkerState, stamp_ns: int, k: int) -> MarkerMeasurement:
-        """Measure a marker where it should be, or look around for it."""
+    def _measure(self, image: ImageArray, marker: MarkerState) -> tuple[Spot | None, Reason]:
+        """Measure a marker where it should be."""
         light, appearance, gates = marker.light, marker.appearance, marker.gates
-        meter, parameters = self._meter, self.parameters
         assert light is not None
         assert appearance is not None
         assert gates is not None
-        is_fresh = marker.lost_frames > 0
-        spot: Spot | None = None
-        reason: Reason = "hidden"
-        if not is_fresh:
-            moved = marker.velocity if marker.linear_error < marker.hold_error else 0.0
-            predicted = marker.u + moved
-            is_crowded = bool(marker.rivals) and self._is_crowded(marker, predicted)
-            spot, reason = meter.measure(image, predicted, marker.v, light, is_narrow=is_crowded)
-            if spot is not None:
-                reason = meter.judge(spot, gates)
-                if reason == "ok" and not self._is_own(spot.u, predicted, marker):
-                    reason = "ambiguous"
-            if reason != "ok":
-                marker.note_loss(self._frame)
-                if spot is not None and self._may_have_met(spot, marker, appearance):
-                    marker.is_mixed = True
-                    marker.rivals.append(Track(marker.u, 0.0, self._frame - 1))
-        if spot is None:
-            spot, reason = self._search(image, marker, light, appearance)
-            if reason == "ok" and spot is not None and self._is_taken(spot, k):
+        moved = marker.velocity if marker.linear_error < marker.hold_error else 0.0
+        predicted = marker.u + moved
+        is_crowded = bool(marker.rivals) and self._is_crowded(marker, predicted)
+        spot, reason = self._meter.measure(image, predicted, marker.v, light, is_narrow=is_crowded)
+        if spot is not None:
+            reason = self._meter.judge(spot, gates)
+            if reason == "ok" and not self._is_own(spot.u, predicted, marker):
                 reason = "ambiguous"
-        if spot is None or reason != "ok":
+        if reason != "ok" and spot is not None and self._may_have_met(spot, marker, appearance):
+            marker.is_mixed = True
+            marker.rivals.append(Track(marker.u, 0.0, self._frame - 1))
+        return spot, reason
+
+    def _result(
+        self, image: ImageArray, k: int, spot: Spot | None, reason: Reason, stamp_ns: int
+    ) -> MarkerMeasurement:
+        """State where a marker's spot is centred, and carry it into what is known of the marker."""
+        marker, meter = self._markers[k], self._meter
+        light, appearance = marker.light, marker.appearance
+        if spot is None or reason != "ok" or light is None or appearance is None:
             return self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
-        if parameters.refinement == "none":
-            centre = meter.centre(image, spot, light, appearance)
-        else:
-            centre = meter.refine(image, spot, light, appearance)
+        is_fresh = marker.lost_frames > 0 or marker.lost_at == self._frame
+        is_new = self._frame - marker.acquired_at < _PROBATION_FRAMES
+        is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
+        if is_due or is_fresh or is_new or marker.rivals:
+            row = self._in_row(image, k, own=spot.u)
+            if is_new and self._has_company(marker, row):
+                marker.forget(self._frame)
+                return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
+            others = [other for other, _ in row.alike]
+            marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
+        refined = meter.centre if self.parameters.refinement == "none" else meter.refine
+        centre = refined(image, spot, light, appearance)
         if centre is None:
+            self._note_loss(k)
             return self._invalid(marker, "border", stamp_ns, spot.area)
-        if is_fresh or marker.lost_at == self._frame:
-            marker.moved = spot.u - marker.lost_u
-        marker.remember(spot.u, spot.v)
+        marker.remember(spot.u, spot.v, is_fresh=is_fresh)
+        appearance.row = spot.v
         if not appearance.is_settled:
             meter.settle(spot, light, appearance)
-            marker.gates = meter.gates(light, appearance)
-        is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-        if is_due or is_fresh or marker.rivals:
-            others = self._spots(image, marker, light, appearance, own=spot.u)[0]
-            if others or marker.rivals:
-                marker.rivals = continued(marker.rivals, others, self._frame, parameters.max_gate_px)
-        if (self._frame + k) % _COMPANY_EVERY_FRAMES == 0:
-            marker.is_accompanied = bool(self._in_whole_row(image, k, own=spot.u))
         if is_due and not marker.rivals:
-            self._adapt(image, marker, light, appearance, spot)
+            light.absorb(spot.plateau, *meter.sides(image, spot))
+        if is_due or is_fresh or not appearance.is_settled:
+            marker.gates = meter.gates(light, appearance)
         return MarkerMeasurement(
-            *centre,
-            True,
-            "ok",
-            self._stamp(stamp_ns, spot.v),
-            light.contrast,
-            spot.area,
+            *centre, True, "ok", self._stamp(stamp_ns, spot.v), light.contrast, spot.area
         )
 
     def _is_own(self, u: float, predicted: float, marker: MarkerState) -> bool:
@@ -295,56 +317,106 @@ class MarkerTracker:
             for j, other in enumerate(self._markers)
         )
 
-    def _adapt(
-        self, image: ImageArray, marker: MarkerState, light: Light, appearance: Appearance, spot: Spot
-    ) -> None:
-        """Measure what changes slowly: light, noise, and what follows from them."""
-        meter = self._meter
-        light.absorb(spot.plateau, *meter.sides(image, spot))
-        marker.gates = meter.gates(light, appearance)
+    # -- looking for lost markers --------------------------------------------------------------------------
 
-    # -- looking for a lost marker -------------------------------------------------------------------------
+    def _in_row(self, image: ImageArray, k: int, *, own: float = math.nan, is_wide: bool = False) -> RowSpots:
+        """Spots with a marker's appearance in its row from edge to edge, each in its own light.
 
-    def _spots(
-        self,
-        image: ImageArray,
-        marker: MarkerState,
-        light: Light,
-        appearance: Appearance,
-        own: float = math.nan,
-    ) -> tuple[list[Spot], Reason, float, float]:
-        """Spots with a marker's appearance in its row about where it was last seen, each in its own light.
-
-        Parameters
-        ----------
-        own : float -- column of the spot that is the marker itself and is left out [px]; NaN for none
-
-        Returns
-        -------
-        spots : list of Spot
-        reason : Reason -- why the spot nearest to the marker is none of them; "hidden" where there is none
-        left, right : float -- columns between which a whole spot would have been found [px]
+        A wide row is one to which the camera may have moved, though not one where another marker belongs.
         """
-        parameters, meter = self.parameters, self._meter
-        radius = meter.radius
-        reach = parameters.max_gate_px + 6 * radius + meter.half
-        height, width = image.shape
-        left = max(0, math.floor(marker.u - reach))
-        right = min(width, math.ceil(marker.u + reach) + 1)
-        top = max(0, math.floor(appearance.row - parameters.row_gate_px) - meter.half)
-        bottom = min(height, math.ceil(appearance.row + parameters.row_gate_px) + meter.half + 1)
-        reason: Reason = "hidden"
-        nearest = math.inf
-        alike, others = alike_spots(meter, image, (left, top, right, bottom), light, appearance, own)
-        for u, why in others:
-            if why != "jump" and abs(u - marker.u) < nearest:
-                nearest, reason = abs(u - marker.u), why
-        return [spot for spot, _ in alike], reason, left + meter.half, right - meter.half
+        marker, reach = self._markers[k], self.parameters.row_gate_px
+        assert marker.light is not None
+        assert marker.appearance is not None
+        if is_wide:
+            reach = max(reach, self.parameters.expected_row_tolerance_px)
+            for j, other in enumerate(self._markers):
+                if j != k and math.isfinite(other.v):
+                    reach = min(reach, abs(other.v - marker.v) / 2)
+        return spots_in_row(self._meter, image, marker.v, reach, marker.light, marker.appearance, own)
 
-    def _search(
-        self, image: ImageArray, marker: MarkerState, light: Light, appearance: Appearance
-    ) -> tuple[Spot | None, Reason]:
-        """Look for a marker that is not where it should be."""
+    def _note_loss(self, k: int) -> None:
+        """Note where a marker was last seen, and what was beside it in that frame."""
+        marker = self._markers[k]
+        if marker.lost_frames > 0:
+            return
+        marker.lost_at, marker.lost_u = self._frame, marker.u
+        marker.company_u = tuple(other.u for other in self._markers)
+        if self._before is not None:
+            beside = [spot for spot, _ in self._in_row(self._before, k, own=marker.u).alike]
+            marker.rivals = continued(marker.rivals, beside, self._frame - 1, self.parameters.max_gate_px)
+        # Where it met one there are two tracks of it, and that is no company.
+        marker.is_doubtful = len(marker.rivals) > marker.is_mixed
+
+    def _find(
+        self, image: ImageArray, lost: list[int], spots: dict[int, Spot], reasons: dict[int, Reason]
+    ) -> None:
+        """Look for markers that are not where they should be; fills in what is found."""
+        markers, parameters = self._markers, self.parameters
+        for k in lost:
+            self._note_loss(k)
+        rows = {k: self._in_row(image, k, is_wide=True) for k in lost}
+        gain = self._common_gain(rows, spots, reasons)
+        elsewhere: dict[int, tuple[Spot, Light]] = {}
+        for k, row in rows.items():
+            marker = markers[k]
+            failed = reasons.get(k, "hidden")
+            lit = [
+                (spot, light)
+                for spot, light in row.alike
+                if abs(light.contrast / (gain * _contrast(marker)) - 1) <= parameters.brightness_tolerance
+                and not self._is_taken(spot, k)
+            ]
+            spots.pop(k, None)
+            marker.alone_frames = marker.alone_frames + 1 if len(lit) == 1 else 0
+            marker.is_doubtful |= len(lit) > 1
+            chosen = self._choose(marker, lit, self._farthest(marker, spots, reasons))
+            if chosen is not None:
+                spots[k], marker.light = chosen
+                reasons[k] = "ok"
+                continue
+            if lit:
+                reasons[k] = "ambiguous"
+            elif row.alike:
+                reasons[k] = "brightness"
+            else:
+                reasons[k] = row.nearest(marker.u, failed)
+            if len(lit) == 1 and not marker.is_doubtful and self._is_common_loss(k):
+                elsewhere[k] = lit[0]
+        moved = moved_together(
+            {k: (spot.u - markers[k].lost_u, spot.v - markers[k].v) for k, (spot, _) in elsewhere.items()},
+            {
+                k: (spot.u - (markers[k].lost_u if k in lost else markers[k].u), spot.v - markers[k].v)
+                for k, spot in spots.items()
+            },
+            self.n_markers,
+            slack_px=parameters.max_jump_px,
+            row_slack_px=parameters.row_gate_px,
+        )
+        for k in moved:
+            spots[k], markers[k].light = elsewhere[k]
+            markers[k].rivals, markers[k].is_mixed, reasons[k] = [], False, "ok"
+        if moved:
+            across = median(spots[k].v - markers[k].v for k in moved)
+            for k in lost:
+                # The camera was moved across the rows: those still hidden are elsewhere, too.
+                markers[k].v += across if k not in spots else 0.0
+
+    def _farthest(self, marker: MarkerState, spots: dict[int, Spot], reasons: dict[int, Reason]) -> float:
+        """How far a lost marker may be by the motion of those that are seen and its own of late [px]."""
+        moves = [
+            abs(spot.u - marker.company_u[k])
+            for k, spot in spots.items()
+            if reasons[k] == "ok" and math.isfinite(marker.company_u[k])
+        ]
+        if not moves:
+            return math.inf
+        own = _STEPS * marker.hold_error * (marker.lost_frames + 1)
+        return self.parameters.marker_diameter_px + own + _LEVERAGE * max(moves)
+
+    def _choose(
+        self, marker: MarkerState, lit: list[tuple[Spot, Light]], farthest: float
+    ) -> tuple[Spot, Light] | None:
+        """Choose the spot that is a lost marker, within a distance that grows with every frame."""
         parameters = self.parameters
         gate = min(
             max(
@@ -352,110 +424,65 @@ class MarkerTracker:
                 abs(marker.u - marker.centre) + marker.swing + parameters.marker_diameter_px,
             ),
             parameters.max_gate_px,
+            farthest,
         )
-        spots, reason, left, right = self._spots(image, marker, light, appearance)
+        reach = parameters.max_gate_px + 3 * parameters.marker_diameter_px
+        across = parameters.row_gate_px + _ROW_GROWTH_PX * marker.lost_frames
+        if marker.lost_frames > FORGET_AFTER_FRAMES and marker.alone_frames >= LONELY_FRAMES:
+            gate = reach = across = math.inf
+        light_of = {
+            spot: light
+            for spot, light in lit
+            if abs(spot.u - marker.u) <= reach and abs(spot.v - marker.v) <= across
+        }
+        spots = list(light_of)
         tracks, free = associated(
             marker.rivals, spots, self._frame, gate if marker.is_mixed else parameters.max_jump_px
         )
         near = [spot for spot in free if abs(spot.u - marker.u) <= gate]
-        if not marker.is_mixed and len(near) == 1:
-            free.remove(near[0])
-        tracks += [Track(spot.u, 0.0, self._frame) for spot in free]
-        marker.rivals = present(tracks, self._frame, left, right, parameters.max_jump_px)
-        if not marker.is_mixed:
-            if len(near) == 1:
-                return near[0], "ok"
-            marker.is_mixed = len(near) > 1
-        elif (
-            len(spots) == 1
-            and len(marker.rivals) == 1
-            and abs(spots[0].u - marker.u) <= parameters.max_gate_px
-        ):
-            # Whatever else was here has left by the edge: what remains is the marker.
-            marker.rivals = []
-            return spots[0], "ok"
-        return None, "ambiguous" if spots else reason
-
-    # -- markers that have jumped --------------------------------------------------------------------------
-
-    def _in_whole_row(self, image: ImageArray, k: int, own: float = math.nan) -> list[tuple[Spot, Light]]:
-        """Spots with a marker's appearance in its row from edge to edge, the row as wide as it may have moved."""
-        marker, parameters, meter = self._markers[k], self.parameters, self._meter
-        light, appearance = marker.light, marker.appearance
-        assert light is not None
-        assert appearance is not None
-        row, expected = appearance.row, parameters.expected_rows_px
-        reach = parameters.expected_row_tolerance_px
-        centre = row if expected is None else expected[k]
-        for j, other in enumerate(self._markers):
-            if j != k and other.appearance is not None:
-                reach = min(reach, abs(other.appearance.row - row) / 2)
-        low = min(centre - reach, row - parameters.row_gate_px)
-        high = max(centre + reach, row + parameters.row_gate_px)
-        height, width = image.shape
-        window = 0, max(0, math.floor(low) - meter.half), width, min(height, math.ceil(high) + meter.half + 1)
-        return alike_spots(meter, image, window, light, appearance, own, (low, high))[0]
-
-    def _rejoin(self, image: ImageArray, lost: list[int]) -> list[int]:
-        """Follow markers that were lost together where they have jumped to, once two frames show them there."""
-        markers = self._markers
-        if len(lost) < self.n_markers:
-            self._are_all_lost = False
-        elif not self._are_all_lost:
-            self._are_all_lost = True
-            latest = max(marker.lost_at for marker in markers)
-            for marker in markers:
-                # What one marker met before the others were lost is no part of the jump.
-                if marker.lost_at < latest - TOGETHER_FRAMES and (marker.is_mixed or marker.rivals):
-                    marker.is_doubtful = True
-        found: dict[int, tuple[Spot, Light]] = {}
-        for k in lost:
-            marker = markers[k]
-            together = sum(abs(other.lost_at - marker.lost_at) <= TOGETHER_FRAMES for other in markers)
-            if marker.appearance is None or not (
-                is_common(together, self.n_markers) or (self._are_all_lost and self.n_markers > 1)
-            ):
-                continue
-            spots = self._in_whole_row(image, k)
-            if len(spots) > 1:
-                marker.is_doubtful = True
-            if len(spots) != 1 or marker.is_doubtful or self._is_taken(spots[0][0], k):
-                continue
-            spot, before = spots[0][0], marker.sighting
-            marker.sighting = self._frame, spot.u
-            if (
-                before is not None
-                and before[0] == self._frame - 1
-                and abs(spot.u - before[1]) <= self.parameters.max_jump_px
-            ):
-                found[k] = spots[0]
-        rejoined = moved_together(
-            {k: self._move(markers[k], spot.u - markers[k].lost_u, spot.v) for k, (spot, _) in found.items()},
-            {k: self._move(m, m.moved, m.v) for k, m in enumerate(markers) if m.lost_frames == 0},
-            self.n_markers,
-            max_difference=self.parameters.max_jump_px,
-            max_row_difference=self.parameters.row_gate_px,
+        chosen = near[0] if len(near) == 1 and not marker.is_mixed else None
+        tracks += [Track(spot.u, 0.0, self._frame) for spot in free if spot is not chosen]
+        marker.rivals = present(
+            tracks, self._frame, marker.u - reach, marker.u + reach, parameters.max_jump_px
         )
-        self._move_rows([self._move(markers[k], 0.0, found[k][0].v).across for k in rejoined])
-        for k in rejoined:
-            markers[k].moved = found[k][0].u - markers[k].lost_u
-            self._introduce(image, markers[k], *found[k])
-        return rejoined
+        if marker.is_mixed:
+            if len(spots) == len(marker.rivals) == 1 and abs(spots[0].u - marker.u) <= parameters.max_gate_px:
+                # Whatever else was here has left: what remains is the marker.
+                marker.rivals, chosen = [], spots[0]
+        else:
+            marker.is_mixed = len(near) > 1
+        return None if chosen is None else (chosen, light_of[chosen])
 
-    def _move(self, marker: MarkerState, along: float, v: float) -> Move:
-        """Move of a marker by so much along u, to a row v."""
-        return Move(marker.lost_at, along, 0.0 if marker.appearance is None else v - marker.appearance.row)
+    def _common_gain(
+        self, rows: dict[int, RowSpots], spots: dict[int, Spot], reasons: dict[int, Reason]
+    ) -> float:
+        """By how much the light of most of the markers has changed; 1 where it did not change in common.
 
-    def _move_rows(self, across: list[float]) -> None:
-        """Follow a camera that was moved across the rows."""
-        if not across or max(abs(move) for move in across) <= self.parameters.row_gate_px:
-            return
-        move = sum(across) / len(across)
-        for marker in self._markers:
-            if marker.appearance is not None and marker.light is not None:
-                marker.appearance.row += move
-                marker.known_row = marker.appearance.row
-                marker.gates = self._meter.gates(marker.light, marker.appearance)
+        One marker alone has changed with the light once that has lasted.
+        """
+        gains = []
+        for k, marker in enumerate(self._markers):
+            if k in rows:
+                nearest = min(rows[k].alike, key=lambda seen: abs(seen[0].u - marker.u), default=None)
+                if nearest is not None:
+                    gains.append(nearest[1].contrast / _contrast(marker))
+            elif k in spots and reasons[k] == "ok" and marker.light is not None:
+                gains.append(abs(spots[k].plateau - marker.light.background) / marker.light.contrast)
+        gains = [gain for gain in gains if _GAINS[0] <= gain <= _GAINS[1]]
+        for gain in gains:
+            equal = [other for other in gains if abs(other / gain - 1) <= _EQUAL_LIGHT]
+            if is_common(len(equal), self.n_markers):
+                return median(equal)
+        if self.n_markers == 1 and gains and self._markers[0].lost_frames >= _LASTING_FRAMES:
+            return gains[0]
+        return 1.0
+
+    def _is_common_loss(self, k: int) -> bool:
+        """True when most of the markers were lost at about the same time as this one."""
+        at = self._markers[k].lost_at
+        return is_common(
+            sum(abs(other.lost_at - at) <= TOGETHER_FRAMES for other in self._markers), self.n_markers
+        )
 
     # -- acquisition ---------------------------------------------------------------------------------------
 
@@ -466,72 +493,139 @@ class MarkerTracker:
         contrast = abs(extreme - background)
         if contrast < self.parameters.min_contrast_grey:
             return dict.fromkeys(missing, "no_contrast")
-        reasons: dict[int, Reason] = {}
         found: list[tuple[Spot, Light]] = []
-        near = self._meter.radius / 2
+        others: list[tuple[float, float]] = []
         for fraction in _ACQUISITION_THRESHOLDS:
             for u, v, is_crowded in self._meter.centres(image, background, fraction * contrast):
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
-                if candidate is not None and all(
-                    abs(candidate[0].u - spot.u) > near or abs(candidate[0].v - spot.v) > near
-                    for spot, _ in found
-                ):
+                if candidate is None:
+                    others.append((u, v))
+                elif all(math.dist(candidate[0][:2], spot[:2]) > self._meter.radius / 2 for spot, _ in found):
                     found.append(candidate)
-            reasons = self._name(image, missing, found)
-            if not reasons:
-                break
-            missing = list(reasons)
-        for k, reason in reasons.items():
-            if reason == "not_acquired":
-                self._markers[k].lonely_since = self._frame
+        if all(self._markers[k].known_row is None for k in missing):
+            chosen, reasons = self._in_order(missing, found, others)
+        else:
+            chosen, reasons = self._in_rows(missing, found, others)
+        for k, reason in self._unequal(chosen).items():
+            del chosen[k]
+            reasons[k] = reason
+        for k, candidate in chosen.items():
+            self._introduce(self._markers[k], *candidate)
         return reasons
 
-    def _name(
-        self, image: ImageArray, missing: list[int], found: list[tuple[Spot, Light]]
-    ) -> dict[int, Reason]:
-        """Name spots by their order along the beam, or by their rows where these are known."""
-        if all(self._markers[k].known_row is None for k in missing):
-            if len(found) != len(missing):
-                return dict.fromkeys(missing, "ambiguous" if len(found) > len(missing) else "not_acquired")
-            found = sorted(found, key=lambda candidate: -candidate[0].v)
-            rows = [spot.v for spot, _ in found]
-            if any(lower - upper < self.parameters.marker_diameter_px for lower, upper in pairwise(rows)):
-                return dict.fromkeys(missing, "ambiguous")
-            for k, (spot, light) in zip(missing, found, strict=True):
-                self._introduce(image, self._markers[k], spot, light)
-            return {}
+    def _in_order(
+        self, missing: list[int], found: list[tuple[Spot, Light]], others: list[tuple[float, float]]
+    ) -> tuple[dict[int, tuple[Spot, Light]], dict[int, Reason]]:
+        """Name spots by their order along the beam, where no rows are known."""
+        found = sorted(found, key=lambda candidate: -candidate[0].v)
+        if len(found) < len(missing):
+            return {}, dict.fromkeys(missing, "not_acquired")
+        gaps = [lower[0].v - upper[0].v for lower, upper in pairwise(found)]
+        if len(found) > len(missing) or any(gap < self.parameters.marker_diameter_px for gap in gaps):
+            return {}, dict.fromkeys(missing, "ambiguous")
+        chosen: dict[int, tuple[Spot, Light]] = {}
         reasons: dict[int, Reason] = {}
+        for k, candidate in zip(missing, found, strict=True):
+            reason = self._doubt(self._markers[k], *candidate, others)
+            if reason == "ok":
+                chosen[k] = candidate
+            else:
+                reasons[k] = reason
+        # One that is doubtful may not be a marker at all, and the others' names depend on it.
+        return (chosen, reasons) if not reasons else ({}, {**dict.fromkeys(missing, "ambiguous"), **reasons})
+
+    def _in_rows(
+        self, missing: list[int], found: list[tuple[Spot, Light]], others: list[tuple[float, float]]
+    ) -> tuple[dict[int, tuple[Spot, Light]], dict[int, Reason]]:
+        """Name spots by the rows in which the markers are known to lie."""
+        chosen: dict[int, tuple[Spot, Light]] = {}
+        reasons: dict[int, Reason] = {}
+        tolerance = self.parameters.expected_row_tolerance_px
         for k in missing:
             marker = self._markers[k]
+            row = marker.known_row
+            if row is None:
+                reasons[k] = "not_acquired"
+                continue
             near = [
-                (spot, light)
-                for spot, light in found
-                if self._is_expected(marker, spot, light) and not self._is_taken(spot, k)
+                candidate
+                for candidate in found
+                if abs(candidate[0].v - row) <= tolerance and not self._is_taken(candidate[0], k)
             ]
-            # A marker that was seen before has been lost for long: it must be alone for a while.
-            if len(near) > 1:
-                marker.lonely_since = self._frame
-            wanted = 0 if marker.appearance is None else _LONELY_FRAMES
-            if len(near) == 1 and self._frame - marker.lonely_since >= wanted:
-                self._introduce(image, marker, *near[0])
+            if len(near) == 1:
+                beside = [other for other in others if abs(other[1] - row) <= tolerance]
+                reasons[k] = self._doubt(marker, *near[0], beside)
+                if reasons[k] == "ok":
+                    chosen[k] = near[0]
+                    del reasons[k]
             else:
                 reasons[k] = "ambiguous" if near else "not_acquired"
+                marker.sighting = None
+                if near:
+                    marker.lonely_since = self._frame
+        return chosen, reasons
+
+    def _doubt(
+        self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
+    ) -> Reason:
+        """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
+        disc, before = one_disc(spot, light, self.parameters), marker.sighting
+        marker.sighting = self._frame, spot.u, disc.excess
+        # Anything else may be the marker, smeared or joined with a twin, unless it has been there for long.
+        clutter = [u for u, v in others if math.dist((u, v), spot[:2]) > _SAME_PLACE_PX]
+        is_known = all(any(abs(u - old) <= _SAME_PLACE_PX for old in marker.clutter) for u in clutter)
+        if not is_known:
+            marker.lonely_since = self._frame
+        marker.clutter = tuple(clutter)
+        if disc.reason != "ok":
+            return disc.reason
+        if clutter and self._frame - marker.lonely_since < LONELY_FRAMES:
+            return "ambiguous"
+        if disc.excess <= disc.tolerance:
+            return "ok"
+        if before is None or before[0] != self._frame - 1:
+            return "smear"
+        # Mean speed over the two exposures' middles; the exposure is a part of the time in between.
+        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
+        explained = (share * (spot.u - before[1])) ** 2 / 12
+        lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
+        slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
+        return "ok" if (disc.excess + before[2]) / 2 - explained <= slack else "smear"
+
+    def _unequal(self, chosen: dict[int, tuple[Spot, Light]]) -> dict[int, Reason]:
+        """Markers of another size than most of them: a twin that touches, or a part that is hidden."""
+        areas = {
+            k: marker.appearance.area
+            for k, marker in enumerate(self._markers)
+            if marker.appearance is not None
+        }
+        areas |= {k: self._meter.appearance(*candidate).area for k, candidate in chosen.items()}
+        if len(areas) < _MAJORITY:
+            return {}
+        usual = median(areas.values())
+        reasons: dict[int, Reason] = {}
+        for k, (_, light) in chosen.items():
+            noise = _SIGNIFICANT * light.noise / (light.contrast * math.sqrt(usual))
+            if abs(areas[k] / usual - 1) > _EQUAL_SIZE + noise:
+                reasons[k] = "area"
         return reasons
 
-    def _is_expected(self, marker: MarkerState, spot: Spot, light: Light) -> bool:
-        """True when a spot lies in the marker's row and, if the marker was seen before, looks like it."""
-        row = marker.known_row
-        if row is None or abs(spot.v - row) > self.parameters.expected_row_tolerance_px:
-            return False
-        if marker.appearance is None:
-            return True
-        return self._meter.judge(spot, self._meter.gates(light, marker.appearance)) == "ok"
+    def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:
+        """True when a row shows something that was not there when its marker was acquired."""
+        return any(
+            abs(u - marker.u) <= self.parameters.max_gate_px
+            and all(abs(u - old) > _SAME_PLACE_PX for old in marker.clutter)
+            for u in [*(spot.u for spot, _ in row.alike), *(u for u, _ in row.others)]
+        )
 
-    def _introduce(self, image: ImageArray, marker: MarkerState, spot: Spot, light: Light) -> None:
+    def _introduce(self, marker: MarkerState, spot: Spot, light: Light) -> None:
         """Start to follow a spot as this marker."""
         marker.light = light
-        if marker.appearance is None:
-            marker.appearance = self._meter.appearance(spot, light)
+        marker.appearance = self._meter.appearance(spot, light)
         marker.gates = self._meter.gates(light, marker.appearance)
-        marker.known_row = marker.appearance.row
+        marker.acquired_at = self._frame
         marker.place(spot.u, spot.v)
+
+
+def _contrast(marker: MarkerState) -> float:
+    return math.nan if marker.light is None else marker.light.contrast

@@ -66,6 +66,8 @@ def test_the_mean_position_of_a_smeared_marker_is_unbiased():
         travel = 0.004 * np.cos(0.6 * k) * np.linspace(-0.5, 0.5, 6)
         x = (centre + travel)[:, None] + rng.random(3)[None, :] / 1500
         result = tracker.process(renderer.render(x, rng), k)
+        if k < 2:  # a smear is believed once the speed explains it
+            continue
         assert result.is_complete, [marker.reason for marker in result.markers]
         errors.append(columns(result) - renderer.exposure_weights @ camera.columns(x))
     errors = np.array(errors)
