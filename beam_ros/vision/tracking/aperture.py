@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray
-from beam_ros.vision.tracking.refinement import cumulative_normal
 
 _PHASES_U = 32
 """Positions of the aperture per pixel along u, along which the marker moves."""
@@ -32,8 +31,8 @@ _SMEAR_STEP_PX = 1.5
 _SLACK = 1.1
 """The aperture is this much longer than the smear, because a marker that turns during the exposure has its mean
 position off the middle of its way."""
-_RADIUS_STEP_PX = 0.25
-_EDGE_STEP_PX = 0.125
+RADIUS_STEP_PX = 0.25
+EDGE_STEP_PX = 0.125
 """Steps of the marker's radius and edge for which weights are tabulated [px]."""
 _RIM = 2.0
 """The weight falls to one half at so many standard deviations of the rim's blur beyond the radius, ..."""
@@ -74,7 +73,7 @@ def disc_steps(radius: float, edge: float, before: tuple[int, int] = (0, 0)) -> 
     Where it lies within three quarters of a step of the size ``before``, that is kept: an average that wavers
     between two sizes would tabulate both.
     """
-    steps = radius / _RADIUS_STEP_PX, edge / _EDGE_STEP_PX
+    steps = radius / RADIUS_STEP_PX, edge / EDGE_STEP_PX
     if max(abs(steps[0] - before[0]), abs(steps[1] - before[1])) < 0.75:
         return before
     return round(steps[0]), max(2, round(steps[1]))
@@ -129,7 +128,7 @@ def _weights(
     u: float, v: float, radius_steps: int, edge_steps: int, smear_steps: int
 ) -> tuple[int, int, FloatArray, FloatArray, FloatArray]:
     """First column and row, distances (1, width) and (height, 1) from the point, weights (height, width)."""
-    half_weight = radius_steps * _RADIUS_STEP_PX + max(_RIM * edge_steps * _EDGE_STEP_PX, _MIN_RIM_PX)
+    half_weight = radius_steps * RADIUS_STEP_PX + max(_RIM * edge_steps * EDGE_STEP_PX, _MIN_RIM_PX)
     reach = half_weight + _REACH * _SOFTNESS_PX
     half_length = _SLACK * smear_steps * _SMEAR_STEP_PX / 2
     left, right = math.ceil(u - half_length - reach), math.floor(u + half_length + reach)
@@ -144,7 +143,7 @@ def _weights(
 @lru_cache(maxsize=256)
 def _gains(radius_steps: int, edge_steps: int, smear_steps: int) -> tuple[float, float]:
     """How far the aperture lets the centre of a blurred, smeared disc follow when that is moved a little."""
-    radius, edge = radius_steps * _RADIUS_STEP_PX, edge_steps * _EDGE_STEP_PX
+    radius, edge = radius_steps * RADIUS_STEP_PX, edge_steps * EDGE_STEP_PX
     _, _, x, y, weight = _weights(0.0, 0.0, radius_steps, edge_steps, smear_steps)
     count = 2 * smear_steps + 1
     shifts = ((np.arange(count) + 0.5) / count - 0.5) * smear_steps * _SMEAR_STEP_PX
@@ -159,3 +158,9 @@ def _gains(radius_steps: int, edge_steps: int, smear_steps: int) -> tuple[float,
     # By symmetry the centre of a disc at the point itself is the point.
     step = 1.0 / _PHASES_U
     return centre(step, 0.0)[0] / step, centre(0.0, step)[1] / step
+
+
+def cumulative_normal(t: FloatArray) -> FloatArray:
+    """Cumulative normal distribution to 1.5e-4 (a logistic function of a cubic)."""
+    clipped = np.clip(t, -6.0, 6.0)
+    return np.asarray(1.0 / (1.0 + np.exp(-(1.5976 + 0.07056 * clipped * clipped) * clipped)))

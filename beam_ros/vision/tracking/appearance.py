@@ -11,6 +11,7 @@ from statistics import NormalDist
 
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.aperture import disc_steps
+from beam_ros.vision.tracking.disc_model import DiscModel
 
 _NORMAL = NormalDist()
 _NOISE_LEVEL = 2.5
@@ -104,6 +105,7 @@ class Appearance:
     level : float -- height of the subtracted level above the background, as a fraction of the contrast
     radius, edge : float -- of the disc, and the standard deviation of its rim's blur [px]
     disc : tuple of int -- the two, as the apertures are tabulated
+    model : DiscModel -- what is fitted to it, and learns its noise
     """
 
     area: float
@@ -117,6 +119,7 @@ class Appearance:
     radius: float = field(init=False)
     edge: float = field(init=False)
     disc: tuple[int, int] = field(init=False)
+    model: DiscModel = field(init=False, default_factory=DiscModel)
 
     def __post_init__(self) -> None:
         self.disc = (0, 0)

