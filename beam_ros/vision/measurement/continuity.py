@@ -2,12 +2,15 @@
 
 A camera that drops a frame leaves a gap of about two periods, one that repeats a frame (or a transport that
 delivers it twice) the same stamp or the same number again. Nothing is repaired here: what is missing stays
-missing, what is repeated is to be thrown away, and both are counted.
+missing, what is repeated is to be thrown away, and both are counted. The period is measured: a camera whose frames
+come evenly at another rate than it should have loses none.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from statistics import median
 from typing import Literal
 
 from beam_ros.vision.errors import VisionParameterError
@@ -18,6 +21,12 @@ stamp before that of an earlier frame."""
 
 _GAP_PERIODS = 1.5
 _SLOW = 0.01
+_EVEN_FRAMES = 9
+"""So many intervals show that a camera has another rate, ..."""
+_UNEVEN_FRAMES = 1
+"""... of which so many may differ from their median by more than ..."""
+_EVEN = 0.2
+"""... this share of it: a transport that loses frames does not lose them so evenly."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +76,32 @@ class FrameContinuity:
         self._stamp_ns: int | None = None
         self._sequence: int | None = None
         self._period_ns = float(self._nominal_ns)
+        self._recent: deque[tuple[float, int]] = deque(maxlen=_EVEN_FRAMES)
+
+    @property
+    def nominal_hz(self) -> float:
+        """Frame rate that the camera should have [Hz]."""
+        return 1e9 / self._nominal_ns
 
     @property
     def rate_hz(self) -> float:
         """Frame rate by the stamps, averaged over about a hundred frames, gaps left out [Hz]."""
         return 1e9 / self._period_ns
+
+    def _measure_period(self, interval_ns: float, missing: int) -> bool:
+        """Return whether the last intervals are even, and the period another one; it is taken over then."""
+        self._recent.append((interval_ns, missing))
+        if len(self._recent) < _EVEN_FRAMES:
+            return False
+        period = median(interval for interval, _ in self._recent)
+        if period / _GAP_PERIODS < self._period_ns < period * _GAP_PERIODS:
+            return False
+        if sum(abs(interval / period - 1) > _EVEN for interval, _ in self._recent) > _UNEVEN_FRAMES:
+            return False
+        self._period_ns = period
+        self.missing -= sum(missing for _, missing in self._recent)
+        self._recent.clear()
+        return True
 
     def observe(self, stamp_ns: int, sequence: int | None = None) -> FrameStep:
         """Judge the next frame.
@@ -103,8 +133,10 @@ class FrameContinuity:
             missing = sequence - last_sequence - 1
         else:
             missing = round(periods) - 1 if periods > _GAP_PERIODS else 0
+        self.missing += missing
+        if sequence is None and self._measure_period(stamp_ns - last_ns, missing):
+            return FrameStep("next")
         if missing > 0:
-            self.missing += missing
             return FrameStep("gap", missing)
         if periods < _GAP_PERIODS:
             self._period_ns += _SLOW * (stamp_ns - last_ns - self._period_ns)

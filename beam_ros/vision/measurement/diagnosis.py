@@ -19,6 +19,7 @@ LEVELS = ("OK", "WARN", "ERROR")
 _LATENCY_FRAMES = 1000
 _MAX_LOST_SHARE = 0.01
 _MAX_LATENCY_S = 0.5
+_RATE_TOLERANCE = 0.1
 _STAMP_AHEAD_S = 0.005
 
 
@@ -144,6 +145,15 @@ class Diagnosis:
                     "WARN",
                     f"{since['repeated'] + since['backwards']} frames came twice or late and were left out: expected "
                     "one camera whose stamps rise",
+                )
+            )
+        continuity = chain.continuity
+        if abs(continuity.rate_hz / continuity.nominal_hz - 1) > _RATE_TOLERANCE:
+            found.append(
+                Complaint(
+                    "WARN",
+                    f"frames come at {continuity.rate_hz:.4g} a second by their stamps: expected camera.rate, "
+                    f"{continuity.nominal_hz:g}; set that to what the camera gives, or the camera to that",
                 )
             )
         if since["missing"] > _MAX_LOST_SHARE * (since["missing"] + since["measured"]):

@@ -31,9 +31,12 @@ class RowSpots:
     alike: list[tuple[Spot, Light]]
     others: list[tuple[float, Reason]]
 
-    def nearest(self, u: float, otherwise: Reason) -> Reason:
-        """Why the other spot nearest to a column is not the marker's image."""
-        return min(self.others, key=lambda other: abs(other[0] - u), default=(u, otherwise))[1]
+    def nearest(self, u: float) -> Reason:
+        """Why the other spot nearest to a column is not the marker's image; "hidden" where there is none."""
+        nearest: tuple[float, Reason] = min(
+            self.others, key=lambda other: abs(other[0] - u), default=(u, "hidden")
+        )
+        return nearest[1]
 
 
 def spots_in_row(

@@ -379,7 +379,7 @@ class MarkerTracker:
             elif row.alike:
                 reasons[k] = "brightness"
             else:
-                reasons[k] = row.nearest(marker.u, failed)
+                reasons[k] = row.nearest(marker.u) if failed == "hidden" else failed
             if len(lit) == 1 and not marker.is_doubtful and self._is_common_loss(k):
                 elsewhere[k] = lit[0]
         moved = moved_together(

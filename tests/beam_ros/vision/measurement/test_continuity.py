@@ -23,6 +23,28 @@ def test_a_camera_that_runs_beside_its_nominal_rate_is_followed():
     assert watch.rate_hz == pytest.approx(1e9 / 10_700_000, rel=1e-3)
 
 
+@pytest.mark.parametrize("rate_hz", [25, 50, 60, 200, 400])
+def test_the_period_is_measured_where_it_is_another_than_was_believed(rate_hz):
+    watch = FrameContinuity(PERIOD)
+    rng = np.random.default_rng(2)
+    period = 10**9 // rate_hz
+    stamps = [10**18 + k * period + int(rng.integers(-period // 20, period // 20)) for k in range(60)]
+    steps = [watch.observe(stamp) for stamp in stamps]
+    assert [step.missing for step in steps[10:]] == [0] * 50
+    assert watch.missing == 0  # nor those that were believed to be missing at first
+    assert watch.rate_hz == pytest.approx(rate_hz, rel=0.03)
+    assert watch.observe(stamps[-1] + 4 * period).missing == 3
+
+
+def test_frames_that_are_lost_unevenly_are_missing():
+    watch = FrameContinuity(PERIOD)
+    ticks = np.cumsum(np.random.default_rng(3).choice([1, 2, 3], 300))
+    for tick in ticks:
+        watch.observe(int(tick) * PERIOD)
+    assert watch.missing == ticks[-1] - ticks[0] - 299
+    assert watch.rate_hz == pytest.approx(100.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("missing", [1, 2, 7])
 def test_dropped_frames_are_counted_from_stamps(missing):
     watch = FrameContinuity(PERIOD)

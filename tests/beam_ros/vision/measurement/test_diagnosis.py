@@ -78,6 +78,18 @@ def test_dropped_and_repeated_frames_are_counted_and_said() -> None:
     assert day.diagnosis.report(0.1).level == "OK"  # what is over is counted, not complained of
 
 
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_camera_at_another_rate_is_named_and_misses_nothing(every) -> None:
+    day = _Day()
+    day.film(range(0, 40 * every, every))
+    report = day.diagnosis.report(0.4 * every)
+    assert report.level == "WARN"
+    assert f"frames come at {100 / every:g} a second" in report.sentence
+    assert "expected camera.rate, 100" in report.sentence
+    assert "missing" not in report.sentence
+    assert report.values["dropped frames"] == 0
+
+
 def test_a_driver_that_stamps_all_frames_alike_is_an_error() -> None:
     day = _Day()
     day.film([0])

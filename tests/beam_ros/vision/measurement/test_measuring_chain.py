@@ -15,6 +15,7 @@ pytest.importorskip("cv2")
 from beam_ros.vision.calibration.lens import lens_to_dict
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import CameraParameters
+from beam_ros.vision.rendering.disturbances import Disturbances, Occluder
 from beam_ros.vision.rendering.frames import SceneRenderer
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -134,3 +135,18 @@ def test_after_a_long_gap_and_with_other_grey_levels_the_markers_are_found_at_on
     assert moved.displacement.x_m == pytest.approx([0.02] * 3, abs=3e-5)
     wide = _frame(0.02).astype(np.uint16) * 257
     assert chain.measure(101 * PERIOD_NS, wide).displacement.x_m == pytest.approx([0.02] * 3, abs=3e-5)
+
+
+@pytest.mark.parametrize("step", [1, 4, 30])
+def test_missing_frames_and_other_rates_do_not_make_a_covered_marker_a_new_one(step) -> None:
+    # A cover of a tenth of the disc moves its centre by a quarter of a pixel.
+    chain, rng = _chain(), np.random.default_rng(4)
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    row = float(CAMERA.rows(HEIGHTS[1]))
+    cover = Disturbances(occluders=(Occluder(0.0, row - 20, 320.0 - 4.8, row + 20, 20.0),))
+    for k in range(60):
+        stamp = 10**18 + step * k * PERIOD_NS
+        assert chain.admit(stamp)
+        frame = renderer.render(np.zeros(3), rng, disturbances=cover if k > 30 else None)
+        valid = [reason == "ok" for reason in chain.measure(stamp, frame).reasons]
+        assert valid == [True, k <= 30, True]
