@@ -1,18 +1,27 @@
-"""Bags of other people's sensors, from the file to the poles, against modes that are known in closed form."""
+"""Bags of other people's sensors, from the file to the poles, against modes that are known in closed form.
+
+And one of the suite's own recordings as other people's writers would leave it: the same answers in every form.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
+from mcap.writer import CompressionType as ChunkCompression
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from ruamel.yaml import YAML
 
 from beam_ros.bags.errors import MissingTopicsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
+from beam_ros.checks.bag_check import check_bag
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import identify_bag
@@ -20,6 +29,7 @@ from beam_ros.offline.options import FitOptions
 from beam_ros.signals.descriptions import Signals
 from tests.beam_ros.signals import foreign_bags as foreign
 
+OURS = Path(__file__).resolve().parents[3] / "bags" / "step"
 AXIS = "/rig7/joint_states:position[axis]"
 LASER = "/rig7/laser/range:range"
 IMU = "/rig7/imu:linear_acceleration.x"
@@ -151,3 +161,177 @@ def test_the_verb_reports_what_it_finds_and_writes_nothing_over(
 def test_without_signals_a_foreign_bag_is_refused_with_what_it_holds(bag: Path) -> None:
     with pytest.raises(MissingTopicsError, match="/rig7/imu"):
         identify_bag(bag)
+
+
+# --- one recording in every form
+
+
+Rename = Callable[[str], str]
+_STEADY = ("modes", "scores", "latency_s", "latency_sd_s", "clock_rate", "clock_rate_sd", "notes", "warnings")
+
+
+def _same(topic: str) -> str:
+    return topic
+
+
+def _in_namespace(topic: str) -> str:
+    return f"/lab/rig_3{topic}"
+
+
+OTHER_NAMES = {"/hub/measured": "/stage/encoder", "/beam/displacement": "/vision/strip"}
+
+
+def _other_name(topic: str) -> str:
+    return OTHER_NAMES.get(topic, f"/other{topic}")
+
+
+@dataclass(frozen=True)
+class ByRosbags:
+    """A bag that rosbags writes: one file, or several that metadata.yaml names."""
+
+    storage: StoragePlugin = StoragePlugin.MCAP
+    compression: CompressionMode = CompressionMode.NONE
+    files: int = 1
+    rename: Rename = _same
+
+    def write(self, path: Path) -> None:
+        with Reader(OURS) as reader:
+            messages = list(reader.messages())
+        share = -(-len(messages) // self.files)
+        described = []
+        for number in range(self.files):
+            part = path if self.files == 1 else path.with_name(f"{path.name}_part{number}")
+            writer = Writer(part, version=9, storage_plugin=self.storage)
+            writer.set_compression(self.compression, CompressionFormat.ZSTD)
+            with writer:
+                connections: dict[str, Any] = {}
+                for connection, receive_ns, data in messages[number * share : (number + 1) * share]:
+                    if connection.topic not in connections:
+                        connections[connection.topic] = writer.add_connection(
+                            self.rename(connection.topic), connection.msgtype, typestore=foreign.STORE
+                        )
+                    writer.write(connections[connection.topic], receive_ns, data)
+            described.append(part)
+        if self.files > 1:
+            _join(described, path)
+
+
+def _join(parts: list[Path], path: Path) -> None:
+    """Make one bag of several: their files, and a metadata.yaml that names them as ``ros2 bag record`` does."""
+    path.mkdir()
+    yaml = YAML(typ="safe")
+    whole: dict[str, Any] = {}
+    for part in parts:
+        own = yaml.load((part / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        (name,) = own["relative_file_paths"]
+        (part / name).rename(path / name)
+        if not whole:
+            whole = own
+            continue
+        begin = whole["starting_time"]["nanoseconds_since_epoch"]
+        end = own["starting_time"]["nanoseconds_since_epoch"] + own["duration"]["nanoseconds"]
+        whole["duration"]["nanoseconds"] = end - begin
+        whole["message_count"] += own["message_count"]
+        whole["relative_file_paths"] += own["relative_file_paths"]
+        whole["files"] += own["files"]
+        for row in own["topics_with_message_count"]:
+            topic = row["topic_metadata"]
+            known = [
+                other
+                for other in whole["topics_with_message_count"]
+                if other["topic_metadata"]["name"] == topic["name"]
+            ]
+            if known:
+                known[0]["message_count"] += row["message_count"]
+            else:
+                whole["topics_with_message_count"].append(row)
+    with (path / "metadata.yaml").open("w") as file:
+        yaml.dump({"rosbag2_bagfile_information": whole}, file)
+
+
+@dataclass(frozen=True)
+class ByMcap:
+    """A single file that mcap writes: no folder, no metadata.yaml."""
+
+    compression: ChunkCompression = ChunkCompression.ZSTD
+    is_chunked: bool = True
+
+    def write(self, path: Path) -> None:
+        path.mkdir()
+        with Reader(OURS) as reader, (path / "foreign.mcap").open("wb") as stream:
+            writer = McapWriter(
+                stream, chunk_size=50_000, compression=self.compression, use_chunking=self.is_chunked
+            )
+            writer.start(profile="ros2", library="somebody else's")
+            channels: dict[str, int] = {}
+            for connection, receive_ns, data in reader.messages():
+                if connection.topic not in channels:
+                    schema = writer.register_schema(
+                        connection.msgtype, "ros2msg", connection.msgdef.data.encode()
+                    )
+                    channels[connection.topic] = writer.register_channel(connection.topic, "cdr", schema)
+                writer.add_message(channels[connection.topic], receive_ns, bytes(data), receive_ns)
+            writer.finish()
+
+
+FORMS: dict[str, ByRosbags | ByMcap] = {
+    "sqlite": ByRosbags(StoragePlugin.SQLITE3),
+    "sqlite, zstd by file": ByRosbags(StoragePlugin.SQLITE3, CompressionMode.FILE),
+    "sqlite, zstd by message": ByRosbags(StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    "sqlite, three files": ByRosbags(StoragePlugin.SQLITE3, files=3),
+    "mcap": ByRosbags(),
+    "mcap, zstd by file": ByRosbags(compression=CompressionMode.FILE),
+    "mcap, zstd by message": ByRosbags(compression=CompressionMode.MESSAGE),
+    "mcap, zstd by chunk": ByRosbags(compression=CompressionMode.STORAGE),
+    "mcap, three files": ByRosbags(files=3),
+    "mcap, three files, zstd by file": ByRosbags(compression=CompressionMode.FILE, files=3),
+    "mcap alone, zstd": ByMcap(),
+    "mcap alone, lz4": ByMcap(ChunkCompression.LZ4),
+    "mcap alone, no chunks": ByMcap(ChunkCompression.NONE, is_chunked=False),
+    "sqlite in a namespace": ByRosbags(StoragePlugin.SQLITE3, rename=_in_namespace),
+    "mcap in a namespace": ByRosbags(rename=_in_namespace),
+}
+
+
+@pytest.fixture(scope="module")
+def original() -> dict[str, Any]:
+    return identify_bag(OURS)
+
+
+def gates_of(path: Path) -> list[tuple[str, str]]:
+    """Return name and verdict of every gate but that of the file itself."""
+    return [(gate.name, gate.verdict) for gate in check_bag(path).gates if gate.name != "file"]
+
+
+@pytest.fixture(scope="module")
+def original_gates() -> list[tuple[str, str]]:
+    return gates_of(OURS)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_our_recording_gives_the_same_answers_in_every_form(
+    form: str, original: dict[str, Any], original_gates: list[tuple[str, str]], tmp_path: Path
+) -> None:
+    FORMS[form].write(tmp_path / "bag")
+    found = identify_bag(tmp_path / "bag")
+    assert {name: found[name] for name in _STEADY} == {name: original[name] for name in _STEADY}
+    assert gates_of(tmp_path / "bag") == original_gates
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_our_recording_under_other_names_gives_the_same_answers(
+    storage: StoragePlugin, original: dict[str, Any], tmp_path: Path
+) -> None:
+    ByRosbags(storage, rename=_other_name).write(tmp_path / "bag")
+    found = []
+    for path, hub, beam in (
+        (OURS, "/hub/measured", "/beam/displacement"),
+        (tmp_path / "bag", *OTHER_NAMES.values()),
+    ):
+        outputs = [f"{beam}:position[{marker}],name={marker}" for marker in ("z010", "z225", "z285")]
+        signals = Signals.of(f"{hub}:positions,name=axis", outputs)
+        found.append(identify_bag(path, options=FitOptions(signals=signals)))
+    assert {name: found[1][name] for name in _STEADY[:-2]} == {name: found[0][name] for name in _STEADY[:-2]}
+    for mode, ours in zip(found[1]["modes"], original["modes"], strict=True):
+        assert abs(mode["frequency_hz"] - ours["frequency_hz"]) < ours["frequency_sd_hz"]
+        assert abs(mode["damping_ratio"] - ours["damping_ratio"]) < ours["damping_ratio_sd"]

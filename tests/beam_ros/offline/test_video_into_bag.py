@@ -18,6 +18,7 @@ from beam_ros.cli.main import main
 from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import identify_bag
 from beam_ros.rig.rig import Rig
+from tests.whole_bags import messages_of_whole_bag
 
 cv2 = pytest.importorskip("cv2")
 
@@ -116,6 +117,7 @@ def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
     # Nothing of the old bag is lost: it stays beside the new one, which holds all of it and the markers.
     assert contents(Path(result["original"])) == before
     after = contents(bag)
+    assert len(messages_of_whole_bag(bag)) == len(after)
     kept = set(before)
     assert [content for content in after if content in kept] == before
     with Bag(bag) as opened:
