@@ -38,6 +38,8 @@ class ModalFit:
     rank_deficient : tuple of int -- outputs whose linear columns depend on each other
     noises : tuple of tuple of str
         Of every output what its noise was taken for in every record, empty for white; none with equal weights.
+    spreads : tuple of ndarray
+        Of every output the noise of its rows over that of all; none where it is the same for all.
     """
 
     omegas: FloatArray
@@ -56,6 +58,7 @@ class ModalFit:
     reason: str
     iterations: int
     noises: tuple[tuple[str, ...], ...] = ()
+    spreads: tuple[FloatArray, ...] = ()
 
     @property
     def n_parameters(self) -> int:

@@ -27,6 +27,7 @@ from scipy.linalg import block_diag, expm, lapack
 
 from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.data.records import InputSignal
+from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.numerics.state_recursion import StateRecursion
@@ -62,6 +63,21 @@ class Observations:
         for output, (instants, places) in enumerate(zip(times, rows, strict=True)):
             table[np.searchsorted(distinct, instants), output] = places
         return Observations(distinct, table)
+
+    @staticmethod
+    def of_record(regression: ModalRegression, record: int, latency: float) -> Observations:
+        """Return where the outputs of one record are seen, on its input's clock but for the rate."""
+        times: list[FloatArray] = []
+        rows: list[IndexArray] = []
+        for segments, stamps in zip(regression.segments, regression.times, strict=True):
+            places = [np.arange(part.start, part.stop) for own, part in segments if own == record]
+            rows.append(np.concatenate(places) if places else np.empty(0, dtype=np.intp))
+            times.append(stamps[rows[-1]] - latency)
+        return Observations.of(times, rows)
+
+    def table(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return rows of all outputs at every instant, shape (n_instants, n_outputs), zero where none was seen."""
+        return _gathered([own[:, None] for own in values], self.rows)[:, :, 0]
 
     @cached_property
     def _instants(self) -> list[IndexArray]:
@@ -178,19 +194,24 @@ class InputDisturbance:
         product = np.real(passed[:, :, None] * np.conj(passed[:, None, :]))
         return np.asarray(2.0 * self.density * trapezoid(product, s.imag / (2.0 * np.pi), axis=0))
 
-    def filter(self, observations: Observations, variances: FloatArray) -> DisturbanceFilter:
+    def filter(
+        self, observations: Observations, variances: FloatArray, scatter: FloatArray | None = None
+    ) -> DisturbanceFilter:
         """Return the filter that takes the disturbance out of this record's rows.
 
         Parameters
         ----------
         observations : Observations
         variances : ndarray, shape (n_outputs,) -- of the outputs' own noise
+        scatter : ndarray or None, shape (n_instants, n_outputs)
+            Standard deviation of what all outputs of an instant have in common: their speeds times the stamps'
+            jitter; None where there is none.
         """
         # Before the input's first sample there is no noise: the filter starts from P = 0.
         first = min(self.drive.times_s[0], observations.times[0] - 1e-3)
         steps = np.diff(observations.times, prepend=first)
         noise = self.direct_covariance() + np.diag(variances)
-        return DisturbanceFilter(observations, *self._transitions(steps), self._observation, noise)
+        return DisturbanceFilter(observations, *self._transitions(steps), self._observation, noise, scatter)
 
     def most_likely(self, observations: Observations, weighted: list[FloatArray]) -> FloatArray:
         """Return what is to be added to the input's samples, shape (n_samples,).
@@ -200,8 +221,8 @@ class InputDisturbance:
         observations : Observations
         weighted : list of ndarray -- ``Sigma^-1 r``, for every output all rows
         """
-        times, rows = observations.times, observations.rows
-        table = _gathered([values[:, None] for values in weighted], rows)[:, :, 0]
+        times = observations.times
+        table = observations.table(weighted)
         transitions, _, kinds = self._transitions(np.diff(times, append=times[-1] + 1e-3))
         # H^T of (I.14), of the states first: the adjoint of w' = A w + b nu runs backwards, from instant to
         # instant by F^T and, inside the interval, from the next instant back to each sample of the input.
@@ -295,6 +316,7 @@ class DisturbanceFilter:
         kinds: IndexArray,
         observation: FloatArray,
         noise: FloatArray,
+        scatter: FloatArray | None,
     ) -> None:
         self.observations = observations
         self._transitions, self._kinds = transitions, kinds
@@ -303,6 +325,8 @@ class DisturbanceFilter:
         seen = observations.rows >= 0
         is_same = np.zeros(n, dtype=bool)
         is_same[1:] = np.all(seen[1:] == seen[:-1], axis=1) & (kinds[1:] == kinds[:-1])
+        if scatter is not None:
+            is_same[1:] &= np.all(scatter[1:] == scatter[:-1], axis=1)
         changes = np.flatnonzero(~is_same)
         patterns: dict[bytes, tuple[IndexArray, FloatArray, FloatArray]] = {}
         # Every step has its gains; once they have settled on a regular grid they are kept.
@@ -316,6 +340,9 @@ class DisturbanceFilter:
                 selected = np.flatnonzero(seen[k])
                 patterns[pattern] = selected, observation[selected], noise[np.ix_(selected, selected)]
             selected, rows, own = patterns[pattern]
+            if scatter is not None:
+                # An error of the stamp moves what all outputs show by their speeds: R of (I.26).
+                own = own + np.outer(scatter[k, selected], scatter[k, selected])
             before = covariance
             transition = transitions[kinds[k]]
             covariance = transition @ covariance @ transition.T + driven[kinds[k]]

@@ -2,13 +2,15 @@
 
 Several records are not equally noisy: every output weighs in each by its noise there.  The levels are those of the
 residuals of a fit; levels and fit take turns until neither moves.  What is not known of an input in its gaps
-moves the estimates like noise; where it moves them too far, the modes begin anew (``modal.restarts``).
+moves the estimates like noise; where it moves them too far, the modes begin anew (``modal.restarts``).  Stamps may
+scatter, in each record by themselves.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +20,11 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.gaps import POOR_BRIDGE, InputGap, describe_gaps
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.restarts import Restarts, bridge_amplitudes, bridge_effects
+from beam_ident.modal_estimation.input_disturbance import Observations
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes
+from beam_ident.sensing.stamp_jitter import StampJitter
 
 _MOST_FROM_BRIDGES = 0.05  # of the variance of a pole or of the clock
 _NO_ERROR = 1e-9  # of an output's noise: an error of a bridge is never taken to be less
@@ -53,6 +57,35 @@ def weigh_records(
         if not np.any(np.abs(moved) > _SETTLED * reach):
             break
     return weighed, fit
+
+
+def stamp_jitters(regression: ModalRegression, fit: ModalFit) -> tuple[StampJitter, ...]:
+    """Return how the stamps of every record scatter, as the residuals of a fit with equal weights show."""
+    speeds = output_speeds(regression, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+    found = []
+    for record in range(len(regression.inputs)):
+        observations = Observations.of_record(regression, record, fit.clock.latency)
+        left, moving = observations.table(fit.residuals), observations.table(speeds)
+        found.append(StampJitter.of(left, moving, observations.rows >= 0))
+    return tuple(found)
+
+
+def output_speeds(
+    regression: ModalRegression,
+    omegas: FloatArray,
+    zetas: FloatArray,
+    clock: ClockState,
+    coefficients: Sequence[FloatArray],
+) -> list[FloatArray]:
+    """Return how fast every output moves at its stamps, as a model says [unit/s]."""
+    speeds: list[list[FloatArray]] = [[] for _ in coefficients]
+    for piece in regression.pieces:
+        blocks = piece.blocks(omegas, zetas, clock, gradients=True)
+        for parts, block, found in zip(speeds, piece.block_of, coefficients, strict=True):
+            by_time = blocks[block].by_time
+            assert by_time is not None
+            parts.append(by_time @ found)
+    return [np.concatenate(parts) for parts in speeds]
 
 
 def unweighed(regression: ModalRegression, fit: ModalFit) -> ModalFit:

@@ -64,6 +64,7 @@ from beam_ident.modal_estimation.record_levels import (
     gap_sentences,
     record_levels,
     restart_priors,
+    stamp_jitters,
     unweighed,
     weigh_records,
 )
@@ -78,6 +79,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
+from beam_ident.sensing.stamp_jitter import is_any
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
@@ -262,7 +264,7 @@ class _Task:
                 own.between(first, last - _BEFORE * (last - first) if math.isfinite(last) else last)
                 for own, (first, last) in zip(records, stretches, strict=True)
             ]
-            model = self._outcome(pieces, ()).model
+            model = self._plain_model(pieces)
         except IdentificationError:
             return ()
         known: tuple[ClockJump, ...] = ()
@@ -276,6 +278,16 @@ class _Task:
             known = tried[best]
             places = [place for place in places if known[-1] not in place]
         return known
+
+    def _plain_model(self, records: list[TimeRecord]) -> ModalModel:
+        """Return what a search with equal weights finds, in a fraction of the time of an outcome."""
+        regression = ModalRegression(records, self.terms, self.input_names)
+        _refuse_hopeless(regression, self.n_modes)
+        search = self._begun(records, regression)
+        try:
+            return search._model(search.begun(self.n_modes, self.max_modes).fit)
+        except OwnClocks:
+            return self._outcome(records, ()).model
 
     def _cost(
         self, records: list[TimeRecord], jumps: tuple[ClockJump, ...], model: ModalModel, seen_s: float
@@ -713,10 +725,13 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         regression = self.plain
         model = self._model(fit)
         smoothing = None
-        shares = [_noise_share(model.path(drive.name), drive) for drive in regression.drives]
+        shares = [_noise_shares(model.path(drive.name), drive) for drive in regression.drives]
         self._release()
-        if regression.n_forced == 1 and self.band.is_excited and max(shares) > _NEGLIGIBLE_SHARE:
-            smoothing = Smoothing(self.band.high_hz)
+        is_noisy = bool(np.max(shares) > _NEGLIGIBLE_SHARE)
+        is_weighable = regression.n_forced == 1 and self.band.is_excited
+        if is_weighable and (is_noisy or is_any(stamp_jitters(regression, fit))):
+            # Where only the stamps scatter the input is taken as it is.
+            smoothing = Smoothing(self.band.high_hz if is_noisy else math.inf)
             regression = ModalRegression(
                 self.records, regression.structure, self.input_names, smoothing, regression.restarts
             )
@@ -729,8 +744,14 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         priors = self._clock_priors(fit)
         if self.bridges is not None:
             priors += [((place,), 0.0, sd) for place, sd in restart_priors(by_record, fit)]
-        weighted = WeightedFit(self.records, by_record, fit, self.latency, self.clock_rate, smoothing, priors)
+        jitters = stamp_jitters(regression, fit) if smoothing is not None else ()
+        weighted = WeightedFit(
+            self.records, by_record, fit, self.latency, self.clock_rate, smoothing, priors, jitters
+        )
         found = unweighed(by_record, weighted.result())
+        if is_any(jitters):
+            shares = [_noise_shares(model, drive, smoothing) for drive in regression.drives]
+            found = replace(found, input_noise_shares=is_noisy * np.max(shares, axis=0))
         if self.bridges is not None:
             found = replace(found, covariance=found.covariance + self.bridges.covariance)
         return Weighed(found, regression, by_record)
@@ -969,7 +990,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                     "without it, input_name of the others, the rest is known better."
                 )
             drives = [drive for drive in self.plain.drives if drive.name == path.input_name]
-            share = max(_noise_share(path, drive) for drive in drives)
+            share = max(float(np.max(_noise_shares(path, drive))) for drive in drives)
             if share > _VISIBLE_SHARE:
                 warnings.append(
                     f"Noise on input {path.input_name} makes up {share:.0%} of the noise variance of an output. "
@@ -1029,6 +1050,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         values, residuals = regression.values[j], fit.residuals[j]
         noise_sd = float(fit.sigmas[j]) * levels / math.sqrt(float(np.mean(np.square(levels))))
         noises = fit.noises[j] if fit.noises else ("",) * len(starts)
+        spread = fit.spreads[j] if fit.spreads else np.ones(len(values))
         records = tuple(
             RecordFit(
                 name=self.records[index].name,
@@ -1038,10 +1060,11 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 residuals=residuals[part],
                 noise_sd=float(noise_sd[part.start]),
                 scores=Scores.of(values[part], residuals[part]),
-                whiteness=Whiteness.of(residuals[part]),
+                whiteness=Whiteness.of(residuals[part] / spread[part]),
                 offset=float(found[own]) if structure.has_offset else 0.0,
                 ramp=float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0,
                 noise=noise,
+                spread=spread[part],
             )
             for (index, part), own, noise in zip(regression.segments[j], starts, noises, strict=True)
         )
@@ -1057,7 +1080,7 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             noise_sd=float(fit.sigmas[j]),
             scores=pooled_scores([(values[part], residuals[part]) for part in parts]),
             deflection_scores=pooled_scores([(deflection[part], residuals[part]) for part in parts]),
-            whiteness=Whiteness.of(in_units_of_level([residuals[part] for part in parts])),
+            whiteness=Whiteness.of(in_units_of_level([(residuals / spread)[part] for part in parts])),
             offset=records[0].offset,
             ramp=records[0].ramp,
             records=records,
@@ -1256,9 +1279,9 @@ def _common_band(regression: ModalRegression, highest_hz: float) -> Band:
     return Band(min(b.low_hz for b in bands), high, is_excited, 0.5 * regression.rate_hz)
 
 
-def _noise_share(model: ModalModel, drive: InputSignal) -> float:
-    """Return how much of the outputs' noise the noise on the input makes up."""
+def _noise_shares(model: ModalModel, drive: InputSignal, smoothing: Smoothing | None = None) -> FloatArray:
+    """Return how much of every output's noise the noise on the input makes up, shape (n_outputs,)."""
     if drive.sigma == 0.0:
-        return 0.0
-    omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive)
+        return np.zeros(len(model.output_names))
+    omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive, smoothing)
     return input_noise_share(model.frequency_response(omegas).response, omegas, drive, model.noise_sd)

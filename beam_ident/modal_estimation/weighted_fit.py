@@ -37,12 +37,14 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
+from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.noise.autoregression import ScoreCovariance, autoregression
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.noise_model import NoisePass, RecordNoise, Whitening
 from beam_ident.noise.scores import are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTriangle
+from beam_ident.sensing.stamp_jitter import StampJitter
 
 _MAX_STEPS = 15
 _MAX_STEPS_AMONG_OUTLIERS = 40  # weights by the tails settle more slowly
@@ -105,6 +107,7 @@ class WeightedFit:
         Given where the input's ``sigma`` matters.
     priors : sequence of (tuple of int, float, float)
         Sums of parameters, by their places in ``ModalFit.covariance``, and what is known of them: mean and sd.
+    jitters : sequence of StampJitter -- of every record, with the smoothing
     """
 
     def __init__(
@@ -116,8 +119,9 @@ class WeightedFit:
         clock_rate: Prior,
         smoothing: Smoothing | None = None,
         priors: Sequence[tuple[tuple[int, ...], float, float]] = (),
+        jitters: Sequence[StampJitter] = (),
     ) -> None:
-        self.priors = priors
+        self.priors, self.jitters = priors, tuple(jitters)
         self.records, self.regression, self.fit = list(records), regression, fit
         self.latency, self.clock_rate, self.smoothing = latency, clock_rate, smoothing
         self.n_theta = 2 * len(fit.omegas) + int(latency.is_free) + int(clock_rate.is_free)
@@ -126,6 +130,9 @@ class WeightedFit:
         self.freedom = 1.0 - len(fit.covariance) / max(regression.n_samples, 1)
         # Of the outputs' own noise in every record, beside that of the input.
         self.record_variances = np.tile(self.variances, (max(len(self.records), 1), 1))
+        if self._scatters:
+            self.record_variances = np.array([own.variances for own in self.jitters])
+        self.own_shares = self.record_variances / self.variances
         self.noises: list[list[RecordNoise]] = []
         self._is_near = False
         if smoothing is None:
@@ -162,6 +169,16 @@ class WeightedFit:
         """Whether the noise is other than what the fit took it for."""
         is_coloured = any(not own.is_plain for noises in self.noises for own in noises)
         return self.smoothing is not None or is_coloured or bool(self.priors)
+
+    @property
+    def _scatters(self) -> bool:
+        """Whether the stamps of a record do."""
+        return any(own.sd_s > 0.0 for own in self.jitters)
+
+    @property
+    def _is_driven_by_noise(self) -> bool:
+        """Whether the input's noise matters, and not the stamps' jitter alone."""
+        return self.smoothing is not None and math.isfinite(self.smoothing.high_hz)
 
     @property
     def _has_outliers(self) -> bool:
@@ -209,7 +226,7 @@ class WeightedFit:
             # Hausman's comparison: under the right noise both estimates differ by no more than both scatter.
             if not np.max(np.abs(travelled / reach)[: self.n_theta]) < farthest:
                 reason = "weighing by the noise moves the poles further than noise can; weights are equal"
-                if self.smoothing is not None:
+                if self._is_driven_by_noise:
                     reason = f"{reason}. Check the sigma that is stated for the input"
                 return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
             if not np.max(np.abs(change[: len(fit.omegas)])) < _MAX_STEP:
@@ -234,7 +251,7 @@ class WeightedFit:
 
     def _keeps_equal_weights(self, fit: ModalFit) -> bool:
         """Return whether equal weights are an answer: not where the input's noise biases them."""
-        return fit.converged and self.smoothing is None
+        return fit.converged and not self._is_driven_by_noise
 
     @property
     def _is_long(self) -> bool:
@@ -251,9 +268,7 @@ class WeightedFit:
                 self._driven.release()
             # The innovations L^-1 r of (I.16) have unit power where the sigma_j^2 are right.
             disturbances = self._disturbances(point)
-            filters = [
-                d.filter(o, own) for (d, o), own in zip(disturbances, self.record_variances, strict=True)
-            ]
+            filters = self._filters(disturbances)
             white = [r[:, None].copy() for r in residuals]
             for own in filters:
                 own.whiten(white)
@@ -473,6 +488,19 @@ class WeightedFit:
             tuple(coefficients),
         )
 
+    def _filters(
+        self, disturbances: Sequence[tuple[InputDisturbance, Observations]]
+    ) -> list[DisturbanceFilter]:
+        jitters = self.jitters or [None] * len(disturbances)
+        return [
+            disturbance.filter(
+                observations, own, jitter.sd_s * jitter.speeds if jitter and jitter.sd_s > 0.0 else None
+            )
+            for (disturbance, observations), own, jitter in zip(
+                disturbances, self.record_variances, jitters, strict=True
+            )
+        ]
+
     def _disturbances(self, point: _Point) -> list[tuple[InputDisturbance, Observations]]:
         """Return the noise of every record's input and where it is seen."""
         regression = self._driven
@@ -480,13 +508,6 @@ class WeightedFit:
         shared = np.array([found[: self.n_shared] for found in point.coefficients])
         result = []
         for index, drive in enumerate(regression.drives):
-            times: list[FloatArray] = []
-            rows: list[IndexArray] = []
-            for segments in regression.segments:
-                own = [part for record, part in segments if record == index]
-                places = [np.arange(part.start, part.stop) for part in own]
-                rows.append(np.concatenate(places) if places else np.empty(0, dtype=np.intp))
-                times.append(regression.times[len(rows) - 1][rows[-1]] - point.clock.latency)
             names = [o.name for o in self.records[index].outputs]
             exposures = np.array(
                 [
@@ -497,7 +518,7 @@ class WeightedFit:
             disturbance = InputDisturbance(
                 drive, regression.structure, point.omegas, point.zetas, shared, exposures, self.smoothing
             )
-            result.append((disturbance, Observations.of(times, rows)))
+            result.append((disturbance, Observations.of_record(regression, index, point.clock.latency)))
         return result
 
     def _adjust_variances(self, white: list[FloatArray], residuals: Sequence[FloatArray]) -> None:
@@ -508,6 +529,7 @@ class WeightedFit:
                 # power: an output may otherwise be explained by the input's noise altogether.
                 power = float(np.mean(np.square(own[part])))
                 least = _MIN_VARIANCE * float(np.mean(np.square(plain[part])))
+                least *= min(float(self.own_shares[record, output]), 1.0)
                 before = self.record_variances[record, output]
                 self.record_variances[record, output] = max(before * power / self.freedom, least)
 
@@ -571,7 +593,7 @@ class WeightedFit:
         """
         if self._is_long and (stretch := self._stretch()) is not None:
             own = stretch._disturbances(point)
-            own_filters = [d.filter(o, v) for (d, o), v in zip(own, stretch.record_variances, strict=True)]
+            own_filters = stretch._filters(own)
             grown = self.regression.n_samples / stretch.regression.n_samples
             return np.asarray(grown * stretch._feigned(point, own, own_filters))
         # N of (I.18) comes through the poles, gains and residues alone: offset, ramp and free motion do not pass
@@ -609,8 +631,17 @@ class WeightedFit:
             return None
         if regression.output_names != driven.output_names or len(records) < len(self.records):
             return None
-        result = WeightedFit(records, regression, self.fit, self.latency, self.clock_rate, self.smoothing)
+        fit = self.fit
+        result = WeightedFit(records, regression, fit, self.latency, self.clock_rate, self.smoothing)
         result.record_variances = self.record_variances
+        if self._scatters:
+            speeds = output_speeds(regression, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+            result.jitters = tuple(
+                dataclasses.replace(
+                    own, speeds=Observations.of_record(regression, index, fit.clock.latency).table(speeds)
+                )
+                for index, own in enumerate(self.jitters)
+            )
         return result
 
     def _noise_columns(
@@ -664,6 +695,7 @@ class WeightedFit:
                 own = rng.standard_normal(len(residuals[output])) * np.sqrt(self._row_variances(output))
                 matrix = blocks[block].matrix
                 residuals[output][:, draw] = own - matrix @ _padded(shared[output], blocks[block])
+            self._add_late_stamps(residuals, draw, disturbances, rng)
         for own_filter in filters:
             own_filter.whiten(residuals)
             own_filter.weigh(residuals)
@@ -673,6 +705,21 @@ class WeightedFit:
                 # nu - nu_hat: what the most likely input still holds of this draw's noise.
                 noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
         return inputs
+
+    def _add_late_stamps(
+        self,
+        residuals: Sequence[FloatArray],
+        draw: int,
+        disturbances: Sequence[tuple[InputDisturbance, Observations]],
+        rng: np.random.Generator,
+    ) -> None:
+        """Add a draw of what the stamps' jitter does to the outputs, in place."""
+        for jitter, (_, observations) in zip(self.jitters, disturbances, strict=False):
+            if jitter.sd_s > 0.0:
+                late = jitter.sd_s * rng.standard_normal(len(observations.times))
+                for output, rows in enumerate(observations.rows.T):
+                    seen = rows >= 0
+                    residuals[output][rows[seen], draw] += (late * jitter.speeds[:, output])[seen]
 
     def _row_variances(self, output: int) -> FloatArray:
         """Return the variance of an output's own noise at every row."""
@@ -695,7 +742,7 @@ class WeightedFit:
         touched = [self._touched(output) for output in range(len(point.coefficients))]
         covariance = _sandwich(inverse, linear.innovations, touched, linear.whitened, inflations)
         reason = self.fit.reason
-        if self.smoothing is not None:
+        if self._is_driven_by_noise:
             try:
                 covariance = self._without_feigned_information(point, linear, covariance)
             except (KeyboardInterrupt, MemoryError) as stop:
@@ -712,7 +759,7 @@ class WeightedFit:
             ]
             powers[output] = float(np.mean(np.square(np.concatenate(kept))))
         shares = np.zeros(len(residuals))
-        if self.smoothing is not None:
+        if self.smoothing is not None and not self._scatters:
             own_powers = [float(np.mean(self._row_variances(j))) for j in range(len(residuals))]
             shares = np.clip(1.0 - np.array(own_powers) / powers, 0.0, 1.0)
         return dataclasses.replace(
@@ -725,11 +772,32 @@ class WeightedFit:
             sigmas=np.sqrt(powers / self.freedom),
             covariance=0.5 * (covariance + covariance.T),
             input_noise_shares=shares,
-            noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises),
+            noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises)
+            or self._said_of_stamps(),
+            spreads=self._spreads(),
             converged=self.fit.converged and reason == self.fit.reason,
             reason=reason,
             iterations=self.fit.iterations + steps,
         )
+
+    def _spreads(self) -> tuple[FloatArray, ...]:
+        """Return the noise of every output's rows over that of all, where stamps scatter."""
+        if not self._scatters:
+            return ()
+        powers = [self._row_variances(output) for output in range(len(self.regression.values))]
+        for record, jitter in enumerate(self.jitters):
+            rows = Observations.of_record(self._driven, record, 0.0).rows
+            for output, own in enumerate(powers):
+                seen = rows[:, output] >= 0
+                own[rows[seen, output]] += np.square(jitter.sd_s * jitter.speeds[seen, output])
+        return tuple(np.sqrt(own / float(np.mean(own))) for own in powers)
+
+    def _said_of_stamps(self) -> tuple[tuple[str, ...], ...]:
+        """Return what is said of the noise of every output in each of its records."""
+        if not self._scatters:
+            return ()
+        said = [str(own) if own.sd_s > 0.0 else "" for own in self.jitters]
+        return tuple(tuple(said[record] for record, _ in own) for own in self.regression.segments)
 
 
 def _padded(shared: FloatArray, block: ColumnBlock) -> FloatArray:

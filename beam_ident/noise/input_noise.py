@@ -82,8 +82,8 @@ def _filtered(values: FloatArray, taps: FloatArray, is_first: bool, is_last: boo
 
 def input_noise_share(
     response: ComplexArray, omegas: FloatArray, drive: InputSignal, noise_sd: FloatArray
-) -> float:
-    """Return the largest share of an output's noise variance that the input's noise makes up.
+) -> FloatArray:
+    """Return the share of every output's noise variance that the input's noise makes up, shape (n_outputs,).
 
     Parameters
     ----------
@@ -96,12 +96,18 @@ def input_noise_share(
     density = np.abs(response) ** 2
     # 2 sigma^2 T is the one-sided density of white samples.
     passed = 2.0 * period * drive.sigma**2 * trapezoid(density, omegas / (2.0 * np.pi), axis=0)
-    return float(np.max(passed / np.maximum(passed + noise_sd**2, 1e-300)))
+    return np.asarray(passed / np.maximum(passed + noise_sd**2, 1e-300))
 
 
-def noise_grid(frequencies_hz: FloatArray, damping_ratios: FloatArray, drive: InputSignal) -> FloatArray:
-    """Return frequencies [rad/s] up to half the input's rate, dense at the resonances."""
-    nyquist = 0.5 / float(np.median(np.diff(drive.times_s)))
+def noise_grid(
+    frequencies_hz: FloatArray,
+    damping_ratios: FloatArray,
+    drive: InputSignal,
+    smoothing: Smoothing | None = None,
+) -> FloatArray:
+    """Return frequencies [rad/s] up to half the input's rate, or the end of a low-pass, dense at the resonances."""
+    period = float(np.median(np.diff(drive.times_s)))
+    nyquist = 0.5 / period if smoothing is None else smoothing.cutoff_hz(period)
     coarse = np.linspace(0.0, nyquist, 400)[1:]
     near = [
         # Points in units of the half-power width, closest at the peak: |H|^2 is integrated there.

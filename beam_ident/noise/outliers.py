@@ -79,8 +79,10 @@ def outlier_warning(outputs: Sequence[tuple[str, Sequence[RecordFit]]]) -> str:
             for own in records
             if not are_rounding(own.measured, own.residuals) and "rounding" not in own.noise
         ]
-        count = sum(len(outliers(own.residuals)) for own in seen)
-        if count >= _MIN_COUNT or (count and any(len(outliers(own.residuals, _GROSS)) for own in seen)):
+        count = sum(len(outliers(own.residuals / own.spread)) for own in seen)
+        if count >= _MIN_COUNT or (
+            count and any(len(outliers(own.residuals / own.spread, _GROSS)) for own in seen)
+        ):
             found.append(f"{count} of {sum(len(own.residuals) for own in records)} samples of {name}")
             treatments += [own.noise for own in seen if "outliers" in own.noise or "Student" in own.noise]
     if not found:

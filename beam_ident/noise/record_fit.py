@@ -29,6 +29,7 @@ class RecordFit:
     noise_coefficients : ndarray
         1, c_1 .. c_p of an autoregression that the estimator gave this record's noise; 1 alone otherwise.
     noise : str -- what the estimator took the noise for, in words; empty for white noise without outliers
+    spread : ndarray -- the noise of every sample over the record's; one number where it is the same for all
     """
 
     name: str
@@ -43,6 +44,7 @@ class RecordFit:
     ramp: float
     noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
     noise: str = ""
+    spread: FloatArray = field(default_factory=lambda: np.ones(1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

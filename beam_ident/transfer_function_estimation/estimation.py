@@ -579,7 +579,7 @@ def _input_noise_warnings(
             grid = noise_grid(omegas / (2.0 * math.pi), zetas, drive)
             response = model.frequency_response(grid)[0][:, None]
             noisy = replace(drive, sigma=found.sigma)
-            share = input_noise_share(response, grid, noisy, np.array([model.noise_sd]))
+            share = float(input_noise_share(response, grid, noisy, np.array([model.noise_sd]))[0])
             if share > _VISIBLE_SHARE:
                 what = (
                     f"It makes up {share:.0%} of the noise of {model.output_name}, and biases this estimator, which "

@@ -129,3 +129,36 @@ def test_intervals_cover_under_coloured_noise_and_noise_on_the_input(make):
     # 60 runs: the standard deviation of a coverage of 95 % is 2.8 %, of the mean over all about 1 %.
     assert 0.92 < np.mean(np.abs(scores) < 1.96) < 0.98
     assert np.max(np.abs(np.mean(scores, axis=0))) < 0.5
+
+
+def with_stamp_jitter(seed: int, sd_s: float, encoder_sd: float = 0.0) -> TimeRecord:
+    record = with_encoder_noise(seed, encoder_sd, encoder_sd) if encoder_sd else beam_record(seed)
+    late = sd_s * np.random.default_rng(2000 + seed).standard_normal(len(record.outputs[0].times_s))
+    outputs = [OutputSignal(o.name, "m", o.times_s + late, o.values, o.exposure_s) for o in record.outputs]
+    return TimeRecord(record.inputs, tuple(outputs))
+
+
+@pytest.mark.parametrize("encoder_sd", [0.0, 2e-7])
+def test_stamps_that_scatter_are_late_for_all_outputs_at_once(encoder_sd):
+    scores = []
+    for seed in (0, 2, 3, 4):
+        found = identify(with_stamp_jitter(seed, 1e-4, encoder_sd), n_modes=3)
+        model = found.model
+        clock = [model.latency / model.latency_sd, model.clock_rate / model.clock_rate_sd]
+        scores.append([*z_scores(model)[:6], *clock])
+        # Noise of one level, as large as the jitter makes it, would leave 8 mHz.
+        assert model.natural_frequency_sd[1] / (2.0 * np.pi) < 1e-3
+        assert not [said for said in found.warnings if "white" in said or "Outliers" in said]
+        (noise,) = {record.noise for output in found.outputs for record in output.records}
+        sd_us = float(noise.removeprefix("stamps that scatter by ").removesuffix(" us"))
+        assert sd_us == pytest.approx(100.0, rel=0.07)
+    power = np.mean(np.square(scores), axis=0)
+    # Latency, clock rate and first frequency go together: 1 +- 0.7 of chi-squared over 4. With noise that is taken
+    # to be independent from output to output these seeds give 2.9 to 3.5.
+    assert np.mean(power[[0, 6, 7]]) < 2.2
+    assert np.mean(power) < 1.7
+
+
+def test_stamps_that_do_not_scatter_are_not_said_to():
+    steady = identify(beam_record(1), n_modes=3)
+    assert {record.noise for output in steady.outputs for record in output.records} == {""}
