@@ -29,6 +29,7 @@ _FLAT = (
 )
 _STEADY = 3.0  # of the floor's power in all segments but a tenth on each side
 _SMALL = 0.01  # of the input's own deviation: more is no noise of a sensor, but the signal
+_SMALL_IN_REST = 0.05  # the same where nothing else was there to see
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class StillNoise:
         # An encoder that stands between two counts shows nothing of its rounding: that is known from its steps.
         sigma = max(math.sqrt(float(np.mean(level[still]))), quantum(values) / math.sqrt(12.0))
         count = int(np.sum(still)) * _WINDOW
-        if count < _MIN_REST or not _rounding(values) < sigma < _SMALL * float(np.std(values)):
+        if count < _MIN_REST or not _rounding(values) < sigma < _SMALL_IN_REST * float(np.std(values)):
             return StillNoise()
         return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
 

@@ -36,6 +36,7 @@ from beam_ident import (
 from beam_ident.data.gaps import Bridge
 from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
 from beam_ident.report.page import write_whole
+from beam_ident.sensing.commanded_motion import as_commanded
 from beam_ident.sensing.still_noise import StillNoise
 from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
@@ -63,6 +64,7 @@ _LEAD_S = 0.3
 _NAMED_GAPS = 5
 _MOST_DEVIATIONS = 999
 _MORE_NOISE = 1.5
+_FINE_ENCODER = 2.5e-7  # m
 VIDEO_TOPIC = "tracker/video"
 """String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
 _STRUCTURE_OF_MODE = {
@@ -244,7 +246,6 @@ def _hub_drive(
     bag.require(topic)
     bag.read(topic, "beam/displacement", "hub/clock_sync")
     samples = without_stray_batches(bag, bag.hub_samples(topic), notes)
-    commanded = bag.hub_samples("hub/applied") if samples.gaps and bag.count("hub/applied") else None
     syncs = bag.clock_syncs()
     values = getattr(samples, quantity)
     if values is None:
@@ -262,9 +263,19 @@ def _hub_drive(
     if topic == "hub/measured":
         resolution = rig.hub.encoder_resolution if rig else 0.0
         drive = replace(drive, sigma=_encoder_noise(drive, resolution, notes))
-        if commanded is not None and np.any(np.isnan(filled)):
+        seen = np.isfinite(filled)
+        is_coarse = drive.sigma > _FINE_ENCODER
+        if (is_coarse or not np.all(seen)) and bag.count("hub/applied"):
+            commanded = bag.hub_samples("hub/applied")
             reference = _commanded_position(commanded, known.hub.applied_hold, times, origin_ns, rate)
-            drive = _filled_by_command(drive, times, filled, reference)
+            led = as_commanded(drive, reference, seen) if is_coarse and reference is not None else None
+            if led is not None:
+                apart = float(np.std((drive.values - led.values)[seen]))
+                notes.append(
+                    f"hub/measured differs from the motion that hub/applied makes by noise of {apart * 1e6:.2g} um "
+                    "alone: the hub went as it was led; its position is taken from hub/applied, without that noise"
+                )
+            drive = led or _filled_by_command(drive, times, filled, reference)
     return _Drive(drive, kind, origin_ns, clock_rate, is_hub=True)
 
 
@@ -377,7 +388,7 @@ def _encoder_noise(drive: InputSignal, resolution: float, notes: list[str]) -> f
     if shown > _MORE_NOISE * of_rounding:
         notes.append(
             f"hub/measured has noise of {shown * 1e6:.2g} um, more than the {of_rounding * 1e6:.2g} um of an encoder "
-            f"of {resolution * 1e6:.2g} um: every sample weighs by it"
+            f"of {resolution * 1e6:.2g} um"
         )
     return max(shown, of_rounding)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
 from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
+from beam_ident.sensing.commanded_motion import as_commanded
 from beam_model import BeamModel, BeamParameters, Damping
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
 
@@ -113,8 +115,38 @@ class RigCase(AgainstBound):
         return Outcome(seconds, *flat(model)) if model.n_modes == 3 else Outcome(seconds)
 
 
+class LedRigCase(RigCase):
+    """The same with the commands beside the encoder, as bags of the rig have them; the bound knows the motion."""
+
+    def __init__(self, encoder_sd: float) -> None:
+        super().__init__(encoder_sd)
+
+    @cached_property
+    def bound(self) -> np.ndarray:
+        """Return the standard deviations that records without an encoder's noise state."""
+        return stated_bound(lambda seed: flat(identify(self.rig.record(seed), n_modes=3).model)[1])
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; a motion that is not found to be the commanded one stays as measured."""
+        record = self.rig.record(seed, **self.noise)
+        start = time.perf_counter()
+        led = as_commanded(record.inputs[0], self.rig.excitation.positions)
+        model = identify(TimeRecord((led or record.inputs[0],), record.outputs)).model
+        seconds = time.perf_counter() - start
+        figures = {"led": float(led is not None)}
+        if model.n_modes != 3:
+            return Outcome(seconds, figures=figures)
+        return Outcome(seconds, *flat(model), figures)
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Add how often the motion was found to be the commanded one."""
+        led = float(np.mean([own.figures["led"] for own in outcomes]))
+        return super().summarise(outcomes) | {"led": round(led, 4)}
+
+
 STUDIES = {
     "rig": Study("rig, 0.1 um encoder, white camera noise", 400, RigCase),
     "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(colour=0.7)),
     "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(encoder_sd=1e-6)),
+    "rig-encoder-20um": Study("rig, 20 um of encoder noise", 200, lambda: LedRigCase(encoder_sd=20e-6)),
 }
