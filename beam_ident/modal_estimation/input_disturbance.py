@@ -153,6 +153,7 @@ class InputDisturbance:
         self._dynamics = block_diag(*blocks)
         self._observation = np.concatenate(observation, axis=1)
         self._entry = np.array(entry)
+        self._known_steps: dict[bytes, tuple[FloatArray, FloatArray, IndexArray]] = {}
         # What passes at once: a polynomial in s of the direct gain and of the residual term.
         self._direct = np.zeros((3, len(shared)))
         # s^2/d = 1 + (a proper part): the 1 is the sum of the residues, (I.5) with k = 2.
@@ -162,8 +163,14 @@ class InputDisturbance:
 
     def _transitions(self, steps: FloatArray) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Return transitions and covariances of the driven state (Van Loan 1978), and which goes with each step."""
-        size = len(self._dynamics)
         rounded = np.round(steps / _TIME_RESOLUTION_S).astype(np.int64)
+        key = rounded.tobytes()
+        if key not in self._known_steps:  # many draws pass through one filter
+            self._known_steps[key] = self._driven_states(rounded)
+        return self._known_steps[key]
+
+    def _driven_states(self, rounded: IndexArray) -> tuple[FloatArray, FloatArray, IndexArray]:
+        size = len(self._dynamics)
         distinct, place = np.unique(rounded, return_inverse=True)
         # The longest step is divided so that the exponential of -A stays small.
         growth = float(np.max(np.abs(np.diag(self._dynamics)), initial=1e-12))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,11 @@ def packaged_rig_file() -> Path:
 
 def packaged_defaults() -> dict[str, Value]:
     """Every parameter's default, read from the packaged file."""
+    return dict(_packaged())
+
+
+@cache
+def _packaged() -> Mapping[str, Value]:
     return parameters_in_file(packaged_rig_file())
 
 
