@@ -6,9 +6,10 @@ few columns; it is named where these columns explain more of the residuals than 
 
 How often it is wrong: ``_LEVEL`` for each of nine kinds, divided by the instants or frequencies at which a kind was
 looked for, is one output in a thousand.  Of 1600 records of 1000 samples under white noise, a moving average, AR(0.9)
-and a wide resonance, two were given a cause.  Noise as slow as a tenth of the record is said to drift more often
-(0.8 % of AR(0.99), 7 % of AR(0.995)), and a resonance as sharp as a line to be one (2 %).  A column that the model
-could explain by other parameters makes the test careful, never bold: residuals are at right angles to those parts.
+and a wide resonance, two were given a cause; of 900 under noise as slow as a tenth to a half of the record, AR(0.99)
+to AR(0.998), none was said to drift.  A resonance as sharp as a line is said to be one more often (2 %).  A column
+that the model could explain by other parameters makes the test careful, never bold: residuals are at right angles to
+those parts.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
 _LIKE_COLOUR = ("line", "jump", "drift")  # which an autoregression would take for its own
 _CAREFUL = 100.0  # times rarer these must be: the colour without them is one that they chose
 _SLOW_BIAS = 15.0  # samples' worth
+_SLOW_DOUBT = (
+    3.0  # standard deviations of an estimated pole near one: where noise may be slower than it looks
+)
 _MIN_SAMPLES = 60
 _MOST_CAUSES = 3
 _MARGIN = 0.05  # of the record, at either end: a change there cannot be told from an end of the motion
@@ -197,10 +201,14 @@ class _Whitened:
         -----
         A pole near one is estimated too small, the more so the more drifts are taken out before: by about ``c/n`` of
         n samples (Kendall, Biometrika 41 (1954), 403), where c grows from 4 with an offset to 15 or 20 with a cubic.
+        It scatters by ``sqrt((1 - a^2) / n)`` (Mann and Wald, Econometrica 11 (1943), 173): of a pole that is not
+        known to be away from one, nothing slow is told from noise.
         """
         roots = np.roots(self.colour)
         slowest = max((float(root.real) for root in roots if abs(root.imag) < 1e-9), default=0.0)
-        surely = 1.0 - slowest - _SLOW_BIAS / (len(self.left) + len(self.colour) - 1)
+        n = len(self.left) + len(self.colour) - 1
+        doubt = _SLOW_DOUBT * math.sqrt((1.0 - slowest**2) / n) if slowest > 0.0 else 0.0
+        surely = 1.0 - slowest - _SLOW_BIAS / n - doubt
         return ((1.0 - slowest) / surely) ** 2 if surely > 0.0 else math.inf
 
     def gains(
