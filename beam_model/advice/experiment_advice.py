@@ -153,7 +153,7 @@ def advise(
     top = 1.2 * f[n_modes - 1]
     if n_modes < model.n_modes:
         top = min(top, float(np.sqrt(f[n_modes - 1] * f[n_modes])))
-    decay = float(np.min((zeta * model.natural_frequencies)[:n_modes]))
+    decay = float(np.min(-model.poles.real[:n_modes]))
     return ExperimentAdvice(
         n_modes=n_modes,
         marker_heights=heights,

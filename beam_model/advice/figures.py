@@ -108,19 +108,19 @@ def bode_figure(
 
 
 def pole_figure(model: BeamModel) -> Figure:
-    """Return the poles in the upper half plane: of the clamped beam, and with the hub free.
+    """Return the poles mode by mode: of the clamped beam, and with the hub free.
 
     Axes are damping ratio and natural frequency, which the eye can compare; decay rate is 2 pi times their product.
     """
     figure = _new_figure()
     axis = figure.subplots()
-    for poles, mark, label in (
-        (model.poles, "x", "hub motion prescribed (clamped)"),
-        (model.free_hub_poles, "+", "force on a free hub"),
-    ):
-        axis.plot(100.0 * -poles.real / np.abs(poles), np.abs(poles) / (2.0 * np.pi), mark, label=label)
+    ratios = (model.damping_ratios, model.free_hub_damping_ratios)
+    omegas = (model.natural_frequencies, model.free_hub_natural_frequencies)
+    labels = ("hub motion prescribed (clamped)", "force on a free hub")
+    for zeta, omega, mark, label in zip(ratios, omegas, "x+", labels, strict=True):
+        axis.plot(100.0 * zeta, omega / (2.0 * np.pi), mark, label=label)
     axis.set_yscale("log")
-    widest = max(float(np.max(-poles.real / np.abs(poles))) for poles in (model.poles, model.free_hub_poles))
+    widest = max(float(np.max(zeta)) for zeta in ratios)
     axis.set_xlim(0.0, 115.0 * widest if widest > 0.0 else 1.0)
     axis.set_xlabel("damping ratio [%]")
     axis.set_ylabel("natural frequency [Hz]")

@@ -95,16 +95,18 @@ class ModelSummary:
     def to_text(self) -> str:
         """Return the page for a person."""
         lines = [
-            "mode   clamped        damping   free hub       damping   participation   beam mass   in frames at "
+            "mode   clamped          damping   free hub         damping   participation   beam mass   in frames at "
             f"{self.frame_rate_hz:g} Hz"
         ]
         for k, frequency in enumerate(self.frequencies_hz):
             alias = f"{self.aliases_hz[k]:.2f} Hz"
-            if frequency <= 0.5 * self.frame_rate_hz:
+            if self.damping_ratios[k] >= 1.0:
+                alias = "does not oscillate"
+            elif frequency <= 0.5 * self.frame_rate_hz:
                 alias = "as it is"
             lines.append(
-                f"{k + 1:4d}   {frequency:9.4f} Hz   {100 * self.damping_ratios[k]:5.3f} %   "
-                f"{self.free_hub_frequencies_hz[k]:9.4f} Hz   {100 * self.free_hub_damping_ratios[k]:5.3f} %   "
+                f"{k + 1:4d}   {frequency:9.4f} Hz   {100 * self.damping_ratios[k]:7.3f} %   "
+                f"{self.free_hub_frequencies_hz[k]:9.4f} Hz   {100 * self.free_hub_damping_ratios[k]:7.3f} %   "
                 f"{self.participation_factors[k]:13.4f}   {100 * self.effective_mass_fractions[k]:7.2f} %   {alias}"
             )
         if self.marker_heights_mm.size:

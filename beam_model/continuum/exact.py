@@ -126,14 +126,15 @@ class _BeamAtFrequencies:
         tip = [self._functions(np.ones(1), k)[:, 0] for k in range(4)]
         forced_clamp = [self._particular(np.zeros(1), k)[:, 0] for k in range(3)]
         forced = [self._particular(np.ones(1), k)[:, 0] for k in range(4)]
-        compliance = parameters.clamp_compliance * (1.0 + parameters.damping.internal * s)
+        # The clamp's spring loses as the strip does: bending moment and spring moment share 1 + eta s.
+        compliance = parameters.clamp_compliance
         shear = parameters.tip_mass_ratio * inertia
         moment = parameters.tip_inertia_ratio * inertia
         # Unknowns: four coefficients; equations: deflection and moment at the clamp, shear and moment at the tip.
         rows = np.stack(
             [
                 clamp[0],
-                clamp[1] - compliance[:, None] * clamp[2],
+                clamp[1] - compliance * clamp[2],
                 tip[3] - shear[:, None] * tip[0],
                 tip[2] + moment[:, None] * tip[1],
             ],

@@ -466,8 +466,8 @@ def _damping_ratios(
     """Return zeta of every mode; a damping may pass below zero here, so that zero is no wall to the fit."""
     given = dict(zip(names, values, strict=True))
     viscous = given.get("viscous", beam.damping.viscous) + beam.damping.air
-    internal = given.get("internal", beam.damping.internal) * beam.flexural_rigidity
-    C = viscous * np.diag(basis.strip_overlap) + internal * np.diag(basis.curvature_overlap)
+    internal = given.get("internal", beam.damping.internal)
+    C = viscous * np.diag(basis.strip_overlap) + internal * np.diag(basis.bending_stiffness)
     return np.asarray(C / (2.0 * basis.modal_mass * basis.natural_frequencies))
 
 

@@ -13,6 +13,7 @@ for a bare beam that is the scale of thesis eq. (2.35).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +47,8 @@ class ModalBasis:
         int phi_i dz [m].
     strip_overlap : ndarray, shape (n_modes, n_modes)
         int phi_i phi_j dz [m].
-    curvature_overlap : ndarray, shape (n_modes, n_modes)
-        int phi_i'' phi_j'' dz [1/m^3].
+    bending_stiffness : ndarray, shape (n_modes, n_modes)
+        int EI phi_i'' phi_j'' dz + k_theta phi_i'(0) phi_j'(0) [N/m]: what bends in the strip and in its clamp.
 
     Notes
     -----
@@ -70,7 +71,7 @@ class ModalBasis:
             self.natural_frequencies: FloatArray = shapes.roots**2 / parameters.time_scale
             self.strip_integral: FloatArray = L * shapes.integral()
             self.strip_overlap: FloatArray = L * shapes.overlap()
-            self.curvature_overlap: FloatArray = shapes.curvature_overlap() / L**3
+            curvature_overlap = shapes.curvature_overlap() / L**3
             tip = shapes.evaluate(1.0)[0]
             self.participation: FloatArray = rho * self.strip_integral + parameters.tip_mass * tip
         else:
@@ -84,8 +85,12 @@ class ModalBasis:
             self.natural_frequencies = np.sqrt(squared) / parameters.time_scale
             self.strip_integral = L * (elements.strip_load @ vectors)
             self.strip_overlap = L * (vectors.T @ elements.strip_mass @ vectors)
-            self.curvature_overlap = (vectors.T @ elements.bending @ vectors) / L**3
+            curvature_overlap = (vectors.T @ elements.bending @ vectors) / L**3
             self.participation = strip * (elements.load @ vectors)
+        self.bending_stiffness: FloatArray = parameters.flexural_rigidity * curvature_overlap
+        if math.isfinite(parameters.clamp_stiffness):
+            slopes = self.shape(np.zeros(1), 1)[0]
+            self.bending_stiffness += parameters.clamp_stiffness * np.outer(slopes, slopes)
 
     def shape(self, heights: FloatArray, derivative: int = 0) -> FloatArray:
         """Return d^k phi_i / dz^k at ``heights`` [m], shape (n_heights, n_modes), for k = 0 to 3."""
@@ -196,7 +201,8 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     -----
     C adds up what ``Damping`` holds: prescribed ratios give 2 zeta_i omega_i m_b on the diagonal; xi gives
     int xi phi_i phi_j (thesis eq. (2.39)); xi_a the same and, because air resists the absolute motion, the
-    hub's row xi_a [L, int phi_i]; eta gives eta int EI phi_i'' phi_j''.
+    hub's row xi_a [L, int phi_i]; eta gives eta times the bending stiffness, the clamp's with
+    it: a clamp yields because metal bends in it, which loses as the strip does.
     """
     n = basis.natural_frequencies.size
     damping = parameters.damping
@@ -212,7 +218,7 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     C = np.zeros((n + 1, n + 1))
     C[1:, 1:] = np.diag(2.0 * ratios * basis.natural_frequencies * mass)
     C[1:, 1:] += (damping.viscous + damping.air) * basis.strip_overlap
-    C[1:, 1:] += damping.internal * parameters.flexural_rigidity * basis.curvature_overlap
+    C[1:, 1:] += damping.internal * basis.bending_stiffness
     C[0, 0] = damping.air * parameters.length
     C[0, 1:] = C[1:, 0] = damping.air * basis.strip_integral
     F = np.zeros(n + 1)

@@ -40,7 +40,7 @@ class BeamSettings:
     air_damping: float = setting("per length, on the absolute motion", "N s/m^2", 0.0, 1e3)
     internal_damping: float = setting("Kelvin-Voigt time constant", "s", 0.0, 1.0)
     max_root_strain: float = setting("predicted bending strain that is refused", "1", 1e-6, 0.1)
-    modes: int = setting("modes that the simulator integrates", "", 1, 20)
+    modes: int = setting("modes that the simulator integrates; 0: what the first five need", "", 0, 20)
 
 
 @dataclass(frozen=True)

@@ -167,10 +167,10 @@ class Rig(RigParameters):
         )
 
     def beam_model(self) -> BeamModel:
-        """The Galerkin model with the rig's number of modes."""
+        """The Galerkin model with the rig's number of modes, or as many as its first five need."""
         from beam_model import BeamModel
 
-        return BeamModel(self.beam_parameters(), n_modes=self.beam.modes)
+        return BeamModel(self.beam_parameters(), n_modes=self.beam.modes or None)
 
     def simulated_plant(
         self, model: BeamModel, clock_drift_ppm: float, period_ns: int | None = None

@@ -68,6 +68,12 @@ def test_a_tip_mass_and_a_compliant_clamp_are_as_exact() -> None:
     assert errors(parameters, 40, "motion", "displacement").max() < 3e-8
 
 
+@pytest.mark.parametrize("drive", ["motion", "force"])
+def test_internal_damping_and_a_compliant_clamp_go_together(drive: str) -> None:
+    parameters = strip(clamp_stiffness=30.0, damping=Damping(internal=KELVIN_VOIGT))
+    assert errors(parameters, 20, drive, "displacement").max() < 1e-6
+
+
 def test_the_error_falls_steeply_with_the_number_of_modes() -> None:
     parameters = strip(damping=Damping(viscous=VISCOUS))
     found = np.array([errors(parameters, n, "motion", "displacement") for n in (5, 10, 20, 40)])

@@ -56,7 +56,8 @@ def test_force_equals_the_modal_sum_but_for_the_reaction_of_the_left_out_modes()
     assert np.max(np.abs(form.frequency_response(OMEGA) / space.frequency_response(OMEGA) - 1.0)) < 1e-7
     assert form.double_integrator == pytest.approx(1.0 / beam.parameters.total_mass, rel=1e-9)
     elastic = form.poles[form.poles.imag > 0.0]
-    assert np.sort(np.abs(elastic)) == pytest.approx(beam.free_hub_natural_frequencies, rel=1e-9)
+    # The model's own poles have the left-out modes in them, too.
+    assert np.sort(np.abs(elastic)) == pytest.approx(beam.free_hub_natural_frequencies, rel=1e-6)
 
 
 @pytest.mark.parametrize("hub_input", ["acceleration", "velocity", "position", "force"])

@@ -73,6 +73,65 @@ def test_coupled_damping_gives_the_poles_of_the_coupled_system() -> None:
     assert model.damping_ratios == pytest.approx(-model.poles.real / np.abs(model.poles))
 
 
+OVERDAMPED = [
+    Damping(ratios=(0.005,), internal=0.00135),
+    Damping(ratios=(0.005,), viscous=10.0),
+    Damping(ratios=(0.005,), air=20.0),
+    Damping(ratios=(0.005,), air=20.0, internal=0.002),
+]
+
+
+@pytest.mark.parametrize("damping", OVERDAMPED, ids=str)
+@pytest.mark.parametrize("changes", [{}, {"gravity": "upright", "tip_mass": 2e-3}], ids=["bare", "loaded"])
+def test_modes_beyond_oscillation_keep_their_poles(damping: Damping, changes: dict[str, object]) -> None:
+    model = BeamModel(strip(damping=damping, **changes), 5)
+    C, K = model.matrices.C[1:, 1:] / model.basis.modal_mass, np.diag(model.basis.natural_frequencies**2)
+    pairs = model.pole_pairs
+    for pole in pairs.ravel():
+        singular = np.linalg.svd(pole**2 * np.eye(5) + pole * C + K, compute_uv=False)
+        assert singular[-1] < 1e-9 * singular[0]
+    # The determinant at rest is the product of all poles: none is missing and none stands twice.
+    assert np.prod(pairs) == pytest.approx(np.prod(model.basis.natural_frequencies**2), rel=1e-9)
+    assert np.prod(model.natural_frequencies) == pytest.approx(np.prod(model.basis.natural_frequencies))
+    assert model.damping_ratios.max() > 1.0
+    free = model.free_hub_pole_pairs
+    assert free.shape == (5, 2)
+    assert np.all(free.real < 0.0)
+    assert len(np.unique(free.round(6))) == 10
+    assert np.all(np.diff(model.free_hub_natural_frequencies) > 0.0)
+
+
+def test_a_pair_that_the_hub_tears_apart_is_put_together_again() -> None:
+    """Under thick air the hub's own real pole and the slow one of mode 1 begin to swing together."""
+    model = BeamModel(strip(damping=Damping(ratios=(0.005,), air=20.0, internal=0.002)), 5)
+    assert model.damping_ratios[0] > 3.0
+    slow, conjugate = model.free_hub_pole_pairs[0]
+    assert slow.imag > 1.0
+    assert conjugate == slow.conjugate()
+    # Modes 4 and 5 do not oscillate; their slow poles lie above and below each other, the fast ones far out.
+    assert model.free_hub_natural_frequencies[3:] == pytest.approx(model.natural_frequencies[3:], rel=2e-3)
+
+
+@pytest.mark.parametrize(("hub_mass", "n_modes"), [(0.8, 5), (0.05, 5), (0.005, 10), (2e-4, 10)])
+def test_the_number_of_modes_follows_from_the_error(hub_mass: float, n_modes: int) -> None:
+    parameters = strip(hub_mass=hub_mass)
+    model = BeamModel(parameters)
+    assert model.n_modes == n_modes
+    ratio = hub_mass / (parameters.mass_per_length * parameters.length)
+    expected = free_hub_roots(5, ratio) ** 2 / parameters.time_scale
+    assert model.free_hub_natural_frequencies[:5] == pytest.approx(expected, rel=1e-4)
+
+
+def test_free_hub_poles_are_those_of_the_force_response() -> None:
+    """With the left-out modes in it: near its pole the response is as large as the distance is small."""
+    model = BeamModel(strip(hub_mass=0.005, damping=Damping(viscous=0.01)), 5)
+    omega = model.free_hub_poles.imag
+    found = np.abs(model.frequency_response(omega, [0.0], "force", "hub").values[:, 0])
+    aside = np.abs(model.frequency_response(omega * 1.001, [0.0], "force", "hub").values[:, 0])
+    decay = -model.free_hub_poles.real
+    assert found / aside == pytest.approx(np.hypot(1.0, 0.001 * omega / decay), rel=0.05)
+
+
 @pytest.mark.parametrize("changes", [{}, {"gravity": "upright"}, {"tip_mass": 3e-3, "clamp_stiffness": 20.0}])
 def test_the_response_is_its_residues(changes: dict[str, object]) -> None:
     model = BeamModel(strip(damping=Damping(ratios=(0.005,)), **changes), 5)
