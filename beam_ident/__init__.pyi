@@ -1,5 +1,7 @@
 """Every public name of ``beam_ident``, written once: type checkers read this file, and so does ``__init__.py``."""
 
+from beam_ident.amplitude.curves import AmplitudeCurves as AmplitudeCurves
+from beam_ident.amplitude.curves import amplitude_curves as amplitude_curves
 from beam_ident.data.batches import map_records as map_records
 from beam_ident.data.frequency_record import FrequencyRecord as FrequencyRecord
 from beam_ident.data.prior import Prior as Prior

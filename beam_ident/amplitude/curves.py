@@ -1,0 +1,339 @@
+"""Frequency and damping ratio over amplitude, with bands that hold along the whole curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import fdtrc
+
+from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, DecayProblem, Law, Start
+from beam_ident.amplitude.slow_flow import decay_rate, frequency
+from beam_ident.arrays import FloatArray
+from beam_ident.data.argument_checks import require_output
+from beam_ident.data.records import OutputSignal
+from beam_ident.data.stored_form import read, require_shapes, written
+from beam_ident.errors import EstimationError
+from beam_ident.modal_estimation.free_decay import fit_free_decay
+from beam_ident.noise.scores import Whiteness, colour_warning
+from beam_ident.numerics.blas_threads import on_one_thread
+
+SCHEMA = 1
+
+_LAWS = (Law(2, 3), Law(3, 3), Law(2, 4), Law(3, 4), Law(4, 4))
+_POINTS = 60
+_DRAWS = 4000
+_LEVEL = 0.95
+_ALONE = 0.2  # another mode within this of the frequency, or of three times it, is the nonlinearity's own
+_MAX_OTHERS = 4
+_LOWEST = 3.0  # standard deviations of the noise over a decay: below that no amplitude is seen
+_MIN_SAMPLES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeCurves:
+    """Instantaneous frequency and damping ratio of one mode over its amplitude.
+
+    Attributes
+    ----------
+    amplitudes : ndarray, shape (n,)
+        Rising, from the smallest to the largest that the decays show [``unit``].
+    frequencies_hz, frequency_band_hz : ndarray, shape (n,) and (2, n)
+        Of the ringing; with 95 % the band holds the whole curve. It has room for what averaging leaves out, too:
+        eta^2/2 of a frequency and eta/6 of a damping ratio, eta being how far stiffness and damping change a cycle.
+    damping_ratios, damping_band : ndarray, shape (n,) and (2, n)
+        -A'/(A omega): what a logarithmic decrement between two neighbouring maxima shows.
+    frequency_sd_hz, damping_sd : ndarray, shape (n,)
+        Standard deviations point by point.
+    is_one_pole : bool
+        Whether one frequency and one damping ratio describe the decays, at the level of 5 %.
+    p_value : float
+        Of the F-test for that.
+    verdict : str
+        The same in words, with how much the curves change.
+    reference_amplitude : float
+        Unit of the coefficients' amplitude [``unit``].
+    frequency_coefficients : ndarray
+        w_0, w_2, .. of phi' = w_0 + w_2 A^2 + .. [rad/s].
+    rate_coefficients : ndarray
+        g_-1, g_0, g_1, .. of -A' = g_-1 + g_0 A + g_1 A^2 + .. [1/s]: dry, linear and quadratic damping.
+    covariance : ndarray, shape (n_terms, n_terms)
+        Of both, one after the other.
+    output_name, unit : str
+        Whose amplitude is meant.
+    noise_sd : ndarray, shape (n_outputs,)
+    converged : bool
+    reason : str
+    iterations : int
+    warnings : tuple of str
+    """
+
+    amplitudes: FloatArray
+    frequencies_hz: FloatArray
+    frequency_band_hz: FloatArray
+    damping_ratios: FloatArray
+    damping_band: FloatArray
+    frequency_sd_hz: FloatArray
+    damping_sd: FloatArray
+    is_one_pole: bool
+    p_value: float
+    verdict: str
+    reference_amplitude: float
+    frequency_coefficients: FloatArray
+    rate_coefficients: FloatArray
+    covariance: FloatArray
+    output_name: str
+    unit: str
+    noise_sd: FloatArray
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    def frequency_hz_at(self, amplitude: ArrayLike) -> FloatArray:
+        """Return the frequency at amplitudes [``unit``], which had better lie within ``amplitudes`` [Hz]."""
+        A = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
+        return frequency(self.frequency_coefficients, A) / (2.0 * np.pi)
+
+    def damping_ratio_at(self, amplitude: ArrayLike) -> FloatArray:
+        """Return the damping ratio at amplitudes [``unit``], which had better lie within ``amplitudes``."""
+        A = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
+        return decay_rate(self.rate_coefficients, A) / (A * frequency(self.frequency_coefficients, A))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "amplitude_curves", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> AmplitudeCurves:
+        """Rebuild what ``to_dict`` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        found = read(AmplitudeCurves, data, "amplitude_curves", SCHEMA)
+        n = len(found.amplitudes)
+        m = len(found.frequency_coefficients) + len(found.rate_coefficients)
+        rows = ("frequencies_hz", "damping_ratios", "frequency_sd_hz", "damping_sd")
+        bands = {"frequency_band_hz": (2, n), "damping_band": (2, n), "covariance": (m, m)}
+        require_shapes("amplitude curves", found, {**dict.fromkeys(rows, (n,)), **bands})
+        return found
+
+
+@on_one_thread
+def amplitude_curves(
+    decays: OutputSignal | Sequence[OutputSignal] | Sequence[Sequence[OutputSignal]],
+    *,
+    frequency_hz: float | None = None,
+    output: str | None = None,
+    seed: int = 0,
+) -> AmplitudeCurves:
+    """Estimate frequency and damping of one mode over its amplitude, from one or several free decays.
+
+    Parameters
+    ----------
+    decays : OutputSignal, sequence of them, or sequence of such sequences
+        One output, the outputs of one decay, or those of several decays, each with the same outputs in the same
+        order; at any stamps, NaN where nothing was seen.
+    frequency_hz : float, optional
+        Roughly where the mode is; by default where the decays have the most energy.
+    output : str, optional
+        Whose amplitude is meant; by default the output that swings most.
+    seed : int
+        Of the draws that make the bands simultaneous.
+
+    Returns
+    -------
+    AmplitudeCurves
+
+    Raises
+    ------
+    EstimationError
+        Too few samples or cycles, outputs that differ from decay to decay, or an unknown output.
+
+    Notes
+    -----
+    The mode is followed by averaging (``slow_flow``): stiffness that changes with amplitude, dry, linear and
+    quadratic damping; further powers where the Bayesian information criterion asks for them. All decays share one
+    law. Noise is found from the residuals; where it is coloured, its density at the mode's frequency counts. Bands
+    are simultaneous by the largest of the standardised errors along the curve, drawn from the estimates' covariance.
+    """
+    rows = _checked(decays)
+    names = [signal.name for signal in rows[0]]
+    if output is not None and output not in names:
+        raise EstimationError(f"output is {output!r}; expected one of {', '.join(names)}")
+    if frequency_hz is not None and not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
+        raise EstimationError(f"frequency_hz is {frequency_hz!r}; expected a number above 0, in Hz")
+    largest = int(np.argmax([max(float(np.std(row[j].values)) for row in rows) for j in range(len(names))]))
+    reference = largest if output is None else names.index(output)
+    problem = DecayProblem(rows, reference)
+    fit = _with_other_modes(problem, problem.fit(problem.start(frequency_hz)))
+    base = fit
+    for law in _LAWS[1:]:
+        if problem.n_samples > 4 * (fit.n_parameters + 2):
+            richer = problem.fit(_extended(base.point, law))
+            fit = richer if richer.converged and richer.criterion < fit.criterion else fit
+    colour = _colour(problem, fit)
+    one_pole = problem.fit(
+        replace(base.point, law=LINEAR, frequencies=base.point.frequencies[:1], rates=base.point.rates[:2])
+    )
+    free = problem.n_samples - base.n_parameters
+    more = base.point.law.n_terms - LINEAR.n_terms
+    gain = 2.0 * (one_pole.cost - base.cost) / colour
+    p_value = float(fdtrc(more, free, max(gain, 0.0) / more))
+    return _curves(problem, fit, colour, p_value, np.random.default_rng(seed))
+
+
+def _checked(decays: Any) -> list[list[OutputSignal]]:
+    """Return decays as rows of outputs without missing values."""
+    rows: list[Any] = [decays] if isinstance(decays, OutputSignal) else list(decays)
+    if not rows:
+        raise EstimationError("there is no decay; expected an OutputSignal, or sequences of them")
+    if isinstance(rows[0], OutputSignal):
+        rows = [rows]
+    result = []
+    for number, row in enumerate(rows):
+        own = list(row)
+        if not own or not all(isinstance(signal, OutputSignal) for signal in own):
+            raise EstimationError(
+                f"decay {number} is no sequence of OutputSignal; expected one for every output"
+            )
+        if [signal.name for signal in own] != [signal.name for signal in rows[0]]:
+            raise EstimationError(
+                f"decay {number} has the outputs {', '.join(s.name for s in own)}, the first has "
+                f"{', '.join(s.name for s in rows[0])}; expected the same in the same order"
+            )
+        for signal in own:
+            if np.count_nonzero(signal.is_valid) < _MIN_SAMPLES:
+                raise EstimationError(
+                    f"output {signal.name!r} of decay {number} has {np.count_nonzero(signal.is_valid)} samples; a "
+                    f"curve over amplitude needs at least {_MIN_SAMPLES}: record longer or more often"
+                )
+            require_output(signal.name, signal.values[signal.is_valid])
+        result.append([replace(s, times_s=s.times_s[s.is_valid], values=s.values[s.is_valid]) for s in own])
+    return result
+
+
+def _extended(point: Start, law: Law) -> Start:
+    """Return a start of a richer law, its new terms zero."""
+    w = np.append(point.frequencies, np.zeros(law.n_frequency - len(point.frequencies)))
+    g = np.append(point.rates, np.zeros(law.n_rate - len(point.rates)))
+    return replace(point, law=law, frequencies=w, rates=g)
+
+
+def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
+    """Return a fit in which further modes, that ring beside the one of the curve, have their own columns."""
+    own = float(fit.point.frequencies[0])
+    residuals = [
+        replace(signal, values=e) for signal, e in zip(problem.decays[0], fit.residuals[0], strict=True)
+    ]
+    try:
+        beside = fit_free_decay(residuals, max_modes=2 * _MAX_OTHERS)
+    except EstimationError:
+        return fit
+    omegas, zetas = beside.natural_frequencies, beside.damping_ratios
+    is_other = (np.abs(omegas / own - 1.0) > _ALONE) & (np.abs(omegas / (3.0 * own) - 1.0) > 0.5 * _ALONE)
+    others = np.stack([omegas[is_other], zetas[is_other]], axis=1)[:_MAX_OTHERS]
+    if not len(others):
+        return fit
+    found = problem.fit(replace(fit.point, others=others))
+    return found if found.converged and found.criterion < fit.criterion else fit
+
+
+def _colour(problem: DecayProblem, fit: DecayFit) -> float:
+    """Return the noise's density about the mode over that of white noise of its variance; 1 where it is white."""
+    omega = float(fit.point.frequencies[0])
+    ratios, weights = [], []
+    for row, residuals in zip(problem.decays, fit.residuals, strict=True):
+        for signal, e in zip(row, residuals, strict=True):
+            if Whiteness.of(e).is_white:
+                ratios.append(1.0)
+            else:
+                t = signal.times_s - signal.times_s[0]
+                near = omega + 2.0 * np.pi * (np.arange(-12, 13) + 0.0) / float(t[-1])
+                # The fit has emptied the lines that its own columns fill.
+                near = near[np.abs(np.arange(-12, 13)) > 2]
+                lines = np.exp(-1j * near[:, None] * t) @ e
+                ratios.append(float(np.mean(np.abs(lines) ** 2) / (e @ e)))
+            weights.append(len(e))
+    return max(float(np.average(ratios, weights=weights)), 1e-3)
+
+
+def _curves(
+    problem: DecayProblem, fit: DecayFit, colour: float, p_value: float, rng: np.random.Generator
+) -> AmplitudeCurves:
+    point, law = fit.point, fit.point.law
+    signal = problem.decays[0][problem.reference]
+    covariance = colour * fit.covariance
+    density = max(len(row[problem.reference].values) for row in problem.decays)
+    noise = fit.noise_sd[problem.reference] * math.sqrt(2.0 * colour / density) / point.reference
+    top = float(np.max(point.amplitudes))
+    low = min(max(float(np.min(fit.last_amplitudes)), _LOWEST * noise, 1e-3 * top), 0.9 * top)
+    A = np.geomspace(low, top, _POINTS)
+    w, g = point.frequencies, point.rates
+    omega, rate = frequency(w, A), decay_rate(g, A)
+    zeta = rate / (A * omega)
+    powers_w = A[:, None] ** (2 * np.arange(law.n_frequency))
+    powers_g = A[:, None] ** np.arange(law.n_rate)
+    by_frequency = np.hstack([powers_w, np.zeros_like(powers_g)])
+    by_damping = np.hstack([-(zeta / omega)[:, None] * powers_w, powers_g / (A * omega)[:, None]])
+    # Averaging is right to first order in eta. A maximum is larger than its fundamental by a twelfth of eta, which
+    # moves a rate by a sixth; zeros and phase part by eta^2 where damping changes from cycle to cycle.
+    eta = np.abs(omega / w[0] - 1.0) + np.abs(zeta)
+    left_out = (0.5 * omega * eta**2, np.abs(zeta) * eta / 6.0)
+    bands, deviations = [], []
+    root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+    draws = root @ rng.standard_normal((law.n_terms, _DRAWS))
+    for values, slopes, own in ((omega, by_frequency, left_out[0]), (zeta, by_damping, left_out[1])):
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
+        reach = float(np.quantile(np.max(np.abs(slopes @ draws) / sd[:, None], axis=0), _LEVEL))
+        bands.append(np.stack([values - reach * sd - own, values + reach * sd + own]))
+        deviations.append(sd)
+    is_one_pole = p_value > 1.0 - _LEVEL
+    names = [s.name for s in problem.decays[0]]
+    measured = [np.concatenate([row[j].values for row in problem.decays]) for j in range(len(names))]
+    left = [np.concatenate([row[j] for row in fit.residuals]) for j in range(len(names))]
+    warnings = list(colour_warning(names, tuple(Whiteness.of(e) for e in left), measured, left))
+    if np.any(zeta[0] < 0.0):
+        warnings.append(
+            "the smallest amplitudes seem to grow: the law does not describe them; leave out the end of the decay"
+        )
+    change = 100.0 * (omega[-1] / omega[0] - 1.0)
+    words = (
+        f"{point.reference * low:.3g} to {point.reference * top:.3g} {signal.unit} of {signal.name}: frequency "
+        f"{omega[0] / (2.0 * math.pi):.6g} to {omega[-1] / (2.0 * math.pi):.6g} Hz ({change:+.2g} %), damping ratio "
+        f"{100.0 * zeta[0]:.3g} to {100.0 * zeta[-1]:.3g} %"
+    )
+    chance = f"p = {p_value:.2g}" if p_value > 1e-9 else "p < 1e-9"
+    verdict = f"one pole describes the decay ({chance}) from {words}"
+    if not is_one_pole:
+        verdict = f"one pole does not describe the decay ({chance}): from {words}"
+    return AmplitudeCurves(
+        amplitudes=A * point.reference,
+        frequencies_hz=omega / (2.0 * np.pi),
+        frequency_band_hz=bands[0] / (2.0 * np.pi),
+        damping_ratios=zeta,
+        damping_band=bands[1],
+        frequency_sd_hz=deviations[0] / (2.0 * np.pi),
+        damping_sd=deviations[1],
+        is_one_pole=is_one_pole,
+        p_value=p_value,
+        verdict=verdict,
+        reference_amplitude=point.reference,
+        frequency_coefficients=w,
+        rate_coefficients=g,
+        covariance=covariance,
+        output_name=signal.name,
+        unit=signal.unit,
+        noise_sd=np.array(fit.noise_sd),
+        converged=fit.converged,
+        reason="the steps became invisible" if fit.converged else "the iterations were used up",
+        iterations=fit.iterations,
+        warnings=tuple(warnings),
+    )

@@ -1,0 +1,83 @@
+"""Nonlinear oscillators whose curves are read off their maxima and zero crossings, without any estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from beam_ident import OutputSignal
+
+OMEGA = 2.0 * np.pi * 4.4
+UNIT = 0.02
+
+
+@dataclass(frozen=True)
+class Oscillator:
+    """x'' + 2 zeta omega x' + mu sign(x') + beta |x'| x' + omega^2 x + kappa x^3 = 0, let go at ``UNIT``.
+
+    Attributes
+    ----------
+    zeta : float -- linear damping
+    dry, quadratic : float -- what dry and quadratic damping add to the damping ratio at ``UNIT``
+    hardening : float -- what the cubic spring adds to the frequency at ``UNIT``, relative
+    """
+
+    zeta: float = 0.004
+    dry: float = 0.0
+    quadratic: float = 0.0
+    hardening: float = 0.0
+
+    def swing(self, duration_s: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return stamps and x, integrated from one reversal to the next, between which the friction is constant."""
+        mu = self.dry * np.pi * OMEGA**2 * UNIT / 2.0
+        beta = self.quadratic * 3.0 * np.pi / (4.0 * UNIT)
+        kappa = self.hardening * 8.0 * OMEGA**2 / (3.0 * UNIT**2)
+        times = np.arange(0.0, duration_s, 1.0 / rate)
+        x = np.zeros(len(times))
+        now, place, side = 0.0, UNIT, -1.0
+        while now < times[-1] and OMEGA**2 * abs(place) > mu:
+
+            def slope(_t: float, y: np.ndarray, side: float = side) -> list[float]:
+                position, velocity = y
+                force = 2.0 * self.zeta * OMEGA * velocity + mu * side + beta * side * velocity**2
+                return [velocity, -force - OMEGA**2 * position - kappa * position**3]
+
+            half = solve_ivp(
+                slope,
+                (now, now + 0.7 * 2.0 * np.pi / OMEGA),
+                [place, 0.0],
+                rtol=1e-10,
+                atol=1e-14,
+                method="DOP853",
+                dense_output=True,
+            )
+            begin = now + 0.2 * 2.0 * np.pi / OMEGA
+            end = brentq(lambda t, path=half.sol: path(t)[1], begin, half.t[-1], xtol=1e-12)
+            inside = (times >= now) & (times < end)
+            x[inside] = half.sol(times[inside])[0]
+            now, place, side = end, float(half.sol(end)[0]), -side
+        x[times >= now] = place if OMEGA**2 * abs(place) <= mu else x[times >= now]
+        return times, x
+
+    def curves(self, duration_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return amplitudes, frequencies [Hz] and damping ratios from the reversals of a long decay."""
+        t, x = self.swing(duration_s, 4000.0)
+        up = np.flatnonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))
+        crossings = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
+        cycles = [x[(t >= a) & (t < b)] for a, b in pairwise(crossings)]
+        # A maximum lies at a quarter of its cycle, a minimum at three: together they stand for its middle.
+        middle = np.array([np.sqrt(-cycle.max() * cycle.min()) for cycle in cycles])
+        decrement = np.log(middle[:-2] / middle[2:]) / (4.0 * np.pi)
+        return middle[1:-1], 1.0 / np.diff(crossings)[1:-1], decrement
+
+
+def noisy(
+    oscillator: Oscillator, noise: float, seed: int, duration_s: float = 15.0, rate: float = 100.0
+) -> OutputSignal:
+    """Return a decay as a camera sees it."""
+    t, x = oscillator.swing(duration_s, rate)
+    return OutputSignal("z285", "m", t, x + noise * np.random.default_rng(seed).standard_normal(len(t)))
