@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from PIL import Image
 
 from beam_ident import analyse_modes, identify
 from beam_ident.figures import (
+    amplitude_figure,
     fit_figure,
     frequency_response_figure,
     mode_shape_figure,
@@ -33,7 +35,9 @@ from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.bags.reading import Bag
 from beam_ros.checks.bag_check import gates_of_bag
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import load_experiment
+from beam_ros.offline.identification import identification_of_bags, load_experiment
+from beam_ros.offline.options import FitOptions
+from beam_ros.offline.simulation import simulate
 from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
@@ -251,6 +255,27 @@ def study_picture() -> Figure:
     return figure
 
 
+def amplitude_picture() -> Figure:
+    """Draw frequency and damping of a strip in air over its amplitude, as the page's commands make them."""
+    changes = {
+        "excitation.kind": "doublet",
+        "excitation.acceleration": 1.5,
+        "excitation.step_size": 0.002,
+        "excitation.width": 0.1,
+        "excitation.gap": 0.1,
+        "excitation.still": 20.0,
+        "simulation.drag_coefficient": 6.0,
+        "simulation.large_deflections": True,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "drag"
+        simulate(Rig.from_file().with_values(changes), bag)
+        found = identification_of_bags(bag, options=FitOptions(n_modes=2, amplitude=True))
+    assert found.curves is not None
+    modes = [(mode["frequency_hz"], mode["damping_ratio"]) for mode in found.content["modes"]]
+    return amplitude_figure(found.curves, modes)
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -261,6 +286,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "clocks": clocks_picture(Rig.from_file()),
         "viewers": viewers_picture(),
         "study": study_picture(),
+        "amplitude": amplitude_picture(),
     }
     files = []
     for name, figure in figures.items():

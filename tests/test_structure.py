@@ -24,7 +24,7 @@ TESTED_IN = (
     ("beam_ident/excitation", "moves sampled sines sweeps windows", "excitation/test_motions"),
     ("beam_ident/excitation", "crest_optimisation noise seeds", "excitation/test_multisine"),
     ("beam_ident/figures", "canvas excitation poles responses validation", "figures/test_figures"),
-    ("beam_ident/figures", "identification modes", "report/test_identification"),
+    ("beam_ident/figures", "amplitude identification modes", "report/test_identification"),
     ("beam_ident/modal", "fit", "modal/test_model"),
     ("beam_ident/modal", "line_basis", "modal_estimation/test_frequency_domain"),
     ("beam_ident/modal", "free_decay_result", "modal_estimation/test_free_decay"),

@@ -4,6 +4,7 @@ Every function returns a ``matplotlib.figure.Figure`` made without pyplot, so th
 nothing global is touched; matplotlib is imported only when a figure is asked for.
 """
 
+from beam_ident.figures.amplitude import amplitude_figure as amplitude_figure
 from beam_ident.figures.excitation import excitation_figure as excitation_figure
 from beam_ident.figures.identification import FittedOutput as FittedOutput
 from beam_ident.figures.identification import fit_figure as fit_figure

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident import figures
+from beam_ident.amplitude.curves import AmplitudeCurves
 from beam_ident.data.records import TimeRecord
 from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
@@ -69,6 +71,7 @@ def identification_page(
     theory: Theory | None = None,
     sources: ErrorSources | None = None,
     trials: Sequence[Trial] = (),
+    curves: AmplitudeCurves | None = None,
     links: Sequence[tuple[str, str]] = (),
 ) -> Page:
     """Build the report of an identification.
@@ -88,6 +91,7 @@ def identification_page(
     theory : Theory, optional
     sources : ErrorSources, optional -- what the scatter of the samples cannot show
     trials : sequence of Trial -- the records one by one, where there are several
+    curves : AmplitudeCurves, optional -- of frequency and damping over amplitude
     links : sequence of (text, address) -- files beside the page
 
     Returns
@@ -110,6 +114,9 @@ def identification_page(
     add_poles(page, models, modes, _reference(reference_modes, theory, modes))
     for model in models:
         add_shapes(page, model, theory, known)
+    if curves is not None:
+        page.section("Over amplitude")
+        _add_curves(page, curves, modes)
     page.section("Data quality")
     if gates:
         add_gates(page, gates)
@@ -137,6 +144,26 @@ def identification_page(
         add_trials(page, trials)
     page.provenance(provenance or {})
     return page
+
+
+def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -> None:
+    """Write how frequency and damping change with amplitude."""
+    page.paragraph(f"{curves.verdict[0].upper()}{curves.verdict[1:]}.")
+    if not curves.is_one_pole:
+        page.warning(
+            "A frequency and a damping ratio of this mode hold at one amplitude only.",
+            "State them with their amplitude, or this curve.",
+            tone="doubt",
+        )
+    for warning in curves.warnings:
+        page.warning(f"{warning}.", tone="doubt")
+    page.figure(
+        figures.amplitude_figure(curves, [(mode.omega / (2.0 * math.pi), mode.zeta) for mode in modes]),
+        "Frequency and damping ratio of the free decays over their amplitude; with 95 % the bands hold the whole of "
+        "each curve. Dashed: the single pole of the identification.",
+        f"Two curves over amplitude with bands: {curves.verdict}",
+        name="amplitude",
+    )
 
 
 def poles_table(modes: Sequence[ModeRow]) -> str:

@@ -359,6 +359,9 @@ class IdentifierSettings:
         "of transfer functions: as it is, as if white, or coloured"
     )
     segments: str = live("parts of each bag that are used [s from its first sample], 0:10,12:20; empty: all")
+    amplitude: bool = live(
+        "also curves of frequency and damping over amplitude, from the decays at the bags' ends"
+    )
     input: str = live("TOPIC:FIELD of the input; empty: the hub")
     outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
     signals: str = live("YAML file of input and outputs")

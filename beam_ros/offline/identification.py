@@ -33,6 +33,8 @@ from beam_ident import (
     run_estimator,
     validate,
 )
+from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves
+from beam_ident.amplitude.free_stretches import free_decay_of
 from beam_ident.data.gaps import Bridge
 from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
 from beam_ident.report.page import write_whole
@@ -555,6 +557,7 @@ class Identification:
     unseen : tuple of (Experiment, tuple of ValidationResult)
         What the models were scored on, and how each of them did there.
     content : mapping -- the same in plain numbers: what ``identification/result`` carries and ``--json`` prints
+    curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
     """
 
     experiments: tuple[Experiment, ...]
@@ -562,6 +565,7 @@ class Identification:
     result: Result
     unseen: tuple[tuple[Experiment, tuple[ValidationResult, ...]], ...]
     content: Mapping[str, Any]
+    curves: AmplitudeCurves | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -667,7 +671,12 @@ def identification_of_bags(
         content["validation"] = [
             {"bag": str(one.path), "scores": _validation_scores(results)} for one, results in seen
         ]
-    return Identification(tuple(experiments), options, result, seen, content)
+    curves = None
+    if options.amplitude:
+        progress("curves over amplitude", 0.0)
+        curves = amplitude_curves([free_decay_of(record) for record in records])
+        content["amplitude"] = curves.to_dict()
+    return Identification(tuple(experiments), options, result, seen, content, curves)
 
 
 def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:

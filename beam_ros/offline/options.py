@@ -40,6 +40,7 @@ class FitOptions:
     hold : str or None -- what the input does between samples
     noise : str
     segments : tuple of (start, end) -- of each bag [s], from its first sample; empty: everything
+    amplitude : bool -- also curves of frequency and damping over amplitude
     signals : Signals -- input and outputs that are not the rig's own
     """
 
@@ -54,6 +55,7 @@ class FitOptions:
     hold: Hold | None = None
     noise: NoiseChoice = "auto"
     segments: tuple[tuple[float, float], ...] = ()
+    amplitude: bool = False
     signals: Signals = field(default_factory=Signals)
 
     @staticmethod
@@ -77,6 +79,7 @@ class FitOptions:
             hold=None if settings.hold == "auto" else settings.hold,
             noise=settings.noise,
             segments=tuple(_segments(settings.segments)),
+            amplitude=settings.amplitude,
             signals=Signals.of(
                 settings.input,
                 listed(settings.outputs),

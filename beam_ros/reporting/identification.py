@@ -179,6 +179,7 @@ def report_identification(
         trials=[trial_of(one, found.options, len(modes)) for one in found.experiments]
         if len(found.experiments) > 1
         else (),
+        curves=found.curves,
         links=links,
     )
     report = page.write(folder / "report.html", overwrite)

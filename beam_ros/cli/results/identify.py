@@ -154,6 +154,8 @@ def run(arguments: argparse.Namespace) -> int:
         deflection = score.get("deflection_fit_percent")
         of_deflection = "" if deflection is None else f", of the deflection {deflection:.2f} %"
         print(f"{name}   FIT {score['fit_percent']:.3f} %{of_deflection}")
+    if "amplitude" in result:
+        print(result["amplitude"]["verdict"])
     if result.get("misfit"):
         print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
     for unseen in result.get("validation", ()):

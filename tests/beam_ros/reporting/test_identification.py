@@ -11,12 +11,15 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from beam_ident import ModalModel, TimeRecord
+from beam_ident import AmplitudeCurves, ModalModel, TimeRecord
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.report.gates import Gate
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import Identification, identification_of_bags
+from beam_ros.offline.options import FitOptions
+from beam_ros.offline.simulation import simulate
 from beam_ros.reporting.identification import deflection_of, format_files, report_identification
+from beam_ros.rig.rig import Rig
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +103,35 @@ def test_the_deflection_is_what_the_hub_does_not_explain() -> None:
         (OutputSignal("z", "m", times[2:-2], (hub + bent)[2:-2]),),
     )
     assert deflection_of(record) == pytest.approx(0.002, rel=1e-3)
+
+
+def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> None:
+    """A strip in air: its damping ratio is the steel's, and in proportion to its amplitude the air's."""
+    rig = Rig.from_file().with_values(
+        {
+            "excitation.kind": "doublet",
+            "excitation.acceleration": 1.5,
+            "excitation.step_size": 0.002,
+            "excitation.width": 0.1,
+            "excitation.gap": 0.1,
+            "excitation.still": 12.0,
+            "simulation.drag_coefficient": 6.0,
+        }
+    )
+    simulate(rig, tmp_path / "bag")
+    found = identification_of_bags(tmp_path / "bag", options=FitOptions(n_modes=1, amplitude=True))
+    curves = found.curves
+    assert curves is not None
+    assert not curves.is_one_pole
+    # Energy lost a cycle to 1/2 rho C_d b |v| v: zeta = 4/(3 pi) 1/2 rho C_d b int |phi|^3 dz A / m_b, A of q_1.
+    model = rig.beam_model()
+    z = np.linspace(0.0, rig.beam.length, 4001)
+    drag = 0.5 * 1.2 * 6.0 * rig.beam.width * float(np.sum(np.abs(model.shape(z)[:, 0]) ** 3) * (z[1] - z[0]))
+    q = curves.amplitudes / abs(model.shape([0.285])[0, 0])
+    expected = 0.005 + 4.0 / (3.0 * np.pi) * drag * q / model.basis.modal_mass
+    assert curves.damping_ratios == pytest.approx(expected, rel=0.01)
+    report_identification(found, tmp_path / "report")
+    assert (tmp_path / "report" / "figures" / "amplitude.svg").exists()
+    assert "hold at one amplitude only" in (tmp_path / "report" / "report.html").read_text()
+    stored = json.loads((tmp_path / "report" / "model.json").read_text())["summary"]["amplitude"]
+    assert AmplitudeCurves.from_dict(stored).verdict == curves.verdict

@@ -1,0 +1,52 @@
+"""Where a record rings freely: after its input has come to rest for good."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from beam_ident.data.records import OutputSignal, TimeRecord
+from beam_ident.errors import EstimationError
+
+_STILL = 6.0  # standard deviations of the noise on the input
+_ROUNDING = 1e-9  # of what the input has moved
+_GUARD_S = 0.1  # longer than any sensor's own delay
+
+
+def free_decay_of(record: TimeRecord) -> list[OutputSignal]:
+    """Return the outputs after the input's last motion.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        With inputs that come to rest; their ``sigma`` says how much noise is no motion. Where it is not given, the
+        scatter about the last tenth's straight line is.
+
+    Raises
+    ------
+    EstimationError
+        An input moves until the end.
+    """
+    begin = -np.inf
+    for drive in record.inputs:
+        values, times = drive.values, drive.times_s
+        last = slice(len(values) - max(len(values) // 10, 2), None)
+        line = np.polynomial.Polynomial.fit(times[last], values[last], 1)
+        scatter = float(np.std(values[last] - line(times[last])))
+        quiet = _STILL * max(drive.sigma, scatter) + _ROUNDING * float(np.ptp(values))
+        moved = np.flatnonzero(np.abs(values - np.median(values[last])) > quiet)
+        if moved.size:
+            begin = max(begin, float(times[min(int(moved[-1]) + 1, len(times) - 1)]))
+    end = min(drive.span_s[1] for drive in record.inputs)
+    kept = []
+    for output in record.outputs:
+        inside = (output.times_s > begin + _GUARD_S) & (output.times_s < end)
+        if np.count_nonzero(inside & output.is_valid) < 2:
+            raise EstimationError(
+                f"record {record.name!r}: the input moves until {begin:.3f} s and {output.name!r} was seen until "
+                f"{float(output.times_s[-1]):.3f} s, so that nothing rings freely; expected a still input at the "
+                "end: record on for at least twenty cycles after the excitation"
+            )
+        kept.append(replace(output, times_s=output.times_s[inside], values=output.values[inside]))
+    return kept

@@ -1,0 +1,46 @@
+"""Figures of frequency and damping over amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from beam_ident.arrays import FloatArray
+from beam_ident.figures.canvas import MODEL, REFERENCE, axes_grid
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from beam_ident.amplitude.curves import AmplitudeCurves
+
+
+def amplitude_figure(curves: AmplitudeCurves, modes: Sequence[tuple[float, float]] = ()) -> Figure:
+    """Draw the curves with their simultaneous bands, and the single pole that was fitted beside them.
+
+    Parameters
+    ----------
+    curves : AmplitudeCurves
+    modes : sequence of (frequency [Hz], damping ratio) -- the one nearest to the curve is drawn
+    """
+    figure, axes = axes_grid(1, 2, (9.0, 3.4), sharex=True)
+    x = 1e3 * curves.amplitudes if curves.unit == "m" else curves.amplitudes
+    unit = "mm" if curves.unit == "m" else curves.unit
+    middle = float(curves.frequencies_hz[len(curves.frequencies_hz) // 2])
+    near = [mode for mode in modes if abs(mode[0] / middle - 1.0) < 0.2]
+    pole = min(near, key=lambda mode: abs(mode[0] - middle)) if near else None
+    rows: tuple[tuple[FloatArray, FloatArray, str, float], ...] = (
+        (curves.frequencies_hz, curves.frequency_band_hz, "frequency [Hz]", 1.0),
+        (curves.damping_ratios, curves.damping_band, "damping ratio [%]", 100.0),
+    )
+    for k, (axis, (values, band, label, scale)) in enumerate(zip(axes[0], rows, strict=True)):
+        axis.fill_between(
+            x, scale * band[0], scale * band[1], color=MODEL, alpha=0.25, label="95 %, the whole curve"
+        )
+        axis.plot(x, scale * values, color=MODEL, label="curve")
+        if pole is not None:
+            axis.axhline(scale * pole[k], color=REFERENCE, linestyle="--", label="one pole")
+        axis.set_ylabel(label)
+        axis.set_xlabel(f"amplitude of {curves.output_name} [{unit}]")
+        axis.ticklabel_format(axis="y", useOffset=False)
+    axes[0, 0].legend(fontsize=7, frameon=False)
+    return figure
