@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from beam_ident.amplitude.curves import AmplitudeCurves
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import ModelFormatError
 from beam_ident.excitation.recipe import Recipe
@@ -20,6 +21,7 @@ Stored = (
     | TransferFunctionModel
     | MultiInputModel
     | SubspaceModel
+    | AmplitudeCurves
     | FreeDecay
     | ModalAnalysis
     | FrequencyRecord
@@ -31,6 +33,7 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Stored]] = {
     "transfer_function": TransferFunctionModel.from_dict,
     "multi_input_model": MultiInputModel.from_dict,
     "subspace_model": SubspaceModel.from_dict,
+    "amplitude_curves": AmplitudeCurves.from_dict,
     "free_decay": FreeDecay.from_dict,
     "modal_analysis": ModalAnalysis.from_dict,
     "frequency_record": FrequencyRecord.from_dict,

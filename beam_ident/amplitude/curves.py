@@ -181,7 +181,12 @@ def amplitude_curves(
             fit = richer if richer.converged and richer.criterion < fit.criterion else fit
     colour = _colour(problem, fit)
     one_pole = problem.fit(
-        replace(base.point, law=LINEAR, frequencies=base.point.frequencies[:1], rates=base.point.rates[:2])
+        replace(
+            base.point,
+            law=LINEAR,
+            omega_terms=base.point.omega_terms[:1],
+            rate_terms=base.point.rate_terms[:2],
+        )
     )
     free = problem.n_samples - base.n_parameters
     more = base.point.law.n_terms - LINEAR.n_terms
@@ -222,14 +227,14 @@ def _checked(decays: Any) -> list[list[OutputSignal]]:
 
 def _extended(point: Start, law: Law) -> Start:
     """Return a start of a richer law, its new terms zero."""
-    w = np.append(point.frequencies, np.zeros(law.n_frequency - len(point.frequencies)))
-    g = np.append(point.rates, np.zeros(law.n_rate - len(point.rates)))
-    return replace(point, law=law, frequencies=w, rates=g)
+    w = np.append(point.omega_terms, np.zeros(law.n_frequency - len(point.omega_terms)))
+    g = np.append(point.rate_terms, np.zeros(law.n_rate - len(point.rate_terms)))
+    return replace(point, law=law, omega_terms=w, rate_terms=g)
 
 
 def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
     """Return a fit in which further modes, that ring beside the one of the curve, have their own columns."""
-    own = float(fit.point.frequencies[0])
+    own = float(fit.point.omega_terms[0])
     residuals = [
         replace(signal, values=e) for signal, e in zip(problem.decays[0], fit.residuals[0], strict=True)
     ]
@@ -248,7 +253,7 @@ def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
 
 def _colour(problem: DecayProblem, fit: DecayFit) -> float:
     """Return the noise's density about the mode over that of white noise of its variance; 1 where it is white."""
-    omega = float(fit.point.frequencies[0])
+    omega = float(fit.point.omega_terms[0])
     ratios, weights = [], []
     for row, residuals in zip(problem.decays, fit.residuals, strict=True):
         for signal, e in zip(row, residuals, strict=True):
@@ -276,7 +281,7 @@ def _curves(
     top = float(np.max(point.amplitudes))
     low = min(max(float(np.min(fit.last_amplitudes)), _LOWEST * noise, 1e-3 * top), 0.9 * top)
     A = np.geomspace(low, top, _POINTS)
-    w, g = point.frequencies, point.rates
+    w, g = point.omega_terms, point.rate_terms
     omega, rate = frequency(w, A), decay_rate(g, A)
     zeta = rate / (A * omega)
     powers_w = A[:, None] ** (2 * np.arange(law.n_frequency))

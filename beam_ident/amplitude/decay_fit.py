@@ -61,15 +61,15 @@ class Start:
     Attributes
     ----------
     law : Law
-    frequencies, rates : ndarray -- coefficients over amplitude in units of ``reference``
+    omega_terms, rate_terms : ndarray -- coefficients over amplitude in units of ``reference``
     reference : float -- the unit of amplitude [unit of the reference output]
     amplitudes, phases : ndarray, shape (n_decays,) -- at each decay's first sample
     others : ndarray, shape (n_others, 2) -- frequencies [rad/s] and damping ratios of further modes
     """
 
     law: Law
-    frequencies: FloatArray
-    rates: FloatArray
+    omega_terms: FloatArray
+    rate_terms: FloatArray
     reference: float
     amplitudes: FloatArray
     phases: FloatArray
@@ -77,7 +77,7 @@ class Start:
 
     def of_one_pole(self) -> Start:
         """Return the same with one frequency and one damping ratio."""
-        return replace(self, law=LINEAR, frequencies=self.frequencies[:1], rates=self.rates[:2])
+        return replace(self, law=LINEAR, omega_terms=self.omega_terms[:1], rate_terms=self.rate_terms[:2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class DecayFit:
     Attributes
     ----------
     point : Start -- the estimates
-    covariance : ndarray, shape (n_terms, n_terms) -- of frequencies and rates, for white noise
+    covariance : ndarray, shape (n_terms, n_terms) -- of both groups of terms, for white noise
     cost : float -- half of the squared residuals over their variance, and the logarithms of that
     n_parameters, n_samples : int
     residuals : tuple of tuple of ndarray -- of every output of every decay
@@ -232,7 +232,7 @@ class DecayProblem:
 
     def _flow(self, point: Start, k: int) -> FloatArray:
         stamps = np.unique(np.concatenate([s.times_s for s in self.decays[k]])) - self.starts[k]
-        return slow_flow(point.frequencies, point.rates, float(point.amplitudes[k]), stamps)[0]
+        return slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), stamps)[0]
 
     def _whitened(self, point: Start, sigmas: FloatArray) -> list[FloatArray]:
         """Return what is left of every output of every decay, over its noise."""
@@ -243,11 +243,11 @@ class DecayProblem:
                 t = signal.times_s - begin
                 key = signal.times_s.tobytes()
                 if key not in known:
-                    known[key] = slow_flow(point.frequencies, point.rates, float(point.amplitudes[k]), t)
+                    known[key] = slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), t)
                 A, turned = known[key]
                 phi = turned + point.phases[k]
                 # An exposure shows a swing smaller by its sinc.
-                seen = np.sinc(point.frequencies[0] * signal.exposure_s / (2.0 * np.pi)) * A * point.reference
+                seen = np.sinc(point.omega_terms[0] * signal.exposure_s / (2.0 * np.pi)) * A * point.reference
                 values = signal.values
                 columns = [np.ones(len(t)), t - 0.5 * t[-1]]
                 columns += [A**n * wave(3.0 * phi) for n in (2, 3) for wave in (np.cos, np.sin)]
@@ -266,8 +266,8 @@ class DecayProblem:
 def _packed(point: Start) -> FloatArray:
     logs = np.log(np.maximum(point.amplitudes, 1e-12))
     per_decay = np.column_stack([logs, point.phases]).ravel()
-    rates = point.rates[1:2] if point.law == LINEAR else point.rates
-    return np.concatenate([point.frequencies, rates, per_decay, point.others.ravel()])
+    rates = point.rate_terms[1:2] if point.law == LINEAR else point.rate_terms
+    return np.concatenate([point.omega_terms, rates, per_decay, point.others.ravel()])
 
 
 def _unpacked(theta: FloatArray, like: Start) -> Start:

@@ -11,6 +11,7 @@ from beam_ident.errors import EstimationError
 
 _STILL = 6.0  # standard deviations of the noise on the input
 _ROUNDING = 1e-9  # of what the input has moved
+_OF_BENDS = 0.6745 * 6.0**0.5  # median size of white noise's second differences, in its standard deviations
 _GUARD_S = 0.1  # longer than any sensor's own delay
 
 
@@ -21,7 +22,7 @@ def free_decay_of(record: TimeRecord) -> list[OutputSignal]:
     ----------
     record : TimeRecord
         With inputs that come to rest; their ``sigma`` says how much noise is no motion. Where it is not given, the
-        scatter about the last tenth's straight line is.
+        scatter from sample to sample in the last tenth is.
 
     Raises
     ------
@@ -32,8 +33,8 @@ def free_decay_of(record: TimeRecord) -> list[OutputSignal]:
     for drive in record.inputs:
         values, times = drive.values, drive.times_s
         last = slice(len(values) - max(len(values) // 10, 2), None)
-        line = np.polynomial.Polynomial.fit(times[last], values[last], 1)
-        scatter = float(np.std(values[last] - line(times[last])))
+        bends = np.diff(values[last], 2)
+        scatter = float(np.median(np.abs(bends))) / _OF_BENDS if bends.size else 0.0
         quiet = _STILL * max(drive.sigma, scatter) + _ROUNDING * float(np.ptp(values))
         moved = np.flatnonzero(np.abs(values - np.median(values[last])) > quiet)
         if moved.size:

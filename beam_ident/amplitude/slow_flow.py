@@ -37,14 +37,14 @@ def decay_rate(coefficients: FloatArray, amplitude: FloatArray) -> FloatArray:
 
 
 def slow_flow(
-    frequencies: FloatArray, rates: FloatArray, start: float, elapsed: FloatArray
+    omega_terms: FloatArray, rate_terms: FloatArray, start: float, elapsed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return amplitude and phase at the stamps, each of shape (n,).
 
     Parameters
     ----------
-    frequencies : ndarray -- w_0, w_2 .. [rad/s], of A in units of the reference amplitude
-    rates : ndarray -- g_-1, g_0, g_1 .. [1/s]
+    omega_terms : ndarray -- w_0, w_2 .. [rad/s], of A in units of the reference amplitude
+    rate_terms : ndarray -- g_-1, g_0, g_1 .. [1/s]
     start : float -- A at the first instant
     elapsed : ndarray, shape (n,) -- since the first instant, rising [s]
 
@@ -58,7 +58,7 @@ def slow_flow(
     grid = h * np.arange(_STEPS + 1)
     A = np.empty(_STEPS + 1)
     A[0] = now = start
-    polynomial = [float(value) for value in rates[::-1]]
+    polynomial = [float(value) for value in rate_terms[::-1]]
 
     def slope(value: float) -> float:
         if value <= 0.0:
@@ -80,7 +80,7 @@ def slow_flow(
     amplitude = CubicHermiteSpline(grid, A, slopes)
     # The phase by Gauss's two points of every step, which are exact to the third degree.
     offsets = 0.5 * h * (1.0 + np.array([-1.0, 1.0]) / np.sqrt(3.0))
-    inner = frequency(frequencies, amplitude(grid[:-1, None] + offsets))
+    inner = frequency(omega_terms, amplitude(grid[:-1, None] + offsets))
     turned = np.concatenate([[0.0], np.cumsum(0.5 * h * inner.sum(axis=1))])
-    phase = CubicHermiteSpline(grid, turned, frequency(frequencies, A))
+    phase = CubicHermiteSpline(grid, turned, frequency(omega_terms, A))
     return np.maximum(amplitude(elapsed), 0.0), np.asarray(phase(elapsed))

@@ -36,3 +36,10 @@ def test_the_page_on_modal_analysis_runs_from_top_to_bottom(capsys: pytest.Captu
     analysis = names["analysis"]
     assert len(analysis.damping_ratios) == 5  # type: ignore[attr-defined]
     assert abs(names["circle"].damping_ratio / 0.017 - 1.0) < 0.05  # type: ignore[attr-defined]
+
+
+def test_the_page_on_amplitude_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    curves = run_page("amplitude.md")["curves"]
+    assert "one pole does not describe the decay" in capsys.readouterr().out
+    # -A'/A of the written amplitude at its start, where 1 + 0.4 (1 - e) = 1: 0.11 (1 + 0.4).
+    assert abs(curves.damping_ratio_at(0.02) * 27.6 / (0.11 * 1.4) - 1.0) < 0.02  # type: ignore[attr-defined]

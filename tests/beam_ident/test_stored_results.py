@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from beam_ident import FrequencyRecord, LogChirp, ModalModel, ModelFormatError, Multisine, restore
+from beam_ident import (
+    FrequencyRecord,
+    LogChirp,
+    ModalModel,
+    ModelFormatError,
+    Multisine,
+    amplitude_curves,
+    restore,
+)
 from tests.beam_ident import result_cases
 
 
@@ -24,6 +32,7 @@ def stored() -> dict[str, Any]:
     return {
         "subspace_model": result_cases.result("subspace_model"),
         "free_decay": result_cases.result("fit_free_decay"),
+        "amplitude_curves": amplitude_curves(result_cases.decay()),
         "modal_analysis": result_cases.result("analyse_modes"),
         "modal_model": result_cases.result("identify").model,
         "transfer_function": result_cases.result("estimate_transfer_function").model,
@@ -37,7 +46,7 @@ def stored() -> dict[str, Any]:
 
 NAMES = tuple(stored())
 ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"}
-OWN = ("subspace_model", "free_decay", "modal_analysis", "frequency_record")
+OWN = ("subspace_model", "amplitude_curves", "free_decay", "modal_analysis", "frequency_record")
 
 
 def assert_same(first: Any, second: Any, where: str = "") -> None:

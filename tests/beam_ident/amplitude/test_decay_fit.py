@@ -14,8 +14,8 @@ def test_a_start_stands_near_the_law() -> None:
     start = DecayProblem([[noisy(STRONG, 1e-6, 1)]], 0).start(None)
     scale = (start.reference / UNIT) ** 2
     assert start.law == Law(2, 3)
-    assert start.frequencies[0] == pytest.approx(OMEGA, rel=2e-4)
-    assert start.frequencies[1] == pytest.approx(0.01 * OMEGA * scale, rel=0.05)
+    assert start.omega_terms[0] == pytest.approx(OMEGA, rel=2e-4)
+    assert start.omega_terms[1] == pytest.approx(0.01 * OMEGA * scale, rel=0.05)
     assert start.amplitudes[0] * start.reference == pytest.approx(UNIT, rel=0.02)
 
 
@@ -27,8 +27,8 @@ def test_the_law_is_found_and_its_noise() -> None:
     assert fit.noise_sd[0] == pytest.approx(2e-5, rel=0.06)
     expected = [0.0, 0.004 * OMEGA, 0.003 * OMEGA * unit / UNIT]
     sd = np.sqrt(np.diag(fit.covariance))[2:]
-    assert np.all(np.abs(fit.point.rates - expected) < 4.0 * sd + 0.02 * np.abs(expected))
-    assert fit.point.frequencies[1] == pytest.approx(0.01 * OMEGA * (unit / UNIT) ** 2, rel=0.01)
+    assert np.all(np.abs(fit.point.rate_terms - expected) < 4.0 * sd + 0.02 * np.abs(expected))
+    assert fit.point.omega_terms[1] == pytest.approx(0.01 * OMEGA * (unit / UNIT) ** 2, rel=0.01)
 
 
 def test_stated_deviations_are_the_scatter() -> None:
@@ -37,7 +37,7 @@ def test_stated_deviations_are_the_scatter() -> None:
     for seed in range(12):
         problem = DecayProblem([[noisy(weak, 2e-4, seed, 8.0)]], 0)
         fit = problem.fit(problem.start(4.4))
-        estimates.append(np.concatenate([fit.point.frequencies, fit.point.rates]))
+        estimates.append(np.concatenate([fit.point.omega_terms, fit.point.rate_terms]))
         stated.append(np.sqrt(np.diag(fit.covariance)))
     ratio = np.std(estimates, axis=0, ddof=1) / np.mean(stated, axis=0)
     # Twelve draws: their scatter is known to a fifth; units differ by the windows' largest amplitude.
@@ -49,5 +49,5 @@ def test_one_pole_has_two_coefficients_and_costs_more_where_it_is_wrong() -> Non
     fit = problem.fit(problem.start(None))
     alone = problem.fit(fit.point.of_one_pole())
     assert alone.covariance.shape == (2, 2)
-    assert alone.point.rates[0] == 0.0
+    assert alone.point.rate_terms[0] == 0.0
     assert alone.cost > fit.cost + 1000.0
