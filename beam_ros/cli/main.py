@@ -38,7 +38,7 @@ OFFLINE: dict[str, str] = {
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
-    "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane",
+    "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane; the camera's noise",
     "axis": "a motion controller on its line: what answers there, does its firmware keep the protocol",
 }
 """Verbs that need no ROS graph."""

@@ -218,6 +218,13 @@ class TrackerSettings:
     sigma_floor: float = setting(
         "of a position: what the dots show at rest; 0: perfect discs", "px", 0.0, 10.0
     )
+    noise_variance: float = setting(
+        "of a pixel at level 0, as `beam calibrate camera-noise` finds it; with noise_per_grey 0: the frames tell",
+        "grey levels^2",
+        -1e6,
+        1e6,
+    )
+    noise_per_grey: float = setting("growth of that variance with the level", "grey levels", 0.0, 1e4)
     min_contrast: float = setting("below which nothing is a marker", "grey levels", 1.0, 65535.0)
     averaged_frames: int = live("of a tare or a calibration point", "", 2, 100_000)
     drawing_rate: float = live("of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)

@@ -352,10 +352,12 @@ class Rig(RigParameters):
         """What the tracker expects to see."""
         from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, TrackerParameters
 
+        line = self.tracker.noise_variance, self.tracker.noise_per_grey
         return TrackerParameters.for_camera(
             self.camera_parameters(),
             self.markers.heights,
             refinement=self.tracker.refinement,
             sigma_floor_px=max(self.tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
             min_contrast_grey=self.tracker.min_contrast,
+            noise_line=line if any(line) else None,
         )

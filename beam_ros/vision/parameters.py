@@ -211,9 +211,9 @@ class TrackerParameters:
     min_contrast_grey : float -- contrast below which nothing is a marker [grey levels of the image]
     sigma_floor_px : float -- added in quadrature to every stated standard deviation [px]: at least
         ``PERFECT_DISC_SIGMA_PX``; print, lighting and pixel response leave some 0.02 on real dots
-    refinement : "none", "radial_symmetry", "disc_model" -- what is made of the centre of gravity: nothing, the
-        centre of the gradients, or a fitted disc (at the noise limit, for some 0.2 ms a marker); for clean
-        and round markers only
+    refinement : "none", "radial_symmetry", "disc_model" -- what is made of the centre of gravity: nothing, for
+        markers that are no discs; the centre of the gradients; or a fitted disc, which is at the noise limit and sure
+        of its noise
     expected_rows_px : tuple of float or None -- image rows of the markers, lowest marker (largest row)
         first [px]; lets the tracker distinguish markers from other spots. None: exactly as many spots as markers
         must be in view when they are acquired
@@ -236,6 +236,8 @@ class TrackerParameters:
         over the cube of the radius of gyration) against the marker's own, beside five standard deviations
     brightness_tolerance : float -- relative tolerance of the brightness against its slow average
     noise_grey : float or None -- noise of a pixel [grey levels of the image]; None measures it
+    noise_line : (float, float) or None -- variance of a pixel at level 0 [grey levels^2], and its growth with the
+        level [grey levels]; None measures them
     """
 
     marker_diameter_px: float
@@ -256,6 +258,7 @@ class TrackerParameters:
     shape_tolerance: float = 0.03
     brightness_tolerance: float = 0.30
     noise_grey: float | None = None
+    noise_line: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         _require_number(self, "marker_diameter_px", 3.0, 500.0)
@@ -277,6 +280,15 @@ class TrackerParameters:
         _require_number(self, "expected_row_tolerance_px", 0.0, open_below=True)
         if self.noise_grey is not None:
             _require_number(self, "noise_grey", 0.0)
+        if self.noise_line is not None:
+            _require(
+                len(self.noise_line) == 2
+                and all(_is_finite(value) for value in self.noise_line)
+                and self.noise_line[1] >= 0.0,
+                "TrackerParameters.noise_line",
+                self.noise_line,
+                "a variance and its growth with the level, >= 0",
+            )
         _require_word(self, "polarity", Polarity)
         _require_word(self, "refinement", Refinement)
         _require(

@@ -1,4 +1,4 @@
-"""Pixels to metres, with their uncertainty: from recorded bags, or from a checkerboard.
+"""Pixels to metres, with their uncertainty: from recorded bags, or from a checkerboard; or the camera's noise.
 
 From bags: the hub stops at twenty or more positions in both directions for a second or two each while beam/markers
 is recorded; every rest is a point of a straight line per marker. The reference is the hub's own encoder, or another
@@ -6,6 +6,10 @@ sensor on a JointState topic (--reference TOPIC:NAME --reference-sd M).
 
 From a board: the first picture or video shows the board in the beam's plane and gives the scale; further ones, of
 the board tilted in other places, give the lens. `beam track --calibration` and tracker.calibration read the result.
+
+The camera's noise: `beam calibrate camera-noise SERIES... [--dark SERIES]`, where each series is a video, a folder of
+pictures or a bag that shows an even scene at rest, two or more of them in different light. --save writes a parameter
+file for the tracker.
 """
 
 from __future__ import annotations
@@ -23,6 +27,9 @@ from beam_ros.process.strict_json import strict_json
 
 if TYPE_CHECKING:
     from beam_ros.vision.calibration.procedure import CalibrationFit
+
+
+_NOISE = "camera-noise"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--square-sd", type=float, default=0.0, metavar="M", help="standard deviation of that edge in m"
     )
+    parser.add_argument(
+        "--dark", type=Path, metavar="SERIES", help="with camera-noise: frames taken with the lens covered"
+    )
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print the calibration and its tests as JSON")
 
@@ -61,7 +71,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     quiet_opencv()
     date = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    result = _from_board(arguments, date) if arguments.board else _from_bags(arguments, date)
+    if str(arguments.sources[0]) == _NOISE:
+        result = _camera_noise(arguments, date)
+    elif arguments.dark is not None:
+        raise UsageError(f"--dark goes with `beam calibrate {_NOISE} SERIES...`")
+    else:
+        result = _from_board(arguments, date) if arguments.board else _from_bags(arguments, date)
     if arguments.json:
         print(strict_json(result, indent=2))
     else:
@@ -108,6 +123,42 @@ def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
         "warnings": list(fit.warnings),
         "table": _table(fit, rig.markers.names),
     }
+
+
+def _camera_noise(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+    from beam_ros.calibration.from_flats import noise_from_flats, save_parameters
+
+    sources = arguments.sources[1:]
+    if not sources:
+        raise UsageError(
+            f"`beam calibrate {_NOISE}` needs series of frames: videos, folders of pictures, or bags"
+        )
+    with Progress("calibrate", 1.0) as stage:
+        noise = noise_from_flats(sources, arguments.dark)
+        stage.finish(f"{sum(noise.n_frames)} frames")
+    if arguments.save is not None:
+        save_parameters(noise, arguments.save, date)
+    table = [
+        f"variance     {noise.variance:.4g} +- {noise.variance_sd:.2g} grey levels^2 at level 0, and "
+        f"{noise.per_grey:.4g} +- {noise.per_grey_sd:.2g} more for each grey level",
+        f"gain         {noise.electrons_per_grey:.4g} +- {noise.electrons_per_grey_sd:.2g} electrons per grey level",
+        f"PRNU         {100 * noise.prnu:.3g} +- {100 * noise.prnu_sd:.2g} %",
+        f"linearity    the variance leaves the line by {100 * noise.curvature:+.2g} +- "
+        f"{100 * noise.curvature_sd:.2g} % from level {noise.levels[0]:.1f} to {noise.levels[1]:.1f}",
+    ]
+    warnings = []
+    if noise.bias is None:
+        warnings.append("without --dark, bias and read noise are not known")
+    else:
+        table[1:1] = [
+            f"bias         {noise.bias:.4g} +- {noise.bias_sd:.2g} grey levels",
+            f"read noise   {noise.read_noise:.4g} +- {noise.read_noise_sd:.2g} grey levels",
+        ]
+    if not noise.is_straight:
+        warnings.append(
+            "the variance does not follow the light: set gamma to 1, switch off automatic gain and denoising"
+        )
+    return {"camera_noise": noise.to_dict(), "warnings": warnings, "table": table}
 
 
 def _tests(fit: CalibrationFit, names: tuple[str, ...]) -> dict[str, dict[str, Any]]:

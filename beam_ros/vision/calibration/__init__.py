@@ -1,1 +1,1 @@
-"""Pixels to metres: scale, lens, boards and their files."""
+"""Pixels to metres: scale, lens, boards and their files; a camera's noise."""

@@ -18,8 +18,8 @@ the frames before (``Habit``): a slope that is always there is taken off without
 not fitted, as it would cost up to a quarter more noise.
 
 The standard deviation is what the frames show: alpha and beta come from the residuals of the fit, and modes of the
-rim in which a disc that moves has no part (three and four waves around it) show what compression, texture or print
-add.
+rim in which a disc that moves has no part (two, three and four waves around it) show what compression, texture or
+print add.
 """
 
 from __future__ import annotations
@@ -48,10 +48,14 @@ _GROUND_PX = 2.0
 """The fit ends this far beyond so many standard deviations of the rim's blur outside of the radius [px]."""
 _LIGHT_STEPS = (0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
 """Ratios beta / alpha for which weights are tabulated."""
-_HARMONICS = (3, 4)
-"""Waves around the rim that show its noise."""
+_MODES_OF_RIM = ((2, np.sin), (3, np.cos), (3, np.sin), (4, np.cos), (4, np.sin))
+"""Waves around the rim that show its noise; the other one of two waves is what a smear along u makes."""
+_LONG_MODES = 1
+"""So many of these, the first, are long: they notice what is smooth over some pixels, and the rest what is not."""
 _SAME = 1e-3
 """Frames between which the modes of the rim change by less than so much of their variance are the same frame."""
+_ROUNDING = 1.0 / 12.0
+"""Variance of rounding to grey levels."""
 _FAINT = 1e-6
 """What changes the image less than this fraction of what a move of the disc does is not looked for."""
 _OWN = 7
@@ -78,7 +82,7 @@ class DiscTable(NamedTuple):
     Attributes
     ----------
     left, top, width, height : int -- the pixels of the fit, relative to the whole pixel of the point [px]
-    weights : ndarray of float32, shape (11, height * width) -- A du, A dv, A, B; the slopes along u of the background
+    weights : ndarray of float32, shape (12, height * width) -- A du, A dv, A, B; the slopes along u of the background
         and of the disc; A times the bend; A times the modes of the rim
     columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
     inverse : ndarray, shape (11, 11) -- of X' W X of all these
@@ -86,7 +90,7 @@ class DiscTable(NamedTuple):
         [1/px]
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
     bent : tuple of 2 float -- change of A times the bend with the slopes
-    variances : two tuples of 11 float -- of the sums for alpha = 1 and for beta = 1
+    variances : two lists of 12 float -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     """
 
@@ -138,7 +142,7 @@ def _tabulated(
     changes = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
     gain = [float(solution[0] @ seen(change)) for change in changes]
     angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
-    modes = [seen(slope * wave(n * angle)) for n in _HARMONICS for wave in (np.cos, np.sin)]
+    modes = [seen(slope * wave(n * angle)) for n, wave in _MODES_OF_RIM]
     bend = (instants**2 - 1 / 12) * along
     outside, inside, bent = seen(x) * (1.0 - disc), seen(x) * disc, seen(bend)
 
@@ -242,6 +246,11 @@ class Habit:
 class DiscModel:
     """The disc model of one marker: finds it, and learns its noise.
 
+    Parameters
+    ----------
+    line : (float, float) or None -- variance of a pixel at level 0 [grey levels^2] and its growth with the level
+        [grey levels], where they are known
+
     Attributes
     ----------
     disc : tuple of int -- radius and blur as they are tabulated, ``disc_steps``
@@ -250,7 +259,8 @@ class DiscModel:
     rim : float -- variance of the rim's modes over what alpha and beta make of them
     """
 
-    def __init__(self) -> None:
+    def __init__(self, line: tuple[float, float] | None = None) -> None:
+        self._line = line
         self.disc = (0, 0)
         self.alpha = self.beta = 0.0
         self.rim = 1.0
@@ -259,8 +269,9 @@ class DiscModel:
         self._radius = self._edge = 0.0
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
         self._bend = Habit(_BENT, 0.0)
-        self._modes = [0.0] * (2 * len(_HARMONICS))
+        self._modes: list[float] = []
         self._last: list[float] = []
+        self._roughness = [1.0, 1.0]
 
     def fit(
         self,
@@ -359,6 +370,9 @@ class DiscModel:
         squared = residual * residual
         sums = np.array([float(squared.sum()), float(squared @ columns[2])])
         alpha, beta = (table.noise @ sums).tolist()
+        if self._line is not None:
+            alpha = max(self._line[0] + self._line[1] * float(solved[3]), _ROUNDING)
+            beta = max(self._line[1] * float(solved[2]), _ROUNDING - alpha)
         self._noise_frames += 1
         share = max(1.0 / self._noise_frames, _NOISE_EVERY_FRAMES / _SLOW_FRAMES)
         self.alpha += share * (alpha - self.alpha)
@@ -377,18 +391,20 @@ class DiscModel:
         modes = sums[_MODES:]
         if not self._last:
             self._last, self._modes = modes, list(modes)
-        found = changed = 0.0
+        found, changed = [0.0, 0.0], 0.0
         for k, mode in enumerate(modes):
             away = mode - self._modes[k]
             self._modes[k] += share * away
             away *= 1.0 - share
             variance = self.alpha * unit[_MODES + k] + self.beta * lit[_MODES + k]
-            found += away * away / variance
+            found[k >= _LONG_MODES] += away * away / variance
             changed += (mode - self._last[k]) ** 2 / variance
         self._last = modes
         # A frame that was seen before has no noise of its own.
         seen = self._frames - _NOISE_EVERY_FRAMES
         if seen > 0 and changed > _SAME:
             # About a mean of few frames they vary more than about the true one.
-            found /= len(modes) * (1.0 - share)
-            self.rim += max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES) * (found - self.rim)
+            pace = max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES)
+            for k, count in enumerate((_LONG_MODES, len(modes) - _LONG_MODES)):
+                self._roughness[k] += pace * (found[k] / (count * (1.0 - share)) - self._roughness[k])
+            self.rim = max(self._roughness)

@@ -500,7 +500,7 @@ class SpotMeter:
 
     def appearance(self, spot: Spot, light: Light) -> Appearance:
         """Appearance of a marker that has just been acquired."""
-        return Appearance(
+        found = Appearance(
             area=self._whole_area(spot, spot.variance_v, self._submersion(light)),
             variance_u=min(spot.variance_u, spot.variance_v),
             variance_v=spot.variance_v,
@@ -509,3 +509,5 @@ class SpotMeter:
             row=spot.v,
             level=light.above / light.contrast,
         )
+        found.model = DiscModel(self.parameters.noise_line)
+        return found

@@ -214,3 +214,12 @@ def test_what_is_always_there_is_expected_and_what_never_was_is_not():
     assert wavering.spread == pytest.approx(9.0, rel=0.5)
     assert wavering.expect(20.0, 1.0)[0] == pytest.approx(18.6, abs=1.0)
     assert constant.expect(20.0, 1.0)[0] == pytest.approx(5.0, abs=1.0)
+
+
+def test_a_camera_whose_noise_is_known_needs_no_residuals():
+    film = Film(12.0, even(0.0))
+    film.model = DiscModel((1.0 + 1 / 12, 0.4))
+    errors, stated = film.errors(1.0, 0.4)
+    assert film.model.alpha == pytest.approx(1.0 + 1 / 12 + 0.4 * BACKGROUND, rel=0.02)
+    assert film.model.beta == pytest.approx(0.4 * CONTRAST, rel=0.02)
+    assert 0.87 < rms(errors / stated) < 1.16

@@ -1,0 +1,82 @@
+"""Series from a sensor made of its physics: electrons that arrive by chance, pixels that respond differently, a
+reading with noise of its own, rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.calibration.camera_noise import MIN_FRAMES, Series, photon_transfer
+from beam_ros.vision.errors import CalibrationError
+
+GAIN = 0.05  # grey levels per electron
+BIAS, READ, PRNU = 6.0, 1.2, 0.01
+
+
+class Sensor:
+    def __init__(self, seed: int, shape: tuple[int, int] = (60, 80)) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.response = 1.0 + PRNU * self.rng.standard_normal(shape)
+
+    def series(self, grey: float | np.ndarray, n_frames: int = 16, gamma: float = 1.0) -> Series:
+        frames = []
+        for k in range(n_frames):
+            # Lamps drift.
+            light = np.clip(np.asarray(grey) - BIAS, 0.0, None) / GAIN * (1.0 + 0.002 * np.sin(k))
+            electrons = self.rng.poisson(light * self.response)
+            read = BIAS + GAIN * electrons + READ * self.rng.standard_normal(self.response.shape)
+            read = 255.0 * np.clip(read / 255.0, 0.0, 1.0) ** gamma
+            frames.append(np.clip(np.rint(read), 0, 255).astype(np.uint8))
+        return Series.of(frames, "series")
+
+
+def test_gain_bias_read_noise_and_prnu_lie_within_their_stated_standard_deviations():
+    z = []
+    for seed in range(25):
+        sensor = Sensor(seed)
+        noise = photon_transfer([sensor.series(60.0), sensor.series(180.0)], sensor.series(0.0))
+        assert noise.is_straight
+        z.append(
+            [
+                (noise.per_grey - GAIN) / noise.per_grey_sd,
+                (noise.variance - (READ**2 + 1 / 12 - GAIN * BIAS)) / noise.variance_sd,
+                (noise.electrons_per_grey - 1 / GAIN) / noise.electrons_per_grey_sd,
+                (noise.bias - BIAS) / noise.bias_sd,
+                (noise.read_noise - READ) / noise.read_noise_sd,
+                (noise.prnu - PRNU) / noise.prnu_sd,
+                noise.curvature / noise.curvature_sd,
+            ]
+        )
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    # 25 values each: the RMS is known to 14 %; bounds at three of these, and up to 1.6 for the clipped light's tails.
+    assert np.all(rms < 1.6)
+    assert np.all(rms > 0.5)
+    assert (noise.per_grey, noise.prnu) == pytest.approx((GAIN, PRNU), rel=0.1)
+
+
+def test_one_scene_of_many_levels_is_enough_for_the_line():
+    noise = photon_transfer([Sensor(1).series(np.tile(np.linspace(30.0, 200.0, 80), (60, 1)), 40)])
+    assert noise.per_grey == pytest.approx(GAIN, abs=4 * noise.per_grey_sd)
+    assert noise.per_grey_sd < 0.002
+    assert (noise.bias, noise.read_noise) == (None, None)
+
+
+def test_a_gamma_shows_as_a_bend():
+    sensor = Sensor(2)
+    noise = photon_transfer([sensor.series(grey, 40, gamma=0.65) for grey in (30.0, 90.0, 200.0)], None)
+    assert not noise.is_straight
+
+
+def test_what_cannot_show_the_noise_is_refused_with_a_remedy():
+    sensor = Sensor(3)
+    with pytest.raises(CalibrationError, match="expected at least 8 of one scene at rest: film longer"):
+        sensor.series(60.0, MIN_FRAMES - 1)
+    with pytest.raises(CalibrationError, match="film a dark and a bright even scene"):
+        photon_transfer([sensor.series(60.0), sensor.series(61.0)])
+    with pytest.raises(CalibrationError, match="film a dark and a bright even scene"):
+        photon_transfer([sensor.series(400.0), sensor.series(400.0)])
+    with pytest.raises(CalibrationError, match="give one series of one camera"):
+        Series.of([np.zeros((4, 5), np.uint8), np.zeros((5, 4), np.uint8)], "series")
+    calm = [np.full((60, 80), 200, np.uint8)] * 10
+    with pytest.raises(CalibrationError, match="switch off the camera's denoising"):
+        photon_transfer([sensor.series(40.0), Series.of(calm, "calm")])
