@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from queue import Empty, Queue
+from threading import Event, Thread
 from typing import Any
 
 import cv2
@@ -19,6 +22,8 @@ from beam_ros.vision.camera.images import grey_frame
 from beam_ros.vision.errors import ImageFormatError, VideoError
 
 _NS = 1_000_000_000
+_DECODED_AHEAD = 8
+"""Frames that a file's decoder may be ahead of who takes them."""
 _MAX_STAMP_S = 9_150_000_000
 """Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
 
@@ -93,7 +98,7 @@ class VideoFile:
         ) from fault
 
     def frames(self) -> Iterator[tuple[int, ImageArray]]:
-        """Read the frames, one after the other.
+        """Read the frames, one after the other; a thread decodes some ahead while the caller works.
 
         Yields
         ------
@@ -104,26 +109,49 @@ class VideoFile:
         ------
         VideoError -- fewer times than frames, no frame at all, or one that cannot be decoded
         """
-        capture = self._open()
+        waiting: Queue[ImageArray | VideoError | None] = Queue(_DECODED_AHEAD)
+        is_over = Event()
+        decoder = Thread(
+            target=self._decode, args=(self._open(), waiting, is_over), name="decoder", daemon=True
+        )
+        decoder.start()
         count = 0
         try:
-            while True:
+            while (image := waiting.get()) is not None:
+                if isinstance(image, VideoError):
+                    raise image
+                yield self._time(count), image
+                count += 1
+        finally:
+            is_over.set()
+            with suppress(Empty):
+                waiting.get_nowait()  # a decoder that waits for room sees that nobody wants more
+            decoder.join()
+        if count == 0:
+            raise VideoError(f"{self.path}: not one frame can be read; the file may be cut short")
+
+    def _decode(self, capture: Any, waiting: Queue[ImageArray | VideoError | None], is_over: Event) -> None:
+        """Decode frames until the file ends (None), cannot be read on (the error), or nobody wants more."""
+        count = 0
+        try:
+            while not is_over.is_set():
                 try:
                     is_read, frame = capture.read()
                     image = grey_frame(frame) if is_read else None
                 except (cv2.error, ImageFormatError) as err:
-                    raise VideoError(
+                    fault = VideoError(
                         f"{self.path}: frame {count} cannot be decoded ({err}); convert the video, for example with "
                         "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
-                    ) from err
+                    )
+                    fault.__cause__ = err
+                    waiting.put(fault)
+                    return
+                waiting.put(image)
                 if image is None:
-                    break
-                yield self._time(count), image
+                    return
                 count += 1
         finally:
             capture.release()
-        if count == 0:
-            raise VideoError(f"{self.path}: not one frame can be read; the file may be cut short")
 
     def _time(self, k: int) -> int:
         if self._times is None:
