@@ -13,6 +13,10 @@ as it hands the frame to DDS, to the moment at which the tracker hands its displ
 those that the kernel counts for a process with all its threads: the process that is busy for all of the time is the
 limit, and frames over the tracker's processor time is what one core to itself would take. On a machine with other
 work only the latter means something.
+
+Every row is measured once more with a process in the tracker's place that does nothing but subscribe to the frames as
+bytes and answer each with its stamp: what this machine, its transport and the publishing side allow at all. The last
+two columns are the tracker's rate and median latency over those of this bare subscriber.
 """
 
 from __future__ import annotations
@@ -105,6 +109,7 @@ class Throughput:
     camera_load: float
     tracker_ms: float
     core_hz: float
+    is_bare: bool = False
 
 
 def rig_of(size: str) -> Rig:
@@ -185,6 +190,39 @@ def publish_frames(size: str, transport: str, rate: float, seconds: float, *, is
     rclpy.try_shutdown()
 
 
+def answer_frames(*, is_reliable: bool) -> None:
+    """The bare process in the tracker's place: answer every frame with its stamp, until it is interrupted."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.node import Node
+    from rclpy.serialization import serialize_message
+
+    from beam_ros.shell.frame_sources import WAITING_FRAMES
+    from beam_ros.shell.node import qos_profile
+
+    rclpy.init(args=[])
+    node = Node("bare")
+    types = messages.RosTypes()
+    frames, answers = TOPICS["camera/image_raw"], TOPICS["beam/displacement"]
+    publisher = node.create_publisher(
+        types.message_class(answers.type_name), answers.name, qos_profile(answers.qos)
+    )
+    empty = bytes(serialize_message(types.message_class(answers.type_name)()))
+    node.create_subscription(
+        types.message_class(frames.type_name),
+        frames.name,
+        lambda data: publisher.publish(empty[:4] + bytes(data[4:12]) + empty[12:]),
+        qos_profile(QualityOfService(WAITING_FRAMES, is_reliable)),
+        raw=True,
+    )
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
 def processor_seconds(pid: int) -> float:
     """Processor time of a process with all its threads, to the nanosecond, unlike the ticks of /proc."""
     return time.clock_gettime((~pid << 3) | 2)  # what clock_getcpuclockid(3) returns on Linux
@@ -238,9 +276,16 @@ class Answers:
 
 
 def measure(
-    answers: Answers, size: str, transport: str, rate: float, seconds: float, *, is_reliable: bool
+    answers: Answers,
+    size: str,
+    transport: str,
+    rate: float,
+    seconds: float,
+    *,
+    is_reliable: bool,
+    is_bare: bool = False,
 ) -> Throughput:
-    """One rate with fresh processes."""
+    """One rate with fresh processes, of the tracker or of a bare subscriber in its place."""
     words = [f"{name}:={value}" for name, value in {**COMMON, **SIZES[size]}.items()]
     environment = child_environment({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
     with ExitStack() as stack, tempfile.TemporaryFile() as log:
@@ -259,17 +304,11 @@ def measure(
             stack.callback(process.send_signal, signal.SIGINT)
             return process
 
-        tracker = start(
-            [*command("vision_tracker"), "--ros-args", *[word for w in words for word in ("-p", w)]], 0, log
-        )
-        options = [
-            "--camera",
-            size,
-            transport,
-            str(rate),
-            str(seconds),
-            *([] if is_reliable else ["--best-effort"]),
-        ]
+        reliability = [] if is_reliable else ["--best-effort"]
+        node = [*command("vision_tracker"), "--ros-args", *[word for w in words for word in ("-p", w)]]
+        bare = [sys.executable, "-m", "benchmarks.vision_node", "--bare", *reliability]
+        tracker = start(bare if is_bare else node, 0, log)
+        options = ["--camera", size, transport, str(rate), str(seconds), *reliability]
         camera = start([sys.executable, "-m", "benchmarks.vision_node", *options], 1, subprocess.PIPE)
         answers.seen.clear()
         limit = time.monotonic() + seconds + 60.0
@@ -307,6 +346,7 @@ def measure(
         report["load"],
         1e3 * spent / rate_answered,
         rate_answered / spent,
+        is_bare,
     )
 
 
@@ -316,6 +356,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--camera", nargs=4, metavar=("SIZE", "TRANSPORT", "HZ", "SECONDS"), help=argparse.SUPPRESS
     )
+    parser.add_argument("--bare", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, default=5.0, help="of each rate")
     parser.add_argument("--sizes", nargs="+", default=list(SIZES), choices=SIZES)
     parser.add_argument("--rates", nargs="+", type=float, help="frames a second; 0: as many as go")
@@ -327,10 +368,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         size, transport, rate, seconds = options.camera
         publish_frames(size, transport, float(rate), float(seconds), is_reliable=not options.best_effort)
         return 0
+    if options.bare:
+        answer_frames(is_reliable=not options.best_effort)
+        return 0
     results = []
     print(
         "size transport   asked     sent  answered  lost  latency ms: median    p99    max  tracker  camera"
-        "  ms/frame  a core"
+        "  ms/frame  a core  rate, latency over bare"
     )
     domain = PrivateDomain()
     for transport in options.transports:
@@ -345,15 +389,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             _core(1)()
             for size in options.sizes:
                 for rate in options.rates or RATES[size]:
-                    r = measure(
-                        answers, size, transport, rate, options.seconds, is_reliable=not options.best_effort
+                    r, bare = (
+                        measure(
+                            answers,
+                            size,
+                            transport,
+                            rate,
+                            options.seconds,
+                            is_reliable=not options.best_effort,
+                            is_bare=is_bare,
+                        )
+                        for is_bare in (False, True)
                     )
-                    results.append(r)
+                    results += [r, bare]
                     print(
                         f"{r.size:4} {r.transport:9} {r.asked_hz:7.0f}  {r.sent_hz:7.1f}  {r.answered_hz:8.1f}"
                         f"  {r.lost:4d}              {r.latency_ms[0]:6.2f} {r.latency_ms[1]:6.2f}"
                         f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}  {r.tracker_ms:8.2f}"
-                        f"  {r.core_hz:6.0f}",
+                        f"  {r.core_hz:6.0f}  {r.answered_hz / bare.answered_hz:5.2f}"
+                        f" {r.latency_ms[0] / bare.latency_ms[0]:5.2f}",
                         flush=True,
                     )
             answers.close()
