@@ -136,6 +136,10 @@ def _strip_profile_table(width_px: float, blur_px: float) -> tuple[Float32Array,
     return table, half
 
 
+_StripPixels = tuple[IndexArray, IndexArray, Float32Array]
+"""Rows, columns and grey levels of the strip's pixels."""
+
+
 class SceneRenderer:
     """Renders the camera's frames of one beam.
 
@@ -231,8 +235,8 @@ class SceneRenderer:
         marker_x : array_like, shape (sub_instants, n_markers) or (n_markers,) -- positions u(z, t) of the
             markers at ``exposure_instants`` [m]; one row for markers that stand still. NaN leaves a marker out
         rng : numpy.random.Generator -- source of this frame's noise
-        strip : array_like or None, shape (n_strip,) -- mean position of the strip at ``strip_heights`` over
-            the exposure [m]; None draws no strip
+        strip : array_like or None, shape (n_strip,) or (sub_instants, n_strip) -- position of the strip at
+            ``strip_heights``, its mean over the exposure or at the exposure's instants [m]; None draws no strip
         marker_z : array_like or None, shape like marker_x -- heights of the markers at the same instants
             where they differ from those at rest [m]
         disturbances : Disturbances or None -- second spots, glare and occluders in this frame
@@ -241,29 +245,76 @@ class SceneRenderer:
         -------
         ndarray, shape (height, width), uint8
         """
-        camera = self.camera
-        u, v, weights = self._exposure(marker_x, marker_z)
         frame = self._background(rng)
-        canvas = self._canvas
-        touched: list[tuple[slice, slice]] = []
-        strip_pixels = None if strip is None else self._strip(strip)
-        if strip_pixels is not None:
-            rows, columns, grey = strip_pixels
-            canvas[rows, columns] += grey
+        touched, strip_pixels = self._draw(marker_x, strip, marker_z, disturbances)
+        for rows, columns, grey in strip_pixels:
             noisy = frame[rows, columns] + np.rint(grey)
             frame[rows, columns] = np.clip(noisy, 0, 255).astype(np.uint8)
+        for region in touched:
+            frame[region] = self._exposed(self._canvas[region], rng)
+        self._wipe(touched, strip_pixels)
+        return frame
+
+    def light(
+        self,
+        marker_x: npt.ArrayLike,
+        strip: npt.ArrayLike | None = None,
+        *,
+        marker_z: npt.ArrayLike | None = None,
+        disturbances: Disturbances | None = None,
+    ) -> Float32Array:
+        """Light that falls on the sensor in one frame, before noise, rounding and saturation.
+
+        Parameters
+        ----------
+        marker_x, strip, marker_z, disturbances -- as of ``render``
+
+        Returns
+        -------
+        ndarray, shape (height, width) -- [grey levels of 255]
+        """
+        touched, strip_pixels = self._draw(marker_x, strip, marker_z, disturbances)
+        seen: Float32Array = self._canvas.copy()
+        self._wipe(touched, strip_pixels)
+        return seen
+
+    def _draw(
+        self,
+        marker_x: npt.ArrayLike,
+        strip: npt.ArrayLike | None,
+        marker_z: npt.ArrayLike | None,
+        disturbances: Disturbances | None,
+    ) -> tuple[list[tuple[slice, slice]], list[_StripPixels]]:
+        """Draw a scene into the canvas; returns the regions touched, and the strip's pixels at each instant."""
+        u, v, weights = self._exposure(marker_x, marker_z)
+        touched: list[tuple[slice, slice]] = []
+        strip_pixels = [] if strip is None else self._smeared_strip(strip)
+        for rows, columns, grey in strip_pixels:
+            self._canvas[rows, columns] += grey
         for k in range(u.shape[1]):
             if np.all(np.isfinite(u[:, k])):
                 self._draw_disc(u[:, k], v[:, k], weights, touched)
         if disturbances is not None:
             self._disturb(disturbances, touched)
+        return touched, strip_pixels
+
+    def _wipe(self, touched: list[tuple[slice, slice]], strip_pixels: list[_StripPixels]) -> None:
+        """Give the canvas its background again."""
         for region in touched:
-            frame[region] = self._exposed(canvas[region], rng)
-        for region in touched:
-            canvas[region] = camera.background
-        if strip_pixels is not None:
-            canvas[strip_pixels[0], strip_pixels[1]] = camera.background
-        return frame
+            self._canvas[region] = self.camera.background
+        for rows, columns, _ in strip_pixels:
+            self._canvas[rows, columns] = self.camera.background
+
+    def _smeared_strip(self, strip: npt.ArrayLike) -> list[_StripPixels]:
+        """Pixels of the strip at every instant of the exposure, each with its share of the light."""
+        x = np.asarray(strip, dtype=np.float64)
+        if x.shape == (self.sub_instants, self.strip_heights.size):
+            return [
+                (rows, columns, grey * np.float32(weight))
+                for weight, at in zip(self.exposure_weights, x, strict=True)
+                for rows, columns, grey in [self._strip(at)]
+            ]
+        return [self._strip(x)]
 
     def _draw_disc(
         self, u: FloatArray, v: FloatArray, weights: FloatArray, touched: list[tuple[slice, slice]]
@@ -356,7 +407,7 @@ class SceneRenderer:
             noisy = signal + noise * rng.standard_normal(signal.shape, dtype=np.float32)
         return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
 
-    def _strip(self, strip: npt.ArrayLike) -> tuple[IndexArray, IndexArray, Float32Array]:
+    def _strip(self, strip: npt.ArrayLike) -> _StripPixels:
         """Rows, columns and grey levels of the strip's pixels."""
         x = np.asarray(strip, dtype=np.float64)
         if x.shape != self.strip_heights.shape:
