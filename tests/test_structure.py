@@ -101,6 +101,8 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
+    ("beam_ros/offline", "tracked_film whole_beam", "offline/test_video_into_bag"),
+    ("beam_ros/rig", "film_points", "offline/test_video_into_bag"),
     ("beam_ros/offline", "seen_data", "offline/test_foreign_bags"),
     ("beam_ros/process", "executables folders progress", "cli/test_main"),
     ("beam_ros/process", "interruption", "nodes/test_endings"),

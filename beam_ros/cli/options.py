@@ -112,10 +112,15 @@ def run_folder(given: Path | None, name: str) -> Path:
     return folder
 
 
-def quiet_opencv() -> None:
+def quiet_opencv(*, keeps_decoders: bool = False) -> None:
     """Keep what OpenCV and its decoders print of a damaged file off the terminal: the verb says it in one line.
 
     They read this when they are loaded; variables that are already set are kept, and show everything.
+
+    Parameters
+    ----------
+    keeps_decoders : bool -- leave the decoders as they are: the verb catches what they say, and counts it
     """
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    if not keeps_decoders:
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

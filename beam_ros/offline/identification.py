@@ -53,6 +53,7 @@ from beam_ros.offline.seen_data import refuse_shared
 from beam_ros.process.folders import new_folder
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
+from beam_ros.rig.film_points import rig_with_points
 from beam_ros.rig.rig import Rig
 from beam_ros.signals.descriptions import Signals, SignalSource
 from beam_ros.signals.fields import read_field
@@ -165,6 +166,9 @@ def load_experiment(
         bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC)
         info = bag.excitation_info() or {}
         rig = rig or _rig_of(path, info, signals, notes)
+        videos = bag.texts(VIDEO_TOPIC)
+        if rig is not None and videos and "points" in videos[-1]:
+            rig = rig_with_points(rig, videos[-1]["points"])
         drive = _hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
         if drive is None:
             assert signals.drive is not None
@@ -175,7 +179,6 @@ def load_experiment(
             displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
             markers = _outputs(displacements, drive.origin_ns, rig, notes)
             outputs = [SensorOutput(marker) for marker in markers]
-        videos = bag.texts(VIDEO_TOPIC)
     clock_rate, tolerance = drive.clock_rate, rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
     if videos:
         # The frames run on the camera's own clock, which is known as well as the low marker tells.

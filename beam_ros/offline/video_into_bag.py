@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from beam_ros import messages
-from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.arrays import StampArray
 from beam_ros.bags.errors import BagError, BagExistsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.signals import HubSamples
@@ -29,13 +30,11 @@ from beam_ros.errors import UsageError
 from beam_ros.interfaces import graph
 from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import VIDEO_TOPIC, described_rig
+from beam_ros.offline.tracked_film import TrackedVideo, track_video
 from beam_ros.rig.rig import Rig
-from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.camera.video import VideoFile, read_frame_times
-from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
-from beam_ros.vision.measurement.measuring_chain import MeasuringChain
-from beam_ros.vision.measurement.synchronisation import Synchronisation, synchronise
+from beam_ros.vision.measurement.frame_losses import FilmTimes, time_film
 
 Progress = Callable[[str, float], None]
 
@@ -43,142 +42,12 @@ _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
 _LARGE_OFFSET_SD_S = 0.2e-3
 """A time known no better than this is reported: it turns the phase of a mode at 28 Hz by 2 degrees."""
-_MIN_SEEN = 0.5
-
-
-@dataclass(frozen=True)
-class TrackedVideo:
-    """The markers of a whole video in metres, by the camera's clock.
-
-    Attributes
-    ----------
-    names : tuple of str, length m -- markers, from the clamp upwards
-    heights : ndarray, shape (m,) -- above the clamp [m]
-    frame_times_ns : ndarray of int64, shape (n,) -- stamp of every frame, in the meaning of ``camera.stamp`` [ns]
-    times_ns : ndarray of int64, shape (n, m) -- middle of the exposure of every marker's row [ns]
-    u_px, v_px, x_m, sigma_m : ndarray, shape (n, m) -- position in the image, displacement and its standard
-        deviation; NaN where not seen
-    reasons : tuple of mapping of str to int, length m -- how often each marker was valid ("ok") or not, and why
-    notes : tuple of str -- what a reader should know
-    """
-
-    names: tuple[str, ...]
-    heights: FloatArray
-    frame_times_ns: StampArray
-    times_ns: StampArray
-    u_px: FloatArray
-    v_px: FloatArray
-    x_m: FloatArray
-    sigma_m: FloatArray
-    reasons: tuple[dict[str, int], ...]
-    notes: tuple[str, ...]
-
-
-def track_video(
-    video: VideoFile,
-    rig: Rig,
-    calibration: LinearCalibration | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> TrackedVideo:
-    """Track the rig's markers through a video.
-
-    Parameters
-    ----------
-    video : VideoFile
-    rig : Rig -- its camera and markers
-    calibration : LinearCalibration, optional -- None: the rig's nominal scale
-    progress : callable -- told the share done
-
-    Returns
-    -------
-    TrackedVideo
-
-    Raises
-    ------
-    VideoError
-        The video has another size than the rig's camera, or shows none of the low marker.
-    CalibrationError
-        The calibration was made for another camera, image size or number of markers.
-    VisionParameterError
-        The exposure is longer than a frame.
-    """
-    camera = rig.camera_parameters()
-    if (video.width, video.height) != (camera.width, camera.height):
-        raise VideoError(
-            f"{video.path}: is {video.width} x {video.height}; expected {camera.width} x {camera.height}, the rig's "
-            "camera: give its rig file with --rig-file, or -p camera.width:=.. -p camera.height:=.."
-        )
-    if math.isfinite(video.rate_hz):
-        try:
-            camera = replace(camera, rate_hz=video.rate_hz)
-        except VisionParameterError as err:
-            raise VisionParameterError(
-                f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
-            ) from err
-    names, heights = rig.markers.names, rig.markers.heights
-    chosen = calibration or LinearCalibration.from_camera(camera, len(names))
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen)
-    if "lens" in chosen.provenance:
-        chain.lens = Lens.from_dict(chosen.provenance["lens"])
-    if chain.calibration_fault:
-        raise CalibrationError(chain.calibration_fault)
-    measured = []
-    for time_ns, image in video.frames():
-        measured.append(chain.measure(time_ns, image))
-        progress(len(measured) / max(video.n_frames, len(measured)))
-    reasons: tuple[dict[str, int], ...] = tuple({} for _ in names)
-    for frame in measured:
-        for counts, reason in zip(reasons, frame.reasons, strict=True):
-            counts[reason] = counts.get(reason, 0) + 1
-    if not reasons[0].get("ok"):
-        raise VideoError(
-            f"{video.path}: the low marker {names[0]} is in none of {len(measured)} frames "
-            f"({_in_words(reasons[0])}); expected it where the rig file puts it: check markers.heights, "
-            "markers.diameter, camera.origin_u and origin_v, camera.pixels_per_metre and tracker.polarity"
-        )
-    return TrackedVideo(
-        names,
-        np.asarray(heights),
-        np.array([frame.stamp_ns for frame in measured], dtype=np.int64),
-        np.array([frame.stamps_ns for frame in measured], dtype=np.int64),
-        np.array([frame.u_px for frame in measured]),
-        np.array([frame.v_px for frame in measured]),
-        np.array([frame.displacement.x_m for frame in measured]),
-        np.array([frame.displacement.sigma_m for frame in measured]),
-        reasons,
-        tuple(_remarks(video, names, reasons, len(measured), chain.calibration_doubt)),
-    )
-
-
-def _remarks(
-    video: VideoFile,
-    names: tuple[str, ...],
-    reasons: tuple[dict[str, int], ...],
-    n_frames: int,
-    doubt: str,
-) -> Iterator[str]:
-    if doubt:
-        yield doubt
-    if n_frames < video.n_frames:
-        yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
-    if video.n_times is not None and video.n_times > n_frames:
-        yield (
-            f"{video.n_times} frame times are given for {n_frames} frames: where frames are missing but at the end, "
-            "the times are not theirs"
-        )
-    for name, counts in zip(names, reasons, strict=True):
-        if counts.get("ok", 0) < _MIN_SEEN * n_frames:
-            yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"
-
-
-def _in_words(counts: dict[str, int]) -> str:
-    return ", ".join(f"{reason} {count}" for reason, count in sorted(counts.items()) if reason != "ok")
 
 
 def synchronise_with_hub(
     tracked: TrackedVideo, hub: HubSamples, *, has_exact_rate: bool = False
-) -> Synchronisation:
-    """Find the camera's time in the hub's by the low marker.
+) -> FilmTimes:
+    """Find when every frame was taken, by the hub's motion that the film shows.
 
     Parameters
     ----------
@@ -188,12 +57,12 @@ def synchronise_with_hub(
 
     Returns
     -------
-    Synchronisation -- between the camera's times and seconds since the first sample of the hub
+    FilmTimes -- between the camera's times, lost frames counted in, and seconds since the first sample of the hub
 
     Raises
     ------
     SynchronisationError
-        The records do not resemble each other.
+        The records do not resemble each other, or nobody can tell when the frames were taken.
     BagError
         The hub has no positions.
     """
@@ -206,11 +75,14 @@ def synchronise_with_hub(
     first, last = max(pairwise([0, *borders, len(hub.stamps_ns)]), key=lambda piece: piece[1] - piece[0])
     seen = np.isfinite(hub.positions)
     seen[:first] = seen[last:] = False
-    return synchronise(
+    n_high = len(tracked.names)
+    return time_film(
         (hub.stamps_ns[seen] - hub.stamps_ns[0]) * 1e-9,
         hub.positions[seen],
         (tracked.times_ns[:, 0] - tracked.times_ns[0, 0]) * 1e-9,
-        tracked.x_m[:, 0],
+        tracked.hub_m,
+        period_s=tracked.period_s,
+        high_markers_m=tracked.x_m[:, [(2 * n_high) // 3, n_high - 1]] if n_high > 1 else None,
         fits_drift=not has_exact_rate,
     )
 
@@ -238,6 +110,8 @@ def track_into_bag(
     calibration: LinearCalibration | None = None,
     has_exact_rate: bool = False,
     replaces: bool = False,
+    is_whole: bool = False,
+    row_step: int = 10,
     progress: Progress = lambda phrase, share: None,
 ) -> dict[str, Any]:
     """Track a video and put its displacements into a bag.
@@ -252,6 +126,7 @@ def track_into_bag(
     calibration : LinearCalibration, optional -- None: the rig's nominal scale
     has_exact_rate : bool -- do not fit the rate of the camera's clock
     replaces : bool -- leave out displacements that the bag has already, instead of refusing it
+    is_whole : bool -- follow the strip at every ``row_step`` rows, not the markers
     progress : callable -- called with a phrase and the share done
 
     Returns
@@ -264,7 +139,7 @@ def track_into_bag(
         Nothing is written and the bag is as it was.
     """
     times_ns = None if times_path is None else read_frame_times(times_path)
-    video = VideoFile(video_path, rate_hz=rate_hz, frame_times_ns=times_ns)
+    video = VideoFile(video_path, rate_hz=rate_hz, frame_times_ns=times_ns, heeds_decoder=True)
     if target is None and not bag_path.is_dir() and bag_path.exists():
         raise UsageError(f"{bag_path} is a single file: expected a bag's folder; give a new bag with --out")
     if target is not None and target.exists():
@@ -278,7 +153,14 @@ def track_into_bag(
             )
         rig = rig or described_rig(bag_path, bag.excitation_info() or {})
         hub = bag.hub_samples()
-    tracked = track_video(video, rig, calibration, lambda share: progress("tracking", share))
+    tracked = track_video(
+        video,
+        rig,
+        calibration,
+        lambda share: progress("tracking", share),
+        is_whole=is_whole,
+        row_step=row_step,
+    )
     found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
     tracked = _by_the_hubs_clock(tracked, found, int(hub.stamps_ns[0]))
     summary = _summary(video, tracked, found)
@@ -287,21 +169,41 @@ def track_into_bag(
     return {"bag": str(written), "original": str(original), **summary}
 
 
-def _by_the_hubs_clock(tracked: TrackedVideo, found: Synchronisation, hub_start_ns: int) -> TrackedVideo:
-    """Return the record with the times [ns, UNIX] that the hub's stamps have."""
+def _by_the_hubs_clock(tracked: TrackedVideo, found: FilmTimes, hub_start_ns: int) -> TrackedVideo:
+    """Return the record with the times [ns, UNIX] that the hub's stamps have, without frames that have none."""
     first_ns = int(tracked.times_ns[0, 0])
+    late_ns = np.rint(found.lost * (tracked.period_s or 0.0) * 1e9).astype(np.int64)
 
     def mapped(times_ns: StampArray) -> StampArray:
-        seconds = found.hub_times((times_ns - first_ns) * 1e-9)
+        seconds = found.synchronisation.hub_times((times_ns - first_ns) * 1e-9)
         return np.asarray(hub_start_ns + np.rint(seconds * 1e9).astype(np.int64))
 
-    return replace(tracked, frame_times_ns=mapped(tracked.frame_times_ns), times_ns=mapped(tracked.times_ns))
+    return replace(
+        tracked.without(~found.is_timed, "untimed"),
+        frame_times_ns=mapped(tracked.frame_times_ns + late_ns),
+        times_ns=mapped(tracked.times_ns + late_ns[:, None]),
+    )
 
 
-def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) -> dict[str, Any]:
-    notes = list(tracked.notes)
+def _film_notes(tracked: TrackedVideo, times: FilmTimes) -> Iterator[str]:
+    found = times.synchronisation
+    n_frames = len(times.lost)
+    if times.n_lost:
+        yield (
+            f"the camera dropped {times.n_lost} frames that the file does not tell of; the hub's motion told "
+            f"where, and "
+            "the frames behind were given their right times"
+        )
+    untimed = n_frames - int(np.count_nonzero(times.is_timed))
+    if untimed:
+        yield (
+            f"nobody can tell when {untimed} of {n_frames} frames were taken, for the hub and the beam hardly moved "
+            "beside a lost frame: they are marked as not seen; a container with frame times (Matroska, MP4) or "
+            "--times "
+            "would keep them"
+        )
     if abs(found.gain - 1) > _GAIN_TOLERANCE:
-        notes.append(
+        yield (
             f"the low marker moves {found.gain:.3f} times as far as the hub: the scale is not right; calibrate, or "
             "correct camera.pixels_per_metre"
         )
@@ -309,15 +211,31 @@ def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) ->
         remedy = "let the hub move more, or film it longer"
         if found.drift_sd > 0:
             remedy += "; --exact-rate where the frame times are exact"
-        notes.append(
+        yield (
             f"the video's time in the hub's is known to +- {found.offset_sd_s * 1e3:.2g} ms; expected "
             f"{_LARGE_OFFSET_SD_S * 1e3:g} ms or less: {remedy}"
         )
-    sigma = np.sqrt(np.nanmean(tracked.sigma_m**2, axis=0))
+
+
+def _summary(video: VideoFile, tracked: TrackedVideo, times: FilmTimes) -> dict[str, Any]:
+    found = times.synchronisation
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        sigma = np.sqrt(np.nanmean(tracked.sigma_m**2, axis=0))
+    points = (
+        {"points": {"names": list(tracked.names), "heights_m": np.round(tracked.heights, 6).tolist()}}
+        if tracked.is_whole
+        else {}
+    )
     return {
         "video": str(video.path),
         "frames": len(tracked.times_ns),
         "rate_hz": video.rate_hz if math.isfinite(video.rate_hz) else None,
+        "turned": video.is_turned,
+        "lost": times.n_lost,
+        "untimed": len(times.lost) - int(np.count_nonzero(times.is_timed)),
+        "damaged": int(np.count_nonzero(video.damaged_frames(len(tracked.times_ns)))),
+        **points,
         "markers": {
             name: {"seen": counts.get("ok", 0), "sigma_m": float(s), "reasons": counts}
             for name, counts, s in zip(tracked.names, tracked.reasons, sigma, strict=True)
@@ -332,8 +250,9 @@ def _summary(video: VideoFile, tracked: TrackedVideo, found: Synchronisation) ->
             "correlation": found.correlation,
             "residual_rms_m": found.residual_rms_m,
             "frames": found.n_frames,
+            "jitter_s": times.jitter_s,
         },
-        "notes": notes,
+        "notes": [*tracked.notes, *_film_notes(tracked, times)],
     }
 
 

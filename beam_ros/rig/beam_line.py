@@ -129,6 +129,22 @@ class BeamLine:
     is_complete: bool
 
 
+def marker_shape_fitter(rig: Rig, heights: npt.ArrayLike) -> BeamShapeFitter:
+    """Return the fitter of a rig's mode shapes to displacements at some heights.
+
+    Parameters
+    ----------
+    rig : Rig
+    heights : array_like, shape (n_markers,) -- above the clamp [m]
+    """
+    model = rig.beam_model()
+    frequencies = model.natural_frequencies
+    tip = np.abs(model.shape([rig.beam.length])[0])
+    return BeamShapeFitter(
+        model.shape(heights), rig.hub.max_tip_deflection / tip * frequencies[0] / frequencies
+    )
+
+
 class BeamLineFitter:
     """Fits the line to the markers of one rig.
 
@@ -138,15 +154,10 @@ class BeamLineFitter:
     """
 
     def __init__(self, rig: Rig) -> None:
-        model = rig.beam_model()
         length, allowed = rig.beam.length, rig.hub.max_tip_deflection
-        frequencies = model.natural_frequencies
-        tip = np.abs(model.shape([length])[0])
-        self._fitter = BeamShapeFitter(
-            model.shape(rig.markers.heights), allowed / tip * frequencies[0] / frequencies
-        )
+        self._fitter = marker_shape_fitter(rig, rig.markers.heights)
         self._heights = np.linspace(0.0, length, _POINTS)
-        self._shapes = model.shape(self._heights)
+        self._shapes = rig.beam_model().shape(self._heights)
         self._known_m = _KNOWN_SHARE * allowed
 
     def fit(self, x_m: FloatArray, sigma_m: FloatArray) -> BeamLine:

@@ -1,6 +1,7 @@
-"""Track the markers through a video and put their displacements into the bag of its experiment.
+"""Track the markers through a video, or the whole strip, and put the displacements into the bag of its experiment.
 
-For a camera that only leaves a file. The bag holds what the hub measured; the lowest marker, which moves as the hub
+For a camera that only leaves a file. With --points full the strip itself is followed at every tenth row: a beam on
+which nothing is glued. The bag holds what the hub measured; the lowest marker, which moves as the hub
 does, tells when the video was taken and how fast its clock ran. The bag then identifies like any other. Its old form
 stays beside it as BAG_untracked, unless --out names a new bag.
 """
@@ -29,6 +30,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="BAG", help="write this new bag and leave --into as it is"
     )
+    parser.add_argument(
+        "--points",
+        choices=("markers", "full"),
+        default="markers",
+        help="follow the markers, or the whole strip by its edges (default: markers)",
+    )
+    parser.add_argument(
+        "--row-step", type=int, default=10, metavar="N", help="rows of a point of the strip (default: 10)"
+    )
     time = parser.add_mutually_exclusive_group()
     time.add_argument(
         "--rate", type=float, metavar="HZ", help="frames per second (default: as the file says)"
@@ -51,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    quiet_opencv()
+    quiet_opencv(keeps_decoders=True)
     from beam_ros.offline.video_into_bag import bag_rig, track_into_bag
     from beam_ros.rig.rig import Rig
     from beam_ros.vision.calibration.storage import load_calibration
@@ -73,6 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
             calibration=calibration,
             has_exact_rate=arguments.exact_rate,
             replaces=arguments.replace,
+            is_whole=arguments.points == "full",
+            row_step=arguments.row_step,
             progress=lambda phrase, share: stage.update(share, phrase),
         )
         stage.finish(f"{result['frames']} frames into {result['bag']}")
@@ -82,10 +94,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _text(result: dict[str, Any]) -> str:
     found = result["synchronisation"]
-    lines = [
-        f"{name}   seen in {marker['seen']} of {result['frames']} frames, +- {marker['sigma_m'] * 1e6:.1f} um"
-        for name, marker in result["markers"].items()
-    ]
+    rows = list(result["markers"].items())
+    if "points" in result:
+        seen = sorted(marker["seen"] for _, marker in rows)
+        sigma = sorted(marker["sigma_m"] for _, marker in rows)
+        lines = [
+            f"strip    {len(rows)} points from {rows[0][0]} to {rows[-1][0]} mm, each seen in {seen[0]} to "
+            f"{seen[-1]} of "
+            f"{result['frames']} frames, +- {sigma[len(sigma) // 2] * 1e6:.1f} um"
+        ]
+    else:
+        lines = [
+            f"{name}   seen in {marker['seen']} of {result['frames']} frames, +- {marker['sigma_m'] * 1e6:.1f} um"
+            for name, marker in rows
+        ]
     lines += [
         f"offset   {found['offset_s']:.6f} +- {found['offset_sd_s']:.6f} s from the hub's first sample to the first "
         "frame",

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import stdtrit
 
 from beam_ros.arrays import FloatArray
 from beam_ros.vision.errors import SynchronisationError
@@ -177,6 +178,10 @@ def _refined(
         if abs(step[0]) < _CONVERGED_S:
             break
     covariance = _robust_covariance(design, residual, t[inside], correlation_time_s)
+    # A few stretches of that length say little about their own scatter: Student's t for as many, less two, takes the
+    # normal distribution's place (Cameron and Miller 2015), folded into the standard deviation at 95 %.
+    stretches = residual.size / (_remembered(t[inside], correlation_time_s) + 1)
+    covariance *= (float(stdtrit(max(stretches - 2.0, 1.0), 0.975)) / 1.96) ** 2
     back = np.array([1.0, -middle]) if fits_drift else np.array([1.0])
     chosen = np.array([0, 3]) if fits_drift else np.array([0])
     offset_variance = float(back @ covariance[np.ix_(chosen, chosen)] @ back)
@@ -215,8 +220,13 @@ def _robust_covariance(
     inverse = np.linalg.pinv(design.T @ design)
     scores = design * residual[:, None]
     meat = scores.T @ scores
-    n_lags = min(int(correlation_time_s / float(np.median(np.diff(t)))), residual.size // 4)
+    n_lags = _remembered(t, correlation_time_s)
     for lag in range(1, n_lags + 1):
         cross = scores[lag:].T @ scores[:-lag]
         meat += (1 - lag / (n_lags + 1)) * (cross + cross.T)
     return np.asarray(inverse @ meat @ inverse)
+
+
+def _remembered(t: FloatArray, correlation_time_s: float) -> int:
+    """Frames over which residuals remember."""
+    return min(int(correlation_time_s / float(np.median(np.diff(t)))), t.size // 4)

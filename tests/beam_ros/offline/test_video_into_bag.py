@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,8 @@ from tests.whole_bags import messages_of_whole_bag
 
 cv2 = pytest.importorskip("cv2")
 
-from beam_ros.offline.video_into_bag import synchronise_with_hub, track_video  # noqa: E402
+from beam_ros.offline.tracked_film import track_video  # noqa: E402
+from beam_ros.offline.video_into_bag import synchronise_with_hub  # noqa: E402
 from beam_ros.vision.calibration.linear import LinearCalibration  # noqa: E402
 from beam_ros.vision.calibration.storage import save_calibration  # noqa: E402
 from beam_ros.vision.camera.video import VideoFile  # noqa: E402
@@ -83,7 +86,7 @@ def test_the_video_finds_its_time_in_the_hubs() -> None:
         hub = opened.hub_samples()
     begun_s = (TRUTH["first_frame_ns"] - int(hub.stamps_ns[0])) * 1e-9
     for has_exact_rate in (False, True):
-        found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
+        found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate).synchronisation
         assert abs(found.offset_s - begun_s) < 0.2e-3
         assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
         assert abs(found.drift) <= 4 * found.drift_sd
@@ -98,7 +101,7 @@ def test_a_gap_in_the_hubs_record_does_not_move_the_time_found() -> None:
     # A second and a half is lost in the middle of the motion.
     lossy = join_batches("hub/measured", batches[:80] + batches[155:], Unreadable())
     assert lossy.lost > 1000
-    found = synchronise_with_hub(tracked, lossy, has_exact_rate=True)
+    found = synchronise_with_hub(tracked, lossy, has_exact_rate=True).synchronisation
     begun_s = (TRUTH["first_frame_ns"] - int(hub.stamps_ns[0])) * 1e-9
     assert abs(found.offset_s - begun_s) < 0.4e-3
     assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
@@ -224,7 +227,7 @@ def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
     frames = [image for _, image in VideoFile(VIDEO).frames()]
     command = ["--into", str(bag), "--rig-file", str(RIG_FILE), "--json", "--out"]
     notes = {}
-    for name, piece in (("whole", frames), ("short", frames[300:360])):
+    for name, piece in (("whole", frames), ("short", frames[20:60])):
         video = write_video(tmp_path / f"{name}.avi", piece)
         assert main(["track", str(video), *command, str(tmp_path / name)]) == 0
         result = json.loads(capsys.readouterr().out)
@@ -302,3 +305,78 @@ def test_a_video_that_is_cut_short_is_used_as_far_as_it_goes(bag: Path, tmp_path
         result = opened.texts("tracker/video")[-1]
     assert 300 < result["frames"] < 666
     assert "cut short" in result["notes"][0]
+
+
+def beam(*arguments: str) -> tuple[int, str, str]:
+    """Run the command in a process of its own: what a decoder writes to its standard error is heard only there."""
+    found = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from beam_ros.cli.main import main; sys.exit(main())",
+            *arguments,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    return found.returncode, found.stdout, found.stderr
+
+
+def flipped(path: Path, count: int) -> Path:
+    """Copy of the video with some bytes changed."""
+    data = bytearray(VIDEO.read_bytes())
+    rng = np.random.default_rng(count)
+    for place in rng.integers(len(data) // 20, len(data) - 20_000, count):
+        data[place] ^= int(rng.integers(1, 256))
+    path.write_bytes(data)
+    return path
+
+
+def test_frames_that_the_decoder_complains_about_are_no_measurements(bag: Path, tmp_path: Path) -> None:
+    for count in (14, 200):
+        damaged = flipped(tmp_path / f"damaged{count}.avi", count)
+        target = tmp_path / f"tracked{count}"
+        status, shown, error = beam(
+            "track",
+            str(damaged),
+            "--into",
+            str(bag),
+            "--out",
+            str(target),
+            "--rig-file",
+            str(RIG_FILE),
+            "--json",
+        )
+        assert status == 0, error
+        assert "mismatch" not in error + shown
+        result = json.loads(shown)
+        # FFV1 learns from picture to picture: what builds on a damaged one is damaged up to the next key frame.
+        assert 14 <= result["damaged"] < result["frames"] / 2
+        assert any("frames are damaged in the file" in note for note in result["notes"])
+        with Bag(target) as opened:
+            table = opened.displacements()
+        truth = (np.array(TRUTH["columns_px"]) - 47.3) / 750.0
+        index = np.rint((table.stamps_ns - TRUTH["first_frame_ns"]) * 1e-7).astype(int)
+        error_m = np.abs(table.positions - truth[np.clip(index, 0, len(truth) - 1)])
+        assert not np.any(error_m > 0.35 / 750.0)
+        if count == 14:
+            assert np.isfinite(table.positions).all(axis=1).sum() > 400
+
+
+def test_dropped_frames_that_the_file_does_not_tell_of_are_found(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [image for _, image in VideoFile(VIDEO).frames()]
+    left = np.delete(np.arange(len(frames)), np.random.default_rng(3).integers(40, 480, 25))
+    video = write_video(tmp_path / "gaps.avi", [frames[k] for k in left])
+    assert main(["track", str(video), "--into", str(bag), "--rig-file", str(RIG_FILE), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["lost"] == len(frames) - len(left)
+    assert any("the camera dropped" in note for note in result["notes"])
+    with Bag(bag) as opened:
+        table = opened.displacements()
+    known = np.isfinite(table.positions).all(axis=1)
+    assert known.sum() > 0.6 * len(left)
+    late_s = (table.stamps_ns - TRUTH["first_frame_ns"]) * 1e-9 - left * 0.01
+    assert np.abs(late_s[known]).max() < 0.2e-3

@@ -97,6 +97,9 @@ class _Reader:
             raise frame
         return frame is not None, frame
 
+    def get(self, _what) -> float:
+        return 0.0
+
     def release(self) -> None: ...
 
 

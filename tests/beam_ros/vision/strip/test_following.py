@@ -1,0 +1,127 @@
+"""The follower at the bound, with its own standard deviations true, and never wrong where something is in the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.errors import VisionParameterError
+from beam_ros.vision.strip.following import REASONS, StripFollower, StripParameters
+from tests.beam_ros.vision.strip.filmed_strip import Strip, bound_px, camera_of, film
+
+N_FRAMES = 70
+
+
+def made(
+    contrast: float = 150.0, noise: float = 2.0, width_px: float = 0.75, n_frames: int = N_FRAMES
+) -> Strip:
+    camera = camera_of(contrast, noise, width_px)
+    parameters = StripParameters(
+        15.0,
+        camera.origin_px[1],
+        camera.origin_px[0],
+        width_px,
+        exposure_frames=camera.exposure_s * camera.rate_hz,
+    )
+    rows = StripFollower(parameters, (camera.height, camera.width)).rows_px
+    return film(n_frames, rows, parameters, camera)
+
+
+def followed(strip: Strip, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    follower = StripFollower(strip.parameters, frames.shape[1:])
+    found = [follower.process(frame) for frame in frames]
+    return tuple(np.array([getattr(one, name) for one in found]) for name in ("u_px", "sigma_px", "reasons"))
+
+
+@pytest.fixture(scope="module")
+def bright() -> Strip:
+    return made()
+
+
+@pytest.mark.parametrize(
+    ("contrast", "noise", "width_px"), [(150.0, 2.0, 0.75), (30.0, 2.0, 0.75), (120.0, 6.0, 6.0)]
+)
+def test_every_point_is_near_the_bound_and_its_standard_deviation_is_true(contrast, noise, width_px):
+    strip = made(contrast, noise, width_px)
+    u, sigma, _ = followed(strip, strip.frames(np.random.default_rng(1)))
+    error = u - strip.truth
+    smear = np.abs(np.gradient(strip.truth, axis=0)) * strip.parameters.exposure_frames
+    grid = np.linspace(0, smear.max() + 0.01, 12)
+    bound = np.interp(smear, grid, bound_px(strip.camera, strip.parameters.row_step, grid))
+    valid = np.isfinite(error)
+    # The first frames know neither the blur nor the speed.
+    valid[:10] = False
+    assert valid[10:].mean() > 0.98
+    assert np.sqrt(np.mean((error[valid] / bound[valid]) ** 2)) < 1.2
+    assert 0.9 < np.sqrt(np.mean((error[valid] / sigma[valid]) ** 2)) < 1.15
+    # No offset of a point beyond what noise leaves of the mean of 60 frames.
+    assert np.abs(np.nanmean(error[10:], axis=0)).max() < 5 * np.nanmean(sigma) / np.sqrt(60)
+
+
+def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
+    frames = bright.frames(np.random.default_rng(2))
+    frames[30:50, 150:230, 40:130] = 90
+    u, sigma, reasons = followed(bright, frames)
+    error = np.abs(u - bright.truth)
+    assert not np.any(error > np.maximum(6 * sigma, 0.35))
+    rows = StripFollower(bright.parameters, frames.shape[1:]).rows_px
+    hidden = (rows > 150) & (rows < 229)
+    assert not np.isfinite(u[30:50, hidden]).any()
+    assert set(np.unique(reasons[30:50, hidden])) <= {
+        REASONS.index(name) for name in ("covered", "height", "off_curve")
+    }
+    assert np.isfinite(u[30:50, ~hidden]).mean() > 0.9
+    assert np.isfinite(u[51:]).mean() > 0.98
+
+
+def test_a_bright_thread_beside_the_strip_does_not_take_it_over(bright):
+    frames = bright.frames(np.random.default_rng(3)).astype(int)
+    frames[:, 100:300, 95] += 100
+    u, sigma, _ = followed(bright, np.clip(frames, 0, 255).astype(np.uint8))
+    error = np.abs(u - bright.truth)
+    assert not np.any(error > np.maximum(6 * sigma, 0.35))
+    assert np.isfinite(u).mean() > 0.7
+
+
+def test_light_that_falls_to_a_third_and_a_dark_frame_are_got_over(bright):
+    light = bright.light * np.where(np.arange(N_FRAMES) < 35, 1.0, 0.35)[:, None, None]
+    rng = np.random.default_rng(4)
+    frames = np.clip(np.rint(light + 2.0 * rng.standard_normal(light.shape)), 0, 255).astype(np.uint8)
+    frames[50] = rng.integers(15, 25, frames[50].shape)
+    u, sigma, reasons = followed(bright, frames)
+    error = np.abs(u - bright.truth)
+    assert not np.any(error > np.maximum(6 * sigma, 0.35))
+    assert np.all(reasons[50] == REASONS.index("no_strip"))
+    assert np.isfinite(u[[35, 36, 51, 52]]).mean() > 0.95
+
+
+def test_noise_alone_holds_no_strip():
+    strip = made(150.0, 2.0, n_frames=1)
+    noise = np.random.default_rng(5).normal(20, 5, (8, *strip.light.shape[1:])).round().astype(np.uint8)
+    u, _, reasons = followed(strip, noise)
+    assert not np.isfinite(u).any()
+    assert np.all(reasons == REASONS.index("no_strip"))
+
+
+def test_sixteen_bits_and_a_dark_strip_are_measured_as_well(bright):
+    frames = (65535 - bright.frames(np.random.default_rng(6)).astype(np.int64) * 250).astype(np.uint16)
+    dark = StripParameters(**{**vars(bright.parameters), "is_bright": False})
+    follower = StripFollower(dark, frames.shape[1:])
+    u = np.array([follower.process(frame).u_px for frame in frames[:20]])
+    assert np.nanmax(np.abs(u - bright.truth[:20])) < 0.35
+    assert np.isfinite(u).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"row_step": 0}, "expected 1 to 200 rows"),
+        ({"width_px": 0.0}, "expected a width > 0"),
+        ({"first_row": 400.0}, "expected at least 12 points"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(changes, message):
+    with pytest.raises(VisionParameterError, match=message):
+        StripParameters(
+            **{"first_row": 10.0, "last_row": 460.0, "rest_column": 80.0, "width_px": 1.0, **changes}
+        )
