@@ -12,14 +12,17 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from make_bags import RECORDINGS
 
-from beam_ros.offline.simulation import simulate
-from beam_ros.rig.filming import Exposure
+from beam_ros.messages import BagTypes
+from beam_ros.offline.simulation import Measure, rendered, simulate
+from beam_ros.rig.filming import Exposure, Film
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.timing import exposure_weights
 
@@ -49,13 +52,20 @@ def make(folder: Path) -> None:
     )
     exposures: list[Exposure] = []
 
-    def write(exposure: Exposure, image: np.ndarray) -> None:
-        exposures.append(exposure)
-        if len(exposures) > LEFT_OUT:
-            writer.write(image)
+    def filmed(rig: Rig, film: Film, _types: BagTypes) -> Measure:
+        render = rendered(rig, film)
+
+        def write(exposure: Exposure) -> Iterator[tuple[str, Any]]:
+            image = render(exposure)
+            exposures.append(exposure)
+            if len(exposures) > LEFT_OUT:
+                writer.write(image)
+            yield from ()
+
+        return write
 
     with tempfile.TemporaryDirectory() as scratch:
-        simulate(rig, Path(scratch) / "bag", on_frame=write)
+        simulate(rig, Path(scratch) / "bag", measure=filmed)
     writer.release()
     shown = exposures[LEFT_OUT:]
     columns = [camera.columns(exposure_weights(len(e.markers)) @ e.markers) for e in shown]

@@ -37,6 +37,7 @@ OFFLINE: dict[str, str] = {
     "recover": "a valid bag from what can be read of a damaged one",
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
     "export": "a bag as CSV files, or as a flat bag for plotting tools",
+    "render": "a film of the simulated experiment with a camera's faults, and its truth",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane; the camera's noise",
     "axis": "a motion controller on its line: what answers there, does its firmware keep the protocol",

@@ -28,6 +28,8 @@ from beam_ros.rig.rig import Rig
 Measure = Callable[[Exposure], Iterator[tuple[str, Any]]]
 """From an exposure to the topics and messages that tell of it."""
 
+MeasureOfFilm = Callable[[Rig, Film, BagTypes], Measure]
+
 START_NS = 1_700_000_000_000_000_000
 """Made-up real time at which every simulated experiment begins [ns, UNIX]."""
 
@@ -41,7 +43,9 @@ def simulate(
     path: Path,
     *,
     with_camera: bool = False,
-    on_frame: Callable[[Exposure, ByteArray], None] | None = None,
+    measure: MeasureOfFilm | None = None,
+    strip_points: int = 0,
+    unevenness_s: float = 0.0,
     on_progress: Callable[[float, float], None] = lambda done_s, total_s: None,
 ) -> int:
     """Run the rig's excitation on the simulated rig and write the bag.
@@ -52,8 +56,9 @@ def simulate(
     path : Path -- the bag's folder; must not exist
     with_camera : bool -- render every frame and track it, for beam/markers too, and keep the frames where
         ``recorder.images`` wants them; else displacements carry white noise
-    on_frame : callable, optional -- given every exposure and its image; displacements stay out of the bag, as where
-        a camera only leaves a file
+    measure : callable, optional -- made from rig, film and message types, and given every exposure: what it yields is
+        written in the place of displacements
+    strip_points, unevenness_s -- as of ``Film``
     on_progress : callable -- called with simulated seconds so far and in all
 
     Returns
@@ -77,16 +82,14 @@ def simulate(
     with BagWriter(path) as bag:
         run = _Run(hub, bag, types)
         run.step()
-        film = Film(rig, model, hub.snapshots, hub.reached_ns)
-        measure = (_tracked if with_camera else _noisy)(rig, film, types)
-        render = None if on_frame is None else _rendered(rig, film)
+        film = Film(
+            rig, model, hub.snapshots, hub.reached_ns, strip_points=strip_points, unevenness_s=unevenness_s
+        )
+        seen = (measure or (_tracked if with_camera else _noisy))(rig, film, types)
 
         def record_displacements() -> None:
             for exposure in film.due(hub.reached_ns):
-                if on_frame is not None and render is not None:
-                    on_frame(exposure, render(exposure))
-                    continue
-                for topic, message in measure(exposure):
+                for topic, message in seen(exposure):
                     bag.write_message(topic, run.now_ns, message)
 
         run.after_step = record_displacements
@@ -176,7 +179,8 @@ def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     return measure
 
 
-def _rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
+def rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
+    """Return what draws the rig's frames, with the noise of its camera."""
     from beam_ros.vision.rendering.frames import SceneRenderer
 
     seed = rig.simulation.seed
@@ -196,7 +200,7 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 
     names, heights = rig.markers.names, rig.markers.heights
-    render = _rendered(rig, film)
+    render = rendered(rig, film)
     calibration = LinearCalibration.from_camera(film.camera, len(names))
     chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)
     camera = film.camera

@@ -35,7 +35,9 @@ class Exposure:
     ----------
     stamp_ns : int -- the frame's stamp, in the camera's meaning, with the errors of its clock [ns, UNIX]
     markers : ndarray, shape (n_instants, n_markers) -- displacement u during the exposure [m]
-    strip : ndarray, shape (n_strip,) -- mean displacement of the strip over the exposure of its rows [m]
+    strip : ndarray, shape (n_strip,) or (n_instants, n_strip) -- displacement of the strip, its mean over the
+    exposure
+        of its rows or at the exposure's instants [m]
     """
 
     stamp_ns: int
@@ -52,6 +54,8 @@ class Film:
     model : BeamModel
     snapshots : callable -- from stamps [ns, UNIX] to ``Snapshots``
     start_ns : int -- when the first exposure begins [ns, UNIX]
+    strip_points : int -- heights at which the strip is known at every instant of the exposure; 0: few, and its mean
+    unevenness_s : float -- frames begin by up to so much sooner or later than their turn, and their stamps say so [s]
 
     Attributes
     ----------
@@ -65,9 +69,14 @@ class Film:
         model: BeamModel,
         snapshots: Callable[[Sequence[int]], Snapshots],
         start_ns: int,
+        *,
+        strip_points: int = 0,
+        unevenness_s: float = 0.0,
     ) -> None:
         self.camera: CameraParameters = rig.camera_parameters()
-        self.strip_heights = np.linspace(0.0, rig.beam.length, _STRIP_POINTS)
+        self.strip_heights = np.linspace(0.0, rig.beam.length, strip_points or _STRIP_POINTS)
+        self._smears_strip = strip_points > 0
+        self._unevenness_ns = unevenness_s * 1e9
         self.timing = FrameTiming(self.camera)
         self.dropped_frames = self.frames_left_out = 0
         self._heights = rig.markers.heights
@@ -101,6 +110,8 @@ class Film:
             if self._accidents.random() < self._drop_share:
                 self.frames_left_out += 1
                 continue
+            if self._unevenness_ns:
+                camera_ns += round(self._unevenness_ns * self._accidents.uniform(-1.0, 1.0))
             true_ns = camera_ns * 1_000_000_000 // (1_000_000_000 + self._clock_ppb)
             try:
                 exposure = self._expose(
@@ -120,15 +131,16 @@ class Film:
         if self.camera.readout_s == 0.0:
             snapshots = self._snapshots(instants[:, 0].tolist())
             markers = self._markers.displacements(snapshots)
-            return Exposure(stamp_ns + error_ns, markers, weights @ self._strip.displacements(snapshots))
+            line = self._strip.displacements(snapshots)
+            return Exposure(stamp_ns + error_ns, markers, line if self._smears_strip else weights @ line)
         snapshots = self._snapshots(instants.ravel().tolist())
         columns = np.arange(n_markers)
         u = self._markers.displacements(snapshots).reshape(n_instants, n_markers, n_markers)
         # Rows between the markers' are exposed between the markers' times.
         strip = self._strip.displacements(snapshots).reshape(n_instants, n_markers, -1)
-        means = np.einsum("i,imk->km", weights, strip)
+        line = np.einsum("km,imk->ik", self._between_markers, strip)
         return Exposure(
-            stamp_ns + error_ns, u[:, columns, columns], np.sum(self._between_markers * means, axis=1)
+            stamp_ns + error_ns, u[:, columns, columns], line if self._smears_strip else weights @ line
         )
 
     def marker_stamps(self, exposure: Exposure) -> tuple[int, ...]:
