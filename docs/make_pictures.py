@@ -12,6 +12,7 @@ import os
 import re
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import identification_of_bags, load_experiment
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.simulation import simulate
+from beam_ros.offline.whole_beam import strip_parameters
 from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
@@ -45,6 +47,7 @@ from beam_ros.studies.summary import deviation_figure
 from beam_ros.viewers.curves import COLOURS, live_plots
 from beam_ros.vision.measurement.overlay import draw_overlay
 from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.strip.following import StripFollower
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
 
@@ -276,6 +279,34 @@ def amplitude_picture() -> Figure:
     return amplitude_figure(found.curves, modes)
 
 
+def whole_beam_picture(rig: Rig) -> Figure:
+    """A frame of the strip without dots, what was found in it, and how far that is off."""
+    camera = replace(rig.camera_parameters(), width=200, origin_px=(60.0, 465.0), strip_contrast=120.0)
+    heights = np.linspace(0.0, rig.beam.length, 151)
+    renderer = SceneRenderer(camera, [0.01], strip_heights=heights)
+    rng = np.random.default_rng(2)
+    parameters = strip_parameters(camera, rig.beam.length, 10)
+    follower = StripFollower(parameters, (camera.height, camera.width))
+    light = renderer.light([np.nan], displacement(rig, heights))
+    noise = camera.noise_grey * rng.standard_normal((5, *light.shape))
+    frames = np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+    for frame in frames:
+        found = follower.process(frame)
+    above = (camera.origin_px[1] - follower.rows_px) / camera.pixels_per_metre
+    error = found.u_px - camera.columns(displacement(rig, above))
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    seen, off = figure.subplots(1, 2, width_ratios=(1, 1.6), sharey=True)
+    seen.imshow(frames[-1], cmap="gray", vmin=0, vmax=120, aspect="auto")
+    seen.plot(found.u_px, follower.rows_px, ".", color=MARKER, markersize=3)
+    seen.set(xlabel="column [px]", ylabel="row [px]", title="one frame, 45 points")
+    off.errorbar(
+        error, follower.rows_px, xerr=found.sigma_px, fmt=".", color=STEEL, markersize=4, linewidth=1
+    )
+    off.axvline(0.0, color=FAINT, linewidth=1)
+    off.set(xlabel="error [px], with the stated standard deviation", title="against the truth")
+    return figure
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -287,6 +318,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "viewers": viewers_picture(),
         "study": study_picture(),
         "amplitude": amplitude_picture(),
+        "whole-beam": whole_beam_picture(Rig.from_file()),
     }
     files = []
     for name, figure in figures.items():

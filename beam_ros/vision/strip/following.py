@@ -35,6 +35,7 @@ _REMEMBERED = 63
 _REFIT_FRAMES = 4
 _MAX_TURNS = 6
 _SETTLED_PX = 0.03
+_NEAR_PX = 0.12
 _LINEAR_PX = 0.6
 """Longest step of a point in one turn: beyond it the cross-section is no longer linear in its shift [px]."""
 _MIN_ROWS = 0.6
@@ -49,8 +50,9 @@ _MIN_SIGNIFICANCE = 5.0
 """Height of the strip in a typical band over its standard deviation, below which nothing is there: the search would
 find a path through noise."""
 _SLOW = 0.05
-_VOTES = frozenset(range(2, 60, 3))
-"""Frames in which the blur is measured again."""
+_VOTING = 40
+_VOTES = frozenset(range(2, _VOTING, 5))
+"""Frames in which the blur is measured again, and up to which every frame tells of the noise."""
 _BLURS_PX = tuple(np.geomspace(0.3, 4.0, 27))
 _SEARCHES_PX = (12, 60)
 _LEAN = 3
@@ -306,7 +308,8 @@ class StripFollower:
             last = curve
             curve, off = self._fitted_curve(points, sigma, usable, middle)
             change = np.max(np.abs(self._band_basis @ (curve - last)))
-            if change < _SETTLED_PX and turn > 0:
+            # A second turn changes nothing where the first had hardly anything to move.
+            if change < _SETTLED_PX and (turn > 0 or np.max(np.abs(moved[usable])) < _NEAR_PX):
                 break
         is_far = ~(np.abs(moved) < _LINEAR_PX)
         reasons = np.where((reasons == 0) & (off | is_far), REASONS.index("off_curve"), reasons)
@@ -410,6 +413,8 @@ class StripFollower:
         self._frames += 1
         rate = max(_SLOW, 1.0 / (self._frames + 5.0))
         self._heights = np.where(good, self._heights + rate * (heights / gain - self._heights), self._heights)
+        if self._frames > _VOTING and self._frames % _REFIT_FRAMES:
+            return
         levels = self._noise_of(table, entry, pixels, residual, good)
         if np.all(np.isfinite(levels)):
             fresh = np.isnan(self._noise)
@@ -476,7 +481,10 @@ class StripFollower:
         bands = np.median(heights.reshape(self._n, step), axis=1)
         local = np.array([np.median(bands[max(0, k - 3) : k + 4]) for k in range(self._n)])
         local = np.where(local * typical > 0.2 * typical**2, local, typical)
-        self._heights = np.repeat(local, step)
+        # A band whose height is far from its neighbours' shows something else; less than that is texture.
+        ratio = bands / local
+        own = np.where((ratio > 0.4) & (ratio < 2.5), bands, local)
+        self._heights = np.repeat(own, step)
         self._frames = 0
         self._past = []
         found = self._turns(flat, curve)

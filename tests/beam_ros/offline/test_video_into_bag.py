@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -319,6 +320,8 @@ def beam(*arguments: str) -> tuple[int, str, str]:
         capture_output=True,
         text=True,
         timeout=120,
+        # Other verbs of this process have set it: they want silence.
+        env={name: value for name, value in os.environ.items() if name != "OPENCV_FFMPEG_LOGLEVEL"},
     )
     return found.returncode, found.stdout, found.stderr
 
