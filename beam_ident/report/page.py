@@ -13,7 +13,6 @@ import html
 import io
 import os
 import re
-import tempfile
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -309,16 +308,20 @@ class Page:
 
 
 def write_whole(target: Path, text: str) -> None:
-    """Write a text file, which appears whole or not at all; its folder is made where it is missing."""
+    """Write a text file, which appears whole or not at all, even where the power fails.
+
+    Its folder is made where it is missing.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    partial = target.with_name(f".{target.name}.partial")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+        with partial.open("w", encoding="utf-8") as stream:
             stream.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(partial, target)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
         raise
 
 

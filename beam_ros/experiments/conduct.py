@@ -13,12 +13,14 @@ from beam_ros.experiments.outcome import OUTCOME_FILE, REPORT_FILE, read_outcome
 from beam_ros.experiments.plan import Plan
 from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile
 from beam_ros.experiments.steps import Means, PlanStep, Report, steps_of
+from beam_ros.process.folder_lock import LOCK_NAME, FolderLock
 from beam_ros.process.folders import make_folder
 
 PLAN_FILE = "plan.yaml"
 
 _UNFINISHED = ".unfinished"
 _INTERRUPTED = "interrupted"
+_NO_RESULTS = (_INTERRUPTED, LOCK_NAME, f".{STATE_FILE}.partial")
 _OWN = (
     STATE_FILE,
     PLAN_FILE,
@@ -53,10 +55,11 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Begun:
-    """A folder with its state, ready to work in."""
+    """A folder with its state, ready to work in, and this process's alone until ``conduct`` has ended."""
 
     folder: Path
     state: ProgressFile
+    lock: FolderLock
 
 
 def begin(plan: Plan, folder: Path, *, resume: bool, overwrite: bool, now: str) -> Begun:
@@ -77,48 +80,61 @@ def begin(plan: Plan, folder: Path, *, resume: bool, overwrite: bool, now: str) 
     Raises
     ------
     UsageError
-        The folder holds something else, another plan, or results that are not to be overwritten; a finished step's
-        output is gone or has changed; the disk is too small.
+        The folder holds something else, another plan, or results that are not to be overwritten; another process
+        works in it; a finished step's output is gone or has changed; the disk is too small.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is there already and is no folder; give another --out")
+    if ProgressFile.read(folder) is None:
+        if folder.exists() and any(own.name not in _NO_RESULTS for own in folder.iterdir()):
+            raise UsageError(
+                f"{folder} exists, is not empty and holds no experiment of this suite: expected a new folder; give "
+                "another --out"
+            )
+        if resume:
+            raise UsageError(f"{folder}: holds no experiment to go on with; leave --resume out to begin one")
+        _require_space(plan, folder)
+        make_folder(folder)
+    lock = FolderLock(folder)
+    try:
+        state = _gone_back_to(plan, folder, resume=resume, overwrite=overwrite)
+        if state is None:
+            state = ProgressFile(folder, plan.name, plan.digest(), now)
+            state.write()
+            (folder / PLAN_FILE).write_text(plan.text, encoding="utf-8")
+    except BaseException:
+        lock.release()
+        raise
+    return Begun(folder, state, lock)
+
+
+def _gone_back_to(plan: Plan, folder: Path, *, resume: bool, overwrite: bool) -> ProgressFile | None:
+    """Return the state with which an experiment goes on; None where it begins, in an empty folder."""
     state = ProgressFile.read(folder)
-    digest = plan.digest()
-    if state is not None and overwrite:
-        foreign = sorted(own.name for own in folder.iterdir() if own.name not in (*_OWN, _INTERRUPTED))
+    if state is None:
+        return None
+    if overwrite:
+        foreign = sorted(own.name for own in folder.iterdir() if own.name not in (*_OWN, *_NO_RESULTS))
         if foreign:
             raise UsageError(
                 f"{folder}: --overwrite would leave results beside {', '.join(foreign)}, which no experiment made; "
                 "move that away, or give another --out"
             )
         _clear(folder)
-        state = None
-    if state is None and folder.exists() and any(own for own in folder.iterdir() if own.name != _INTERRUPTED):
-        raise UsageError(
-            f"{folder} exists, is not empty and holds no experiment of this suite: expected a new folder; give "
-            "another --out"
-        )
-    if state is None and resume:
-        raise UsageError(f"{folder}: holds no experiment to go on with; leave --resume out to begin one")
-    if state is not None:
-        if state.digest != digest:
-            raise UsageError(
-                f"{folder} holds an experiment of the plan {state.plan!r}, which is not this one (or the plan, its "
-                "rig or its seed have changed since); give another --out, or begin anew with --overwrite"
-            )
-        if not resume:
-            raise UsageError(
-                f"{folder} holds this experiment with {len(state.steps)} finished steps; go on with --resume, or "
-                "begin anew with --overwrite"
-            )
-        state.verify()
-    else:
         _require_space(plan, folder)
-        make_folder(folder)
-        state = ProgressFile(folder, plan.name, digest, now)
-        (folder / PLAN_FILE).write_text(plan.text, encoding="utf-8")
-        state.write()
-    return Begun(folder, state)
+        return None
+    if state.digest != plan.digest():
+        raise UsageError(
+            f"{folder} holds an experiment of the plan {state.plan!r}, which is not this one (or the plan, its "
+            "rig or its seed have changed since); give another --out, or begin anew with --overwrite"
+        )
+    if not resume:
+        raise UsageError(
+            f"{folder} holds this experiment with {len(state.steps)} finished steps; go on with --resume, or "
+            "begin anew with --overwrite"
+        )
+    state.verify()
+    return state
 
 
 def conduct(plan: Plan, begun: Begun, means: Means, watcher: Watcher) -> dict[str, Any]:
@@ -148,13 +164,14 @@ def conduct(plan: Plan, begun: Begun, means: Means, watcher: Watcher) -> dict[st
         return REPORT_FILE
 
     steps = [*steps_of(plan, means), PlanStep("report", (REPORT_FILE, OUTCOME_FILE), report)]
-    for number, step in enumerate(steps, start=1):
-        if step.name in state.steps:
-            watcher.done(number, len(steps), step.name, state.steps[step.name].said, was_done=True)
-            continue
-        shown = watcher.step(number, len(steps), step.name)
-        said = _do(step, folder, state, shown)
-        watcher.done(number, len(steps), step.name, said, was_done=False)
+    with begun.lock:
+        for number, step in enumerate(steps, start=1):
+            if step.name in state.steps:
+                watcher.done(number, len(steps), step.name, state.steps[step.name].said, was_done=True)
+                continue
+            shown = watcher.step(number, len(steps), step.name)
+            said = _do(step, folder, state, shown)
+            watcher.done(number, len(steps), step.name, said, was_done=False)
     return outcome or read_outcome(folder)
 
 

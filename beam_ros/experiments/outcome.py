@@ -16,8 +16,9 @@ from beam_ident.figures.canvas import COLOURS, REFERENCE, axes_grid
 from beam_ident.report.page import Cell, Page
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
-from beam_ros.experiments.progress_file import checksum, files_below
+from beam_ros.experiments.progress_file import files_below
 from beam_ros.experiments.steps import bag_of, estimate_of, stored_models, summary_of, validation_of
+from beam_ros.process.checksums import checksum
 from beam_ros.process.strict_json import strict_json
 
 if TYPE_CHECKING:
@@ -58,29 +59,31 @@ def read_outcome(folder: Path) -> dict[str, Any]:
 def _outcome(plan: Plan, done: Path) -> dict[str, Any]:
     estimates, repeatability, validations = [], [], []
     for estimation in plan.estimations:
-        for bag in estimation.recordings:
-            summary = summary_of(done / estimate_of(estimation.name, bag))
+        for fit in estimation.fits:
+            summary = summary_of(done / estimate_of(estimation.name, fit.name))
             estimates.append(
                 {
                     "estimation": estimation.name,
-                    "recording": bag,
-                    "report": f"{estimate_of(estimation.name, bag)}/report.html",
+                    "fit": fit.name,
+                    "recordings": list(fit.bags),
+                    "report": f"{estimate_of(estimation.name, fit.name)}/report.html",
                     **{
                         key: summary[key]
                         for key in ("estimator", "modes", "scores", "converged", "warnings", "notes")
                     },
                 }
             )
-        repeatability += _repeatability(plan, estimation, done)
+        if not estimation.together:
+            repeatability += _repeatability(plan, estimation, done)
     for hold_out in plan.validations:
         estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
-        for bag in estimation.recordings:
+        for fit in estimation.fits:
             for unseen in hold_out.recordings:
-                path = done / validation_of(estimation.name, bag, unseen)
+                path = done / validation_of(estimation.name, fit.name, unseen)
                 validations.append(
                     {
                         "estimation": estimation.name,
-                        "recording": bag,
+                        "fit": fit.name,
                         "unseen": unseen,
                         "scores": json.loads(path.read_text(encoding="utf-8")),
                     }
@@ -203,7 +206,7 @@ def _page(plan: Plan, outcome: Mapping[str, Any], begun: str) -> Page:
             ),
             [
                 (
-                    f"{own['estimation']} from {own['recording']}",
+                    f"{own['estimation']} from {own['fit']}",
                     own["unseen"],
                     name,
                     *(_figure(score[key]) for key in _SCORES),
@@ -255,6 +258,12 @@ def _lead(plan: Plan, outcome: Mapping[str, Any]) -> str:
     return f"On the {outcome['rig']} rig, {counts}; {judged if outcome['estimates'] else 'nothing was estimated'}."
 
 
+_FROM = {
+    False: "The name of a recording leads to the whole report of its estimate.",
+    True: "All of its recordings are one fit; the word leads to its whole report.",
+}
+
+
 def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> None:
     own = [entry for entry in outcome["estimates"] if entry["estimation"] == estimation.name]
     rows: list[tuple[str | Cell, ...]] = []
@@ -262,7 +271,7 @@ def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> No
         for number, mode in enumerate(entry["modes"], start=1):
             rows.append(
                 (
-                    Cell(entry["recording"], link=entry["report"] if estimation.estimator == "modal" else ""),
+                    Cell(entry["fit"], link=entry["report"]),
                     str(mode.get("output", number)),
                     _with_sd(mode["frequency_hz"], mode["frequency_sd_hz"]),
                     f"{mode['theory_frequency_hz']:.4f}",
@@ -272,14 +281,14 @@ def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> No
                 )
             )
     page.table(
-        ("recording", "mode", "frequency [Hz]", "theory [Hz]", "damping ratio [%]", "theory [%]", "doubt"),
+        ("from", "mode", "frequency [Hz]", "theory [Hz]", "damping ratio [%]", "theory [%]", "doubt"),
         rows,
         f"Modes by the estimator {estimation.estimator} ({estimation.name}), with standard deviations, beside the "
-        "theory of the rig. The name of a recording leads to the whole report of its estimate.",
+        f"theory of the rig. {_FROM[estimation.together]}",
     )
     for entry in own:
         for text in (*entry["warnings"], *entry["notes"]):
-            page.warning(f"{entry['recording']}: {text}", tone="doubt")
+            page.warning(f"{entry['fit']}: {text}", tone="doubt")
 
 
 def _levels(page: Page, plan: Plan, outcome: Mapping[str, Any]) -> None:
@@ -294,16 +303,16 @@ def _levels(page: Page, plan: Plan, outcome: Mapping[str, Any]) -> None:
         (estimation, entry)
         for estimation in plan.estimations
         for entry in several
-        if any(entry_of[bag] == entry for bag in estimation.recordings)
+        if not estimation.together and any(entry_of[bag] == entry for bag in estimation.recordings)
     ]
     if not shown:
         return
     page.section("Linearity over levels")
     for estimation, entry in shown:
         points = [
-            (level_of[own["recording"]], mode)
+            (level_of[own["fit"]], mode)
             for own in outcome["estimates"]
-            if own["estimation"] == estimation.name and entry_of[own["recording"]] == entry
+            if own["estimation"] == estimation.name and entry_of[own["fit"]] == entry
             for mode in own["modes"]
             if not mode.get("doubt") and "output" not in mode
         ]

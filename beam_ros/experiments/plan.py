@@ -23,6 +23,7 @@ from beam_ros.experiments.quantities import in_si
 from beam_ros.interfaces.graph import RigKind
 from beam_ros.interfaces.parameter_files import flatten, read_yaml
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
+from beam_ros.process.checksums import checksum
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import check_time_of_rig
@@ -36,6 +37,7 @@ _MOST_SEED = 200_000
 _NAME = "expected letters, digits, - and _, as E1"
 _BYTES_PER_SECOND = 250_000
 _CALIBRATION = "calibration"
+_ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -82,8 +84,16 @@ class Calibration:
 
 
 @dataclass(frozen=True)
+class Fit:
+    """One model of an estimation: its name in the folder, and the bags that it is fitted to."""
+
+    name: str
+    bags: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Estimation:
-    """What is estimated from every bag of some recordings.
+    """What is estimated from some recordings: a model of every bag, or one of all.
 
     Attributes
     ----------
@@ -91,6 +101,7 @@ class Estimation:
     recordings : tuple of str -- names of bags
     estimator, structure : str
     modes : int or None -- None: from the data
+    together : bool -- all bags are one fit
     """
 
     name: str
@@ -98,6 +109,14 @@ class Estimation:
     estimator: str
     structure: str
     modes: int | None
+    together: bool
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """Every model that is made, with the bags that it is made from."""
+        if self.together:
+            return (Fit(_ALL, self.recordings),)
+        return tuple(Fit(bag, (bag,)) for bag in self.recordings)
 
 
 @dataclass(frozen=True)
@@ -158,7 +177,7 @@ class Plan:
         """Return the checksum of everything that decides what the experiment does."""
         content = dataclasses.asdict(dataclasses.replace(self, rig=None, text=""))  # type: ignore[arg-type]
         if self.calibration and self.calibration.file:
-            content["calibration"]["file"] = hashlib.sha256(self.calibration.file.read_bytes()).hexdigest()
+            content["calibration"]["file"] = checksum(self.calibration.file)
         return hashlib.sha256(strict_json(content).encode()).hexdigest()
 
 
@@ -389,7 +408,7 @@ class _Reader:
         found = []
         for name, entry in tree.items():
             place = f"estimations.{_name('estimations', name)}"
-            content = _mapping(place, entry, ("recordings", "estimator", "structure", "modes"))
+            content = _mapping(place, entry, _ESTIMATION_KEYS)
             estimator = str(content.get("estimator", "modal"))
             try:
                 find_estimator(estimator)
@@ -403,6 +422,7 @@ class _Reader:
                     estimator,
                     _word(f"{place}.structure", content.get("structure", "auto"), STRUCTURES),
                     None if modes is None else _whole(f"{place}.modes", modes, 1, 20),
+                    _truth(f"{place}.together", content.get("together", False)),
                 )
             )
         return tuple(found)
@@ -440,6 +460,7 @@ _KEYS = (
     "validations",
 )
 _RECORDING_KEYS = ("excitation", "levels", "repetitions", "frames")
+_ESTIMATION_KEYS = ("recordings", "estimator", "structure", "modes", "together")
 
 
 def _groups(recordings: Sequence[PlannedRecording]) -> dict[str, tuple[str, ...]]:

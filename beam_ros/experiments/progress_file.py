@@ -6,21 +6,20 @@ the work goes on belongs to a step that did not end.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from beam_ident.report.page import write_whole
 from beam_ros.errors import UsageError
+from beam_ros.process.checksums import checksum
 from beam_ros.process.strict_json import strict_json
 
 STATE_FILE = "state.json"
 
 _SCHEMA = 1
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -103,13 +102,7 @@ class ProgressFile:
                 name: {"said": step.said, "files": dict(step.files)} for name, step in self.steps.items()
             },
         }
-        path = self.folder / STATE_FILE
-        partial = path.with_name(path.name + ".partial")
-        with partial.open("w", encoding="utf-8") as stream:
-            stream.write(strict_json(content, indent=1))
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, path)
+        write_whole(self.folder / STATE_FILE, strict_json(content, indent=1))
 
     def verify(self) -> None:
         """Raise where something that a finished step made is gone or changed.
@@ -135,12 +128,3 @@ class ProgressFile:
 def files_below(path: Path) -> list[Path]:
     """Return a file, or all files in a folder, in the order of their names."""
     return [path] if path.is_file() else sorted(own for own in path.rglob("*") if own.is_file())
-
-
-def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from beam_ident import restore, validate
 from beam_ros.errors import UsageError
-from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
+from beam_ros.experiments.plan import Estimation, Fit, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import ProgressFile
 from beam_ros.offline.identification import Identification, identification_of_bags, load_experiment
 from beam_ros.offline.simulation import simulate
@@ -82,14 +82,14 @@ def bag_of(name: str) -> str:
     return f"bags/{name}"
 
 
-def estimate_of(estimation: str, bag: str) -> str:
-    """Return where the model that an estimation made of a bag lies, with its report."""
-    return f"estimates/{estimation}/{bag}"
+def estimate_of(estimation: str, fit: str) -> str:
+    """Return where a model of an estimation lies, with its report."""
+    return f"estimates/{estimation}/{fit}"
 
 
-def validation_of(estimation: str, bag: str, unseen: str) -> str:
+def validation_of(estimation: str, fit: str, unseen: str) -> str:
     """Return where the scores of a model on another bag lie."""
-    return f"validations/{estimation}/{bag}-on-{unseen}.json"
+    return f"validations/{estimation}/{fit}-on-{unseen}.json"
 
 
 def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
@@ -108,23 +108,25 @@ def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
         )
     steps += [_recording(plan, own, means.record) for own in plan.recordings]
     for estimation in plan.estimations:
-        for bag in estimation.recordings:
-            output = estimate_of(estimation.name, bag)
+        for fit in estimation.fits:
+            output = estimate_of(estimation.name, fit.name)
             steps.append(
                 PlanStep(
-                    f"estimate {estimation.name} from {bag}", (output,), _estimate(estimation, bag, means)
+                    f"estimate {estimation.name} from {fit.name}",
+                    (output,),
+                    _estimate(estimation, fit, means),
                 )
             )
     for hold_out in plan.validations:
         estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
-        for bag in estimation.recordings:
+        for fit in estimation.fits:
             for unseen in hold_out.recordings:
-                output = validation_of(estimation.name, bag, unseen)
+                output = validation_of(estimation.name, fit.name, unseen)
                 steps.append(
                     PlanStep(
-                        f"validate {estimation.name} from {bag} on {unseen}",
+                        f"validate {estimation.name} from {fit.name} on {unseen}",
                         (output,),
-                        _validate(estimation, bag, unseen),
+                        _validate(estimation, fit.name, unseen),
                     )
                 )
     return steps
@@ -161,10 +163,10 @@ def _calibrate(recording: PlannedRecording, means: Means) -> Callable[[Path, Pat
     return run
 
 
-def _estimate(estimation: Estimation, bag: str, means: Means) -> Callable[[Path, Path, Report], str]:
+def _estimate(estimation: Estimation, fit: Fit, means: Means) -> Callable[[Path, Path, Report], str]:
     def run(done: Path, place: Path, report: Report) -> str:
         found = identification_of_bags(
-            done / bag_of(bag),
+            [done / bag_of(bag) for bag in fit.bags],
             estimator=estimation.estimator,
             structure=estimation.structure,
             n_modes=estimation.modes,
@@ -173,18 +175,20 @@ def _estimate(estimation: Estimation, bag: str, means: Means) -> Callable[[Path,
         state = ProgressFile.read(done)
         # The date is the experiment's, so that an interrupted one comes to the same report.
         means.write_report(
-            found, place / estimate_of(estimation.name, bag), made=state.begun if state is not None else ""
+            found,
+            place / estimate_of(estimation.name, fit.name),
+            made=state.begun if state is not None else "",
         )
         return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found.content["modes"]) or "no modes"
 
     return run
 
 
-def _validate(estimation: Estimation, bag: str, unseen: str) -> Callable[[Path, Path, Report], str]:
+def _validate(estimation: Estimation, fit: str, unseen: str) -> Callable[[Path, Path, Report], str]:
     def run(done: Path, place: Path, report: Report) -> str:
         record = load_experiment(done / bag_of(unseen), structure=estimation.structure).record
         scores = {}
-        for model in stored_models(done / estimate_of(estimation.name, bag)):
+        for model in stored_models(done / estimate_of(estimation.name, fit)):
             if not hasattr(model, "simulate"):
                 raise UsageError(
                     f"validations: {estimation.estimator} gives a {type(model).__name__}, which predicts nothing; "
@@ -199,7 +203,7 @@ def _validate(estimation: Estimation, bag: str, unseen: str) -> Callable[[Path, 
                     "residual_over_noise": output.noise_ratio,
                     "verdict": output.verdict,
                 }
-        path = place / validation_of(estimation.name, bag, unseen)
+        path = place / validation_of(estimation.name, fit, unseen)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(strict_json(scores, indent=1), encoding="utf-8")
         return ", ".join(f"{name} FIT {score['fit_percent']:.2f} %" for name, score in scores.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Mapping
 from datetime import datetime, timezone
@@ -12,12 +11,12 @@ from typing import Any
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.offline.identification import Experiment
+from beam_ros.process.checksums import checksum
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.rig.rig import Rig
 
 _GROUPS = ("beam", "markers", "hub", "camera")  # what a rig is, beside how it is simulated and driven
 _PACKAGES = ("beam_ros", "numpy", "scipy", "matplotlib", "rosbags")
-_CHUNK = 1 << 20
 
 
 def checksums(path: AnyPath) -> dict[str, str]:
@@ -25,14 +24,7 @@ def checksums(path: AnyPath) -> dict[str, str]:
     files = (
         [path] if path.is_file() else sorted((f for f in path.iterdir() if f.is_file()), key=lambda f: f.name)
     )
-    found = {}
-    for file in files:
-        digest = hashlib.sha256()
-        with file.open("rb") as stream:
-            while chunk := stream.read(_CHUNK):
-                digest.update(chunk)
-        found[file.name] = digest.hexdigest()
-    return found
+    return {file.name: checksum(file) for file in files}
 
 
 def provenance_of_bag(experiment: Experiment) -> dict[str, str]:

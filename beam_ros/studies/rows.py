@@ -24,6 +24,7 @@ from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.identification import identify_bag
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.simulation import simulate
+from beam_ros.process.checksums import checksum
 from beam_ros.rig.rig import Rig
 
 GatesOf = Callable[[Path, Rig | None, FitOptions], Sequence[Gate]]
@@ -203,20 +204,14 @@ def _distance(mode: Mapping[str, Any]) -> float:
 
 
 def _provenance(path: Path, info: BagInfo) -> Row:
-    digest = hashlib.sha256()
-    size = 0
-    for file in _files(path):
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
-                size += len(block)
+    files = _files(path)
     began = datetime.fromtimestamp(info.start_ns * 1e-9, tz=timezone.utc)
     return {
         "recorded": began.isoformat(timespec="seconds"),
         "duration_s": info.duration_ns * 1e-9,
         "messages": info.message_count,
-        "bytes": size,
-        "sha256": digest.hexdigest(),
+        "bytes": sum(file.stat().st_size for file in files),
+        "sha256": checksum(*files),
         "excitation": describe_excitation(info.excitation or {}),
     }
 

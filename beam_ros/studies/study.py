@@ -19,6 +19,7 @@ from pathlib import Path
 
 from beam_ident.report.page import write_whole
 from beam_ros.errors import UsageError
+from beam_ros.process.folder_lock import LOCK_NAME, FolderLock
 from beam_ros.process.folders import make_folder
 from beam_ros.process.strict_json import strict_json
 from beam_ros.studies.rows import GatesOf, Item, Row, Settings, failed_row, study_row
@@ -29,29 +30,36 @@ Progress = Callable[[float, str], None]
 """Called with the number of rows that are done, and the name of the last."""
 
 
-def open_study(folder: Path, settings: Settings, overwrite: bool = False) -> None:
+def open_study(folder: Path, settings: Settings, overwrite: bool = False) -> FolderLock:
     """Begin a study in a folder, or go on with the one that is there.
+
+    Returns
+    -------
+    FolderLock -- the folder is this process's alone until it is released
 
     Raises
     ------
     UsageError
-        The folder holds something else, or a study with other settings, and must not be overwritten.
+        The folder holds something else, or a study with other settings, and must not be overwritten; another process
+        works in it.
     """
     mark = folder / "study.json"
     stated = json.loads(strict_json({"schema": SCHEMA, **settings.to_dict()}))
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    begun = (LOCK_NAME, f".{mark.name}.partial")  # What a process leaves that is killed before anything else.
+    if folder.exists() and (not folder.is_dir() or any(own.name not in begun for own in folder.iterdir())):
         if not mark.is_file():
             raise UsageError(f"{folder} exists and holds no study: expected a new folder; give another --out")
-        if _read_json(mark) == stated and not overwrite:
-            return
-        if not overwrite:
+        if _read_json(mark) != stated and not overwrite:
             raise UsageError(
                 f"{folder} holds a study with other options or another rig: expected the same to go on with it;"
                 " give another --out, or --overwrite to begin anew"
             )
+    lock = FolderLock(make_folder(folder))
+    if overwrite:
         shutil.rmtree(folder / "rows", ignore_errors=True)
-    make_folder(folder / "rows")
     write_whole(mark, strict_json(stated, indent=1) + "\n")
+    (folder / "rows").mkdir(exist_ok=True)
+    return lock
 
 
 def run_study(

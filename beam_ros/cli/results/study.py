@@ -77,8 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     identifier = replace(identifier, bag="", report="", validate="", overwrite=False)
     settings = Settings(identifier, read_rig(arguments) if count else rig)
     folder = arguments.out or run_folder(None, "study")
-    open_study(folder, settings, arguments.overwrite)
-    with Progress("study", len(items), "rows") as stage:
+    with open_study(folder, settings, arguments.overwrite), Progress("study", len(items), "rows") as stage:
         try:
             rows = run_study(
                 items,

@@ -18,8 +18,9 @@ import pytest
 from beam_ros.errors import UsageError
 from beam_ros.experiments.conduct import begin, conduct, describe_plan
 from beam_ros.experiments.plan import Plan, read_plan
-from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile, checksum, files_below
+from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile, files_below
 from beam_ros.experiments.steps import Means, Report, record_by_core
+from beam_ros.process.checksums import checksum
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
 from beam_ros.reporting.identification import report_identification
@@ -34,8 +35,10 @@ recordings:
     excitation: {kind: multisine, duration: 4 s, still: 1 s, end_frequency: 45 Hz, acceleration: 0.3 m/s^2}
 estimations:
   modal: {recordings: [E1], modes: 2}
+  both: {recordings: [E1], modes: 2, together: true}
 validations:
   - {estimation: modal, recordings: [V1]}
+  - {estimation: both, recordings: [V1]}
 """
 STEPS = [
     "record E1-1",
@@ -43,8 +46,10 @@ STEPS = [
     "record V1",
     "estimate modal from E1-1",
     "estimate modal from E1-2",
+    "estimate both from all",
     "validate modal from E1-1 on V1",
     "validate modal from E1-2 on V1",
+    "validate both from all on V1",
     "report",
 ]
 
@@ -182,12 +187,22 @@ def _finished(folder: Path) -> int:
 def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path) -> None:
     outcome = json.loads((whole / "outcome.json").read_text())
     frequencies = [[mode["frequency_hz"] for mode in own["modes"]] for own in outcome["estimates"]]
-    assert frequencies == [pytest.approx([4.3839, 28.262], rel=3e-3)] * 2
+    assert frequencies == [pytest.approx([4.3839, 28.262], rel=3e-3)] * 3
+    one, other, both = ([mode["frequency_sd_hz"] for mode in own["modes"]] for own in outcome["estimates"])
+    assert all(joint < min(pair) for joint, *pair in zip(both, one, other, strict=True))
+    assert [own["fit"] for own in outcome["estimates"]] == ["E1-1", "E1-2", "all"]
+    assert outcome["estimates"][2]["recordings"] == ["E1-1", "E1-2"]
     assert [own["level"] for own in outcome["recordings"]] == [0.5, 1.0, 1.0]
     assert {own["unseen"] for own in outcome["validations"]} == {"V1"}
     assert all(own["scores"]["z225"]["fit_percent"] > 95.0 for own in outcome["validations"])
     page = (whole / "report.html").read_text(encoding="utf-8")
-    for words in ("Linearity over levels", "Validation", "E1-2", "estimates/modal/E1-1/report.html"):
+    for words in (
+        "Linearity over levels",
+        "Validation",
+        "E1-2",
+        "estimates/modal/E1-1/report.html",
+        "both from all",
+    ):
         assert words in page
 
 
@@ -241,6 +256,20 @@ def test_another_plan_does_not_go_on_in_the_same_folder_and_overwriting_takes_on
     begun = begin(other, tmp_path / "run", resume=False, overwrite=True, now="")
     assert begun.state.steps == {}
     assert not (tmp_path / "run" / "bags").exists()
+
+
+def test_a_second_process_is_refused_until_the_first_has_ended(plan: Plan, tmp_path: Path) -> None:
+    first = begin(plan, tmp_path / "run", resume=False, overwrite=False, now="")
+    before = contents(tmp_path / "run")
+    for options in ({"resume": True, "overwrite": False}, {"resume": False, "overwrite": True}):
+        with pytest.raises(UsageError, match=rf"process {os.getpid()} on .* is at work there"):
+            begin(plan, tmp_path / "run", **options, now="")
+    assert contents(tmp_path / "run") == before
+    with pytest.raises(Interruption):
+        conduct(plan, first, MEANS, Silent(after=STEPS[0]))
+    assert begin(plan, tmp_path / "run", resume=True, overwrite=False, now="").state.steps.keys() == {
+        STEPS[0]
+    }
 
 
 def test_an_experiment_that_cannot_fit_on_the_disk_is_refused(

@@ -153,6 +153,8 @@ def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tm
         open_study(folder, settings_of(modes=2))
     open_study(folder, settings_of(modes=2), overwrite=True)
     assert not list((folder / "rows").iterdir())
+    with open_study(folder, settings_of(modes=2)), pytest.raises(UsageError, match="at work there"):
+        open_study(folder, settings_of(modes=2), overwrite=True)
     with pytest.raises(UsageError, match="holds no study"):
         open_study(tmp_path / "step", settings, overwrite=True)
 
