@@ -15,6 +15,7 @@ from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile
 from beam_ros.experiments.steps import Means, PlanStep, Report, steps_of
 from beam_ros.process.folder_lock import LOCK_NAME, FolderLock
 from beam_ros.process.folders import make_folder
+from beam_ros.process.interruption import whole_or_interrupted
 
 PLAN_FILE = "plan.yaml"
 
@@ -182,7 +183,8 @@ def _do(step: PlanStep, folder: Path, state: ProgressFile, report: Report) -> st
         _put_away(leftover, folder, step)
     try:
         place.mkdir()
-        said = step.run(folder, place, report)
+        with whole_or_interrupted():
+            said = step.run(folder, place, report)
         for output in step.outputs:
             (folder / output).parent.mkdir(parents=True, exist_ok=True)
             (place / output).rename(folder / output)

@@ -254,6 +254,9 @@ def _lead(plan: Plan, outcome: Mapping[str, Any]) -> str:
         if not doubts and not open_fits
         else f"{open_fits} fits did not converge, {doubts} modes are doubted"
     )
+    warnings = sum(len(own["warnings"]) for own in outcome["estimates"])
+    if warnings:
+        judged += f"; {warnings} warnings of the fits stand below"
     counts = ", ".join(f"{key}: {len(outcome[key])}" for key in ("recordings", "estimates", "validations"))
     return f"On the {outcome['rig']} rig, {counts}; {judged if outcome['estimates'] else 'nothing was estimated'}."
 
@@ -313,8 +316,7 @@ def _levels(page: Page, plan: Plan, outcome: Mapping[str, Any]) -> None:
             (level_of[own["fit"]], mode)
             for own in outcome["estimates"]
             if own["estimation"] == estimation.name and entry_of[own["fit"]] == entry
-            for mode in own["modes"]
-            if not mode.get("doubt") and "output" not in mode
+            for mode in _one_of_each(own["modes"])
         ]
         if points:
             page.figure(
@@ -325,6 +327,18 @@ def _levels(page: Page, plan: Plan, outcome: Mapping[str, Any]) -> None:
                 f"Frequency shift and damping ratio of {len({m['theory_mode'] for _, m in points})} modes over the "
                 f"level of {entry}.",
             )
+
+
+def _one_of_each(modes: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return for every mode of theory the nearest of those found that are not in doubt.
+
+    Two that overlap imitate one whose damping depends on the amplitude: only one of them is drawn.
+    """
+    nearest: dict[int, Mapping[str, Any]] = {}
+    for mode in sorted(modes, key=lambda mode: -abs(mode["frequency_hz"] - mode["theory_frequency_hz"])):
+        if not mode.get("doubt") and "output" not in mode:
+            nearest[int(mode["theory_mode"])] = mode
+    return list(nearest.values())
 
 
 def _level_figure(points: Sequence[tuple[float, Mapping[str, Any]]]) -> Figure:
@@ -351,7 +365,7 @@ def _level_figure(points: Sequence[tuple[float, Mapping[str, Any]]]) -> Figure:
             color=colour,
         )
     shift.axhline(0.0, color=REFERENCE, linewidth=0.8)
-    shift.set_ylabel("frequency against the lowest level [1e-6]")
+    shift.set_ylabel("shift of the frequency [1e-6]")
     damping.set_ylabel("damping ratio [%]")
     for axis in (shift, damping):
         axis.set_xlabel("level")

@@ -61,3 +61,22 @@ def signals_taken(handler: Handler) -> Iterator[None]:
     finally:
         for number, before in previous.items():
             signal.signal(number, before)
+
+
+@contextmanager
+def whole_or_interrupted() -> Iterator[None]:
+    """End this block with ``KeyboardInterrupt`` where a signal came within it, also where that was caught.
+
+    A fit that is interrupted returns what it has found, for a person who waits; what is kept as the result of a step
+    must not be cut short.
+    """
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        interrupt(number, frame)
+
+    with signals_taken(note):
+        yield
+    if came:
+        raise KeyboardInterrupt

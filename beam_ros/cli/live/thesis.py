@@ -15,6 +15,7 @@ from beam_ros.cli.live.experiment import add_folder, add_rig, conduct_given_plan
 from beam_ros.cli.options import run_folder
 from beam_ros.errors import UsageError
 from beam_ros.process.folders import make_folder
+from beam_ros.process.interruption import whole_or_interrupted
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 
@@ -45,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
             from beam_ros.calibration.from_bag import calibrate_from_bags
 
             fit, _ = calibrate_from_bags([bags["calibration"]])
-        data = estimate_all(bags, fit, lambda phrase, share: stage.update(share, phrase))
+        with whole_or_interrupted():
+            data = estimate_all(bags, fit, lambda phrase, share: stage.update(share, phrase))
         stage.finish(f"models at {' and '.join(at.point.label for at in data.points)}")
     with Progress("write", 1.0) as stage:
         content = write_thesis(data, folder)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from beam_ros.errors import UsageError
@@ -148,6 +149,25 @@ def test_interrupted_within_a_step_it_comes_to_the_same_files(
     assert contents(tmp_path / "run") == contents(whole)
 
 
+class PressesCtrlC(Silent):
+    """Sends SIGINT to this process when a fit begins to look for its second mode."""
+
+    def step(self, number: int, count: int, name: str) -> Report:
+        def report(share: float, note: str) -> None:
+            if name == self.within and note.endswith("mode 2"):
+                os.kill(os.getpid(), signal.SIGINT)
+
+        return report
+
+
+def test_a_fit_that_ctrl_c_has_cut_short_is_not_taken_for_a_finished_step(plan: Plan, tmp_path: Path) -> None:
+    step = "estimate modal from E1-1"
+    with pytest.raises(KeyboardInterrupt):
+        go_on(plan, tmp_path / "run", PressesCtrlC(within=step), resume=False)
+    assert list(json.loads((tmp_path / "run" / STATE_FILE).read_text())["steps"]) == STEPS[:3]
+    assert not (tmp_path / "run" / "estimates").exists()
+
+
 def test_killed_again_and_again_the_command_comes_to_the_same_outcome(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text(PLAN)
     folder, kills = tmp_path / "run", 0
@@ -204,6 +224,26 @@ def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path)
         "both from all",
     ):
         assert words in page
+
+
+@pytest.mark.verify
+def test_the_packaged_plan_of_levels_shows_the_damping_rise_with_the_amplitude(tmp_path: Path) -> None:
+    outcome = go_on(read_plan(Path("linearity")), tmp_path / "run", Silent(), resume=False)
+    ((first,), (second,), (third,), (fourth,)) = (own["modes"] for own in outcome["estimates"])
+    # Drag takes power with the cube of the speed: what it adds to the damping ratio doubles with each level.
+    ratios = [mode["damping_ratio"] - 0.005 for mode in (first, second, third, fourth)]
+    np.testing.assert_allclose(np.divide(ratios[1:], ratios[:-1]), 2.0, rtol=0.05)
+    shifts = [mode["frequency_hz"] / first["frequency_hz"] - 1.0 for mode in (second, third, fourth)]
+    assert np.max(np.abs(shifts)) < 1e-4
+
+
+@pytest.mark.verify
+def test_the_packaged_plan_of_repetitions_finds_the_scatter_that_is_stated(tmp_path: Path) -> None:
+    outcome = go_on(read_plan(Path("repeatability")), tmp_path / "run", Silent(), resume=False)
+    (found,) = outcome["repeatability"]
+    assert found["verdict"].startswith("as stated")
+    assert found["p_value"] > 0.01
+    assert len(found["parameters"]) == 4
 
 
 def _changed(folder: Path) -> None:
