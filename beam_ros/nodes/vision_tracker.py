@@ -21,9 +21,8 @@ from beam_ros.shell.frame_sources import frame_source
 from beam_ros.shell.large_messages import keep_freed_memory, widen_shared_memory
 from beam_ros.shell.node import RigNode, run_node
 from beam_ros.vision.calibration.lens import Lens, lens_to_dict
-from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.calibration.procedure import CalibrationProcedure
-from beam_ros.vision.calibration.storage import load_calibration, save_calibration
+from beam_ros.vision.calibration.storage import calibration_or_nominal, save_calibration
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.diagnosis import Diagnosis
 from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringChain
@@ -43,10 +42,7 @@ class VisionTracker(RigNode):
         self._encoder_sd_m = rig.hub.encoder_resolution / math.sqrt(12.0)
         self._heights = np.asarray(rig.markers.heights)
         self._rows = camera.rows(self._heights)
-        path = rig.tracker.calibration
-        first = (
-            load_calibration(Path(path)) if path else LinearCalibration.from_camera(camera, len(self._names))
-        )
+        first = calibration_or_nominal(rig.tracker.calibration, camera, len(self._names))
         self._chain = MeasuringChain(camera, rig.tracker_parameters(), self._heights.tolist(), first)
         if self._chain.calibration_fault:
             self.get_logger().error(self._chain.calibration_fault)

@@ -71,6 +71,8 @@ def simulate(
         The excitation leaves a limit.
     BagExistsError
         Something is at the path.
+    CalibrationError
+        The calibration that the rig names cannot be read, or is another camera's.
     """
     plan = plan_excitation(rig)
     model = rig.beam_model()
@@ -196,14 +198,17 @@ def rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
 
 
 def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
-    from beam_ros.vision.calibration.linear import LinearCalibration
+    from beam_ros.vision.calibration.storage import calibration_or_nominal
+    from beam_ros.vision.errors import CalibrationError
     from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 
     names, heights = rig.markers.names, rig.markers.heights
     render = rendered(rig, film)
-    calibration = LinearCalibration.from_camera(film.camera, len(names))
-    chain = MeasuringChain(film.camera, rig.tracker_parameters(), heights, calibration)
     camera = film.camera
+    calibration = calibration_or_nominal(rig.tracker.calibration, camera, len(names))
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, calibration)
+    if chain.calibration_fault or chain.lens_fault:
+        raise CalibrationError(f"{rig.tracker.calibration}: {chain.calibration_fault or chain.lens_fault}")
 
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         frame = render(exposure)

@@ -12,6 +12,7 @@ from beam_ros.errors import ParameterFileError
 from beam_ros.interfaces.parameter_files import read_yaml
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.parameters import CameraParameters
 
 
 def load_calibration(path: Path) -> LinearCalibration:
@@ -34,6 +35,23 @@ def load_calibration(path: Path) -> LinearCalibration:
         return LinearCalibration.from_dict(document)
     except CalibrationError as err:
         raise CalibrationError(f"{path}: {err}") from err
+
+
+def calibration_or_nominal(path: str, camera: CameraParameters, n_markers: int) -> LinearCalibration:
+    """Return the calibration that a rig names, or its camera's nominal scale.
+
+    Parameters
+    ----------
+    path : str -- ``tracker.calibration``; empty: none is named
+    camera : CameraParameters
+    n_markers : int
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing, no YAML, or no calibration.
+    """
+    return load_calibration(Path(path)) if path else LinearCalibration.from_camera(camera, n_markers)
 
 
 def save_calibration(calibration: LinearCalibration, path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,35 @@ def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Pa
         assert camera.count("beam/markers") == camera.count("beam/displacement")
         assert truth.count("beam/markers") == 0
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.5e-6)
+
+
+def test_tracked_frames_are_measured_with_the_rigs_own_calibration(rig: Rig, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    from beam_ros.vision.calibration.linear import LinearCalibration
+    from beam_ros.vision.calibration.storage import save_calibration
+    from beam_ros.vision.errors import CalibrationError
+
+    short = rig.with_values({"excitation.duration": 0.5, "excitation.still": 0.1})
+    nominal = rig.camera_parameters()
+    for name, camera in (
+        ("double", replace(nominal, pixels_per_metre=nominal.pixels_per_metre / 2)),
+        ("wider", replace(nominal, width=2 * nominal.width)),
+    ):
+        save_calibration(LinearCalibration.from_camera(camera, 3), tmp_path / f"{name}.yaml")
+    simulate(short, tmp_path / "nominal", with_camera=True)
+    told = short.with_values({"tracker.calibration": str(tmp_path / "double.yaml")})
+    simulate(told, tmp_path / "told", with_camera=True)
+    with Bag(tmp_path / "nominal") as one, Bag(tmp_path / "told") as other:
+        np.testing.assert_allclose(
+            np.diff(other.displacements().positions, axis=0),
+            2.0 * np.diff(one.displacements().positions, axis=0),
+            atol=1e-12,
+        )
+    for name in ("wider", "absent"):
+        told = short.with_values({"tracker.calibration": str(tmp_path / f"{name}.yaml")})
+        with pytest.raises(CalibrationError):
+            simulate(told, tmp_path / "refused", with_camera=True)
+        assert not (tmp_path / "refused").exists()
 
 
 def test_the_model_is_written_whole_and_reads_back(bag: Path, tmp_path: Path) -> None:
