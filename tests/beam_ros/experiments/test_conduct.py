@@ -25,6 +25,7 @@ from beam_ros.process.checksums import checksum
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
 from beam_ros.reporting.identification import report_identification
+from tests.browser import faults_of_page, open_browser
 
 PLAN = """
 title: Short
@@ -224,6 +225,12 @@ def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path)
         "both from all",
     ):
         assert words in page
+
+
+@pytest.mark.verify
+def test_the_page_reads_on_every_screen_and_on_paper(whole: Path) -> None:
+    with open_browser() as browser:
+        assert faults_of_page(browser, whole / "report.html") == []
 
 
 @pytest.mark.verify

@@ -30,6 +30,7 @@ from beam_ros.studies.statistics import mode_statistics
 from beam_ros.studies.study import open_study, run_study
 from beam_ros.studies.summary import format_study, study_page
 from beam_ros.studies.table import write_table
+from tests.browser import faults_of_page, open_browser
 
 BAGS = Path(__file__).resolve().parents[3] / "bags"
 
@@ -94,6 +95,13 @@ def test_the_page_says_what_failed_and_how_the_modes_scatter(rows: list[Row], tm
     assert str(rows[2]["error"]).split(":")[1][:20] in text
     assert text.count("<svg") == 2
     assert "1 failed" in format_study(rows)
+
+
+@pytest.mark.verify
+def test_the_page_reads_on_every_screen_and_on_paper(rows: list[Row], tmp_path: Path) -> None:
+    page = study_page(rows, settings_of(), tmp_path / "study.csv").write(tmp_path / "index.html")
+    with open_browser() as browser:
+        assert faults_of_page(browser, page) == []
 
 
 def test_coverage_counts_intervals_that_hold_the_truth() -> None:

@@ -24,6 +24,7 @@ from beam_ros.thesis.data import ThesisData, estimate_all, load_bags
 from beam_ros.thesis.document import write_thesis
 from beam_ros.thesis.figures import DRAWN, simulation_fit_percent
 from beam_ros.thesis.tables import MADE
+from tests.browser import faults_of_page, open_browser
 
 pytest.importorskip("cv2")
 
@@ -168,6 +169,12 @@ def test_the_command_works_on_given_bags_and_overwrites_nothing(bags: Path, tmp_
     assert again.returncode == 2
     assert "not an empty folder" in again.stderr
     assert run("--resume").returncode == 2
+
+
+@pytest.mark.verify
+def test_the_document_reads_on_every_screen_and_on_paper(written: tuple[Path, dict[str, Any]]) -> None:
+    with open_browser() as browser:
+        assert faults_of_page(browser, written[0] / "thesis.html") == []
 
 
 @pytest.mark.verify
