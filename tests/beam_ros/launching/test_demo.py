@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import signal
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from beam_ros.bags.reading import Bag
+from beam_ros.bags.summary import summarise
 from beam_ros.errors import RigUnavailableError
 from beam_ros.interfaces.graph import TOPICS
 from beam_ros.launching.processes import NodeGroup, PrivateDomain, stay_on_this_machine
+from beam_ros.messages import BagTypes
 from tests.whole_bags import messages_of_whole_bag
 
 pytestmark = pytest.mark.ros
@@ -56,6 +63,37 @@ def _read_back(bag: Path) -> None:
     }
     assert all(counts[f"/{name}"] > 0 for name in needed)
     assert not any(f"/{name}" in counts for name, row in TOPICS.items() if row.is_image)
+
+
+@pytest.mark.verify
+def test_frames_that_a_busy_computer_loses_are_counted_and_explained(executables, tmp_path: Path) -> None:
+    hogs = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * (os.cpu_count() or 1))
+    ]
+    # A sequence that is late is refused: it is given the time to reach the hub.
+    patient = ("-p", "excitation.start_delay:=5.0")
+    try:
+        demo = executables.run("beam", "demo", "--out", "run", "--json", *SHORT, *patient, timeout_s=300.0)
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait(10.0)
+    assert demo.process.returncode == 0, demo.output()
+    said: dict[str, set[str]] = {"tracker": set(), "hub": set()}
+    types = BagTypes()
+    with Bag(tmp_path / "run" / "bag") as bag:
+        (frames,) = [one for one in summarise(bag).signals if one.topic == "/beam/displacement"]
+        for raw in bag.raw_messages("/diagnostics"):
+            for status in types.deserialize(raw.data, raw.type_name).status:
+                said.setdefault(status.name.split(":")[0], set()).add(status.message)
+    assert frames.lost > 0, "the computer was not busy enough to lose a frame"
+    # In the report, with the count and the longest gap; in the diagnostics of who missed them and of who lost them.
+    report = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    lacks = re.search(r"beam/displacement lacks (\d+) of \d+ frames, at the longest \d+ ms", report)
+    assert lacks is not None
+    assert int(lacks[1]) == frames.lost
+    assert any("frames are missing by their stamps" in message for message in said["tracker"])
+    assert any("because this computer fell behind" in message for message in said["hub"])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
