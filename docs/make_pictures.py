@@ -44,6 +44,8 @@ from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
 from beam_ros.studies.summary import deviation_figure
+from beam_ros.thesis.data import estimate_all
+from beam_ros.thesis.figures import bode
 from beam_ros.viewers.curves import COLOURS, live_plots
 from beam_ros.vision.measurement.overlay import draw_overlay
 from beam_ros.vision.rendering.frames import SceneRenderer
@@ -307,6 +309,14 @@ def whole_beam_picture(rig: Rig) -> Figure:
     return figure
 
 
+def thesis_picture() -> Figure:
+    """Draw figure 4.14 of `beam thesis`, from the short recordings of this tree."""
+    kept = {"E1": "chirp_6s", "E2": "multisine", "V2": "multisine", "S": "step"}
+    bags = {name: ROOT / "bags" / bag for name, bag in kept.items()}
+    data = estimate_all(bags, None, lambda phrase, share: None)
+    return bode(data, data.points[1])
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -319,6 +329,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "study": study_picture(),
         "amplitude": amplitude_picture(),
         "whole-beam": whole_beam_picture(Rig.from_file()),
+        "thesis": thesis_picture(),
     }
     files = []
     for name, figure in figures.items():

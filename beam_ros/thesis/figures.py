@@ -229,9 +229,10 @@ def bode(data: ThesisData, at: AtPoint) -> Figure:
         axes[0].semilogy(
             measured[0], np.abs(measured[1] - 1.0), ".", color=MEASURED, markersize=3.0, label="measured, E2"
         )
-        axes[1].plot(
-            measured[0], np.degrees(np.angle(measured[1] - 1.0)), ".", color=MEASURED, markersize=2.5
-        )
+        # The turn of theory: else noise throws points about -180 degrees to the other end of the axis.
+        near = _theory(data.rigs["E1"], at.point.height, measured[0]) - 1.0
+        phase = np.angle(near) + np.angle((measured[1] - 1.0) / near)
+        axes[1].plot(measured[0], np.degrees(phase), ".", color=MEASURED, markersize=2.5)
     for k, (name, model) in enumerate(at.transfer_functions.items()):
         response, sd = model.frequency_response(omegas)
         # The camera's latency is no part of the beam.
