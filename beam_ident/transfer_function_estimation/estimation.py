@@ -55,6 +55,7 @@ from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model
 from beam_ident.transfer_function_estimation.srivc import (
     FINALISTS,
     METHODS,
+    KnownInside,
     Method,
     Optimum,
     estimate_denominator,
@@ -454,8 +455,12 @@ def estimated(
     cutoff: float | None = None,
     n_integrators: int = 0,
     n_starts: int = FINALISTS + 1,
+    inside: Sequence[TransferFunctionModel | MultiInputModel] = (),
 ) -> TransferFunctionResult | MultiInputResult:
-    """Estimate as ``estimate_transfer_function`` does, without a look for terms that the structure lacks."""
+    """Estimate as ``estimate_transfer_function`` does, without a look for terms that the structure lacks.
+
+    ``inside`` are what structures inside this one ended at: with them, those are not estimated again.
+    """
     if method not in METHODS:
         raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     records = require_records(record)
@@ -530,8 +535,14 @@ def estimated(
             problem = OutputErrorProblem(experiments, orders, nuisances)
             if len(orders) > 1:
                 return estimate_additive(problem, method, cutoff)
+            known = [_ended(model, delays) for model in inside]
             solved, found = estimate_denominator(
-                problem, method, cutoff, n_starts - 1, still, looks_inside=n_starts > FINALISTS
+                problem,
+                method,
+                cutoff,
+                n_starts - 1,
+                [*still, *known],
+                looks_inside=n_starts > FINALISTS and not inside,
             )
             still.append(found.state)
             return solved, found
@@ -554,6 +565,14 @@ def estimated(
     if len(drives) == 1:
         said += tuple(_input_misfits(records, drives[0], result))
     return replace(result, warnings=gaps + result.warnings + said) if gaps or said else result
+
+
+def _ended(model: TransferFunctionModel | MultiInputModel, delays: Sequence[Prior]) -> KnownInside:
+    """Return where a model says that its structure ended: poles, and the delays that are free."""
+    paths = paths_of(model)
+    own = paths[0].denominator
+    free = [path.delay for path, prior in zip(paths, delays, strict=True) if prior.is_free]
+    return KnownInside.of(own[: len(own) - paths[0].n_integrators], free)
 
 
 def _prediction(

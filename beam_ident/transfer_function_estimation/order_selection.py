@@ -25,6 +25,8 @@ from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.noise_model import RecordNoise
 from beam_ident.noise.scores import are_rounding
+from beam_ident.transfer_function.model import TransferFunctionModel
+from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import UNRELATED, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import (
     InitialMotion,
@@ -187,11 +189,11 @@ def select_transfer_function(
                 require_excitation(records, drive.name)
     options |= {"has_free_response": False} if asks else {}
     plain = {"method": "white"} if is_automatic else {}
-    results = _all(records, structures, options | plain, n_workers, scheduler, progress)
+    results = _all(records, structures, options | plain, n_workers, scheduler, progress, is_automatic)
     motion = _initial_motion(results) if asks else InitialMotion()
     if motion.is_estimated:
         options["has_free_response"] = True
-        results = _all(records, structures, options | plain, n_workers, scheduler, progress)
+        results = _all(records, structures, options | plain, n_workers, scheduler, progress, is_automatic)
     if is_automatic:
         results = [r if isinstance(r, str) else replace(r, method="auto") for r in results]
         if _has_noise_of_its_own(results):
@@ -307,16 +309,22 @@ def _all(
     n_workers: int,
     scheduler: str | None,
     progress: Progress | None,
+    may_follow: bool = False,
 ) -> list[Outcome]:
-    """Return the estimates of all structures, or why there is none."""
+    """Return the estimates of all structures, or why there is none.
+
+    ``may_follow`` says that noise which is not white will have all of them estimated again, under it.
+    """
     jobs = [(records, n, m, {"n_starts": 1} | options) for n, m in structures]
     results = map_records(_attempt, jobs, n_workers, scheduler, _part(progress, 0.0, _FIRST_PART))
     suspects = {} if "n_starts" in options else _suspects(structures, results)
-    # One that a structure inside it surpasses looks at those itself.
-    starts: list[dict[str, Any]] = [
-        {} if surpassed else {"n_starts": _STARTS} for surpassed in suspects.values()
+    if may_follow and suspects and _has_noise_of_its_own(results):
+        suspects = {}  # all are estimated again, under that noise
+    # One that a structure inside it surpasses begins where that one ended, too.
+    jobs = [
+        (records, *structures[k], {"n_starts": _STARTS, "inside": _models(results, j)} | options)
+        for k, j in suspects.items()
     ]
-    jobs = [(records, *structures[k], few | options) for k, few in zip(suspects, starts, strict=True)]
     again = (
         map_records(_attempt, jobs, n_workers, scheduler, _part(progress, _FIRST_PART, 1.0)) if jobs else []
     )
@@ -347,14 +355,22 @@ def _part(progress: Progress | None, start: float, end: float) -> Progress | Non
     return lambda phrase, share: progress(phrase, start + (end - start) * share)
 
 
-def _suspects(structures: list[Degrees], results: list[Outcome]) -> dict[int, bool]:
-    """Return which structures may have ended in a local optimum, and matter, and which are surpassed.
+def _models(
+    results: Sequence[Outcome], place: int | None
+) -> tuple[TransferFunctionModel | MultiInputModel, ...]:
+    """Return the model that was estimated at a place, if there is one."""
+    found = None if place is None else results[place]
+    return () if found is None or isinstance(found, str) else (found.model,)
+
+
+def _suspects(structures: list[Degrees], results: list[Outcome]) -> dict[int, int | None]:
+    """Return which structures may have ended in a local optimum, and matter, and what surpasses them.
 
     Those without any estimate; those that a structure inside them surpasses; and, where residuals
     do not look like noise, those not larger than the best by BIC and not much smaller.
     """
     found = [(k, r) for k, r in enumerate(results) if not isinstance(r, str)]
-    suspects = {k: False for k, r in enumerate(results) if isinstance(r, str)}
+    suspects: dict[int, int | None] = {k: None for k, r in enumerate(results) if isinstance(r, str)}
     if not found:
         return suspects
     sizes = [n + sum(_each(m)) for n, m in structures]
@@ -362,11 +378,12 @@ def _suspects(structures: list[Degrees], results: list[Outcome]) -> dict[int, bo
     misfits = {k: r.bic - sizes[k] * math.log(len(r.measured)) for k, r in found}
     for k, r in found:
         inside = [j for j, _ in found if j != k and _is_within(structures[j], structures[k])]
-        is_surpassed = any(misfits[j] < misfits[k] - _VISIBLE for j in inside)
+        best_inside = min(inside, key=lambda j: misfits[j], default=k)
+        is_surpassed = misfits[best_inside] < misfits[k] - _VISIBLE
         is_noise = r.converged and r.whiteness.p_value > WHITE
         is_near = sizes[best] - _NEAR <= sizes[k] <= sizes[best] and k != best
         if is_surpassed or (is_near and not is_noise):
-            suspects[k] = is_surpassed
+            suspects[k] = best_inside if is_surpassed else None
     return suspects
 
 

@@ -21,16 +21,16 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import EstimationError
 from beam_ident.noise.scores import Whiteness
 from beam_ident.numerics.levenberg_marquardt import minimise
-from beam_ident.numerics.rational_response import full_roots
+from beam_ident.numerics.rational_response import full_roots, upper_roots
 from beam_ident.numerics.root_uncertainty import root_covariances
 from beam_ident.subspace.po_moesp import Stretch, subspace_poles
 from beam_ident.transfer_function_estimation.delay_search import delay_candidates
@@ -58,6 +58,7 @@ _MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
 _MOST_INSIDE = 30  # structures inside one, at most: a bound on time
 _EXTRA_POLES = 9  # places tried for a pole that a smaller denominator lacks
+_BESIDE = 1.3  # from one such pole to the next
 _BEYOND = 100.0  # of the Nyquist frequency: there a pole hardly shows
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
@@ -84,6 +85,39 @@ class Optimum:
     iterations: int
 
 
+class Inside(Protocol):
+    """Where a structure inside another one ended: its parameters, their unit of frequency, and its poles."""
+
+    @property
+    def theta(self) -> FloatArray:
+        """Coefficients of the denominator after the first, then delays [s]."""
+
+    @property
+    def scale(self) -> float:
+        """Unit of frequency [rad/s]."""
+
+    @property
+    def uppers(self) -> Sequence[ComplexArray]:
+        """Poles with imaginary part >= 0, in that unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownInside:
+    """Where a structure inside another one is known to end, without a problem of its own: see ``Inside``."""
+
+    theta: FloatArray
+    scale: float
+    uppers: tuple[ComplexArray, ...]
+
+    @staticmethod
+    def of(denominator: FloatArray, delays: Sequence[float]) -> KnownInside:
+        """Return it from a monic denominator without poles at zero, in descending powers, and free delays [s]."""
+        order = len(denominator) - 1
+        scale = float(abs(denominator[-1]) ** (1.0 / order))
+        own = denominator / scale ** np.arange(order + 1)
+        return KnownInside(np.concatenate([own[1:], delays]), scale, (upper_roots(own),))
+
+
 def portfolio(problem: OutputErrorProblem) -> list[float]:
     """Return cut-offs of the state-variable filter [rad/s] that span what the record can show."""
     # From two periods in the record to half the Nyquist frequency of the stamps.
@@ -96,7 +130,7 @@ def estimate_denominator(
     method: Method,
     cutoff: float | None = None,
     n_finalists: int = FINALISTS,
-    inside: Sequence[OutputErrorState] = (),
+    inside: Sequence[Inside] = (),
     looks_inside: bool = True,
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate a problem of one denominator without a start.
@@ -108,8 +142,8 @@ def estimate_denominator(
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
     n_finalists : int
         How many starts behind filters are refined while the residuals do not look like noise.
-    inside : sequence of OutputErrorState
-        Where this denominator ended with fewer nuisances, as far as that is known.
+    inside : sequence of Inside
+        Where this denominator ended with fewer nuisances, or smaller ones did, as far as that is known.
     looks_inside : bool
         Whether the structures inside this one are estimated, too, where the optimum is not sure to be the best.
 
@@ -208,11 +242,11 @@ def are_known(problem: OutputErrorProblem, theta: FloatArray, information: Float
     return bool(np.all(sd < _MAX_POLE_SD * np.abs(poles)))
 
 
-def widened(problem: OutputErrorProblem, state: OutputErrorState) -> list[FloatArray]:
+def widened(problem: OutputErrorProblem, state: Inside) -> list[FloatArray]:
     """Return what a structure inside a problem says as points of it, in the state's unit of frequency.
 
     All that the smaller structure lacks leaves it as it was: a pole stands anywhere if a zero may stand beside it, or
-    so far out that it does not show.
+    so far out that it does not show; further ones stand beside it.
     """
     n = sum(len(full_roots(upper)) for upper in state.uppers)
     coefficients, delays = state.theta[:n], state.theta[n:]
@@ -221,7 +255,10 @@ def widened(problem: OutputErrorProblem, state: OutputErrorState) -> list[FloatA
     if n == problem.n_a:
         return [np.concatenate([coefficients, delays])]
     places = np.geomspace(2.0 * np.pi / problem.length, _BEYOND * problem.nyquist, _EXTRA_POLES) / state.scale
-    products = [np.polymul(np.append(1.0, coefficients), [1.0, place])[1:] for place in places]
+    beside = _BESIDE ** np.arange(problem.n_a - n)
+    products = [
+        np.polymul(np.append(1.0, coefficients), np.real(np.poly(-place * beside)))[1:] for place in places
+    ]
     return [np.concatenate([own, delays]) for own in products]
 
 
@@ -285,7 +322,7 @@ class _Chain:
             found = self.beyond(found, [state] if state is not None else [])
         return found
 
-    def beyond(self, found: Optimum, inside: Iterable[OutputErrorState]) -> Optimum:
+    def beyond(self, found: Optimum, inside: Iterable[Inside]) -> Optimum:
         """Return an optimum, or a better one from where a structure inside this one ended better than it.
 
         A structure that holds another can do whatever that one does: it must not end in a worse optimum.

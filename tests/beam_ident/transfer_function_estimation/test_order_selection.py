@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
+from beam_ident.transfer_function_estimation import order_selection
+from beam_ident.transfer_function_estimation.estimation import estimated
 from beam_ident.transfer_function_estimation.order_selection import select_transfer_function
 from tests.beam_ident.rao_garnier import benchmark_record
 
@@ -43,6 +48,38 @@ def test_one_start_for_each_structure_leaves_none_in_a_local_optimum_that_matter
     for entry in selection.table:
         thorough = estimate_transfer_function(record, entry.n_poles, entry.n_zeros)
         assert entry.bic < thorough.bic + 1.0
+
+
+def test_a_structure_that_is_surpassed_begins_where_the_one_inside_it_ended():
+    record = benchmark_record(3, 5.0)
+    known = estimated(record, 4, 1, method="white")
+    # No start of its own is refined: a pole more, or two, beside what is known leaves the fit no worse.
+    for degrees in ((5, 2), (6, 3)):
+        found = estimated(record, *degrees, method="white", n_starts=1, inside=(known.model,))
+        assert np.sum(np.square(found.residuals)) <= np.sum(np.square(known.residuals)) * (1.0 + 1e-6)
+
+
+def test_slow_noise_costs_one_look_at_every_structure(monkeypatch):
+    record = benchmark_record(2, 10.0)
+    slow = lfilter(
+        [1.0], [1.0, -0.95], np.random.default_rng(2).standard_normal(len(record.outputs[0].values))
+    )
+    output = record.outputs[0]
+    seen = dataclasses.replace(
+        output, values=output.values + 0.5 * np.std(output.values) * slow / np.std(slow)
+    )
+    tried = []
+
+    def counted(records, n_poles, n_zeros, **options):
+        tried.append((n_poles, n_zeros, options.get("method"), options["n_starts"]))
+        return estimated(records, n_poles, n_zeros, **options)
+
+    monkeypatch.setattr(order_selection, "estimated", counted)
+    selection = select_transfer_function(TimeRecord(record.inputs, (seen,)), [3, 4, 5], [0, 1])
+    assert degrees(selection) == (4, 1)
+    # Under white noise each structure has one start, for it has to be estimated again under the noise as it is.
+    assert sum(own[2] == "white" for own in tried) == 6
+    assert all(own[3] == 1 for own in tried if own[2] == "white")
 
 
 def test_noise_alone_passes_no_gate():
