@@ -17,6 +17,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -217,8 +218,55 @@ class InputDisturbance:
         # Before the input's first sample there is no noise: the filter starts from P = 0.
         first = min(self.drive.times_s[0], observations.times[0] - 1e-3)
         steps = np.diff(observations.times, prepend=first)
-        noise = self.direct_covariance() + np.diag(variances)
-        return DisturbanceFilter(observations, *self._transitions(steps), self._observation, noise, scatter)
+        half = self._half_window(float(np.min(steps[1:], initial=math.inf)))
+        steps[0] += half
+        observed, noise, shared = self._within_window(half)
+        return DisturbanceFilter(
+            observations, *self._transitions(steps), observed, noise + np.diag(variances), shared, scatter
+        )
+
+    @cached_property
+    def _window(self) -> float:
+        """How long a mean passes as much of the noise as low-pass and exposure do [s]."""
+        period = float(np.median(np.diff(self.drive.times_s)))
+        frequencies = np.linspace(0.0, self.smoothing.cutoff_hz(period), 400)
+        exposure = float(np.median(self.exposures_s))
+        return 0.5 / float(trapezoid(np.square(np.sinc(frequencies * exposure)), frequencies))
+
+    def _half_window(self, shortest: float) -> float:
+        """Return half a window that ends where the next one begins, 0 where nothing passes at once [s]."""
+        return 0.5 * min(self._window, shortest) if np.any(self._direct[0]) else 0.0
+
+    def _within_window(self, half: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return O, the covariance of what passes at once, and that of it with the states, half a window later.
+
+        Parameters
+        ----------
+        half : float -- of a window [s]
+
+        Notes
+        -----
+        What passes at once is the mean of the noise over a window around the instant, and the same noise drives the
+        states. So the states are taken at the window's end, from where the instant is seen as ``O exp(-A h)`` less
+        what has come since: the noise g in the observation, over the window, is known together with the states.
+        A window is cut where the next one begins, and what it loses is white.
+        """
+        passed = self._direct[0] / self._window
+        # What a derivative of the noise passes as well, and what a window lost.
+        white = self.direct_covariance() - self.density * 2.0 * half * np.outer(passed, passed)
+        levels, axes = np.linalg.eigh(white)
+        noise = (axes * np.maximum(levels, 0.0)) @ axes.T
+        shared = np.zeros((len(self._dynamics), len(passed)))
+        for side in (-1.0, 1.0):
+            for point, weight in zip(_BOX_POINTS, 0.5 * half * _BOX_WEIGHTS, strict=True):
+                since = 0.5 * half * (1.0 + point)  # the instant
+                own = passed.copy()
+                if side > 0.0:
+                    own = own - self._observation @ expm(-self._dynamics * since) @ self._entry
+                state = expm(self._dynamics * (half - side * since)) @ self._entry
+                noise += self.density * weight * np.outer(own, own)
+                shared += self.density * weight * np.outer(state, own)
+        return self._observation @ expm(-self._dynamics * half), noise, shared
 
     def most_likely(self, observations: Observations, weighted: list[FloatArray]) -> FloatArray:
         """Return what is to be added to the input's samples, shape (n_samples,).
@@ -323,6 +371,7 @@ class DisturbanceFilter:
         kinds: IndexArray,
         observation: FloatArray,
         noise: FloatArray,
+        shared: FloatArray,
         scatter: FloatArray | None,
     ) -> None:
         self.observations = observations
@@ -335,7 +384,7 @@ class DisturbanceFilter:
         if scatter is not None:
             is_same[1:] &= np.all(scatter[1:] == scatter[:-1], axis=1)
         changes = np.flatnonzero(~is_same)
-        patterns: dict[bytes, tuple[IndexArray, FloatArray, FloatArray]] = {}
+        patterns: dict[bytes, tuple[IndexArray, FloatArray, FloatArray, FloatArray]] = {}
         # Every step has its gains; once they have settled on a regular grid they are kept.
         self._gains: list[_Gains] = []
         self._gain_of = np.empty(n, dtype=np.intp)
@@ -345,8 +394,11 @@ class DisturbanceFilter:
             pattern = seen[k].tobytes()
             if pattern not in patterns:
                 selected = np.flatnonzero(seen[k])
-                patterns[pattern] = selected, observation[selected], noise[np.ix_(selected, selected)]
-            selected, rows, own = patterns[pattern]
+                rows = observation[selected]
+                both = rows @ shared[:, selected]
+                own = noise[np.ix_(selected, selected)] + both + both.T
+                patterns[pattern] = selected, rows, own, shared[:, selected]
+            selected, rows, own, same = patterns[pattern]
             if scatter is not None:
                 # An error of the stamp moves what all outputs show by their speeds: R of (I.26).
                 own = own + np.outer(scatter[k, selected], scatter[k, selected])
@@ -355,6 +407,7 @@ class DisturbanceFilter:
             covariance = transition @ covariance @ transition.T + driven[kinds[k]]
             carried = covariance @ rows.T
             lower, failed = lapack.dpotrf(rows @ carried + own, lower=1)
+            carried = carried + same
             if failed:
                 raise np.linalg.LinAlgError("the covariance of the residuals is not positive definite")
             inverse = lapack.dtrtri(lower, lower=1)[0]
