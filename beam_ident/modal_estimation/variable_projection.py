@@ -179,7 +179,7 @@ class _Likelihood:
         term lies in the space of X, at right angles to the first and to the residuals, and is as small as
         they are. Kaufman (1975) leaves it out, which is (I.9), ``dr/dtheta = -P J``. Then
 
-            information = sum_j J_j^T P_j J_j / s_j,    -gradient = sum_j J_j^T r_j / s_j
+            information = sum_j J_j^T P_j J_j / s_j,    -gradient = sum_j J_j^T P_j r_j / s_j
 
         with the variances ``s_j = |r_j|^2 / n_j``, or 1 where the rows are weighed. The gradient of V is
         exact all the same. ``J^T P J`` is the Schur complement of ``X^T X`` in the information on theta and b
@@ -190,8 +190,10 @@ class _Likelihood:
         for output, residuals in enumerate(state.residuals):
             jacobian = self.jacobian(state, output)
             basis = state.solutions[self.problem.block_of[output]].basis
-            direction += jacobian.T @ residuals / variances[output]
+            # r stands at right angles to X: with P J the direction is the same, and what columns that are nearly
+            # dependent leave of rounding in r, times their large coefficients in J, is no part of it.
             jacobian -= basis @ (basis.T @ jacobian)
+            direction += jacobian.T @ residuals / variances[output]
             information += jacobian.T @ jacobian / variances[output]
         for place, deviation, weight in self.prior_terms(state.theta):
             information[place, place] += weight**2

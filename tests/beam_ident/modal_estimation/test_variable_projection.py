@@ -91,3 +91,23 @@ def test_modes_come_in_order_of_frequency_with_what_belongs_to_them():
         np.testing.assert_allclose(other, one, rtol=1e-6)
     spread = np.sqrt(np.diag(straight.covariance))
     np.testing.assert_allclose(np.sqrt(np.diag(crossed.covariance)), spread, rtol=1e-6)
+
+
+def test_free_motions_that_hardly_differ_leave_the_descent_direction_exact():
+    # Slow modes after a gap near the end: their free motions hardly differ there, and have huge coefficients.
+    rng = np.random.default_rng(0)
+    held = rng.standard_normal(1000)
+    held[600:945] = np.nan
+    drive = InputSignal("f", "N", (0.0, 0.01), held, "zoh")
+    values = np.cumsum(rng.standard_normal(980))
+    output = OutputSignal("y", "m", 0.01 * np.arange(10, 990), values)
+    regression = ModalRegression([TimeRecord((drive,), (output,))], ModalStructure("receptance"))
+    likelihood = _Likelihood(regression, 5, Prior(), Prior())
+    theta = np.concatenate([np.log([2.5, 3.2, 4.0, 5.1, 6.7]), np.full(5, 0.03)])
+    state = likelihood.state(theta)
+    information, direction = likelihood.slope(state)
+    for place, sd in enumerate(1.0 / np.sqrt(np.diag(information))):
+        step = 0.01 * sd * np.eye(len(theta))[place]
+        ends = [likelihood.state(theta + sign * step).cost for sign in (1.0, -1.0)]
+        # In units of a standard deviation; rounding times coefficients would be ten of them.
+        assert sd * direction[place] == pytest.approx(-50.0 * (ends[0] - ends[1]), abs=0.01)
