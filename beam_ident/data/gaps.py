@@ -60,6 +60,11 @@ class InputGap:
     sigma: float
     errors: FloatArray = field(compare=False, repr=False)
 
+    @property
+    def middle_s(self) -> float:
+        """Middle of the stretch [s]."""
+        return 0.5 * (self.start_s + self.end_s)
+
 
 def on_every_stamp(times_s: FloatArray, values: FloatArray, is_held: bool) -> tuple[FloatArray, FloatArray]:
     """Return an input with a stamp for every sample that its grid lacks, NaN where it has none.

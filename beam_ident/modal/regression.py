@@ -808,12 +808,13 @@ class ModalRegression:
             first = 0
             for part in parts:
                 rows = self._rows[part[:3]]
-                ends_s = [gap.end_s for gap, is_modal in self.restarts.of_record(part[0]) if is_modal]
-                if ends_s and len(rows):
+                gaps = [gap for gap, is_modal in self.restarts.of_record(part[0]) if is_modal]
+                if gaps and len(rows):
                     instants = self._prepared[part[0]].instants(part[1], clock)[rows]
-                    places = [*np.searchsorted(instants, ends_s, side="right"), len(rows)]
-                    for end_s, low, high in zip(ends_s, places[:-1], places[1:], strict=True):
-                        free = np.exp(poles * (instants[low:high] - end_s))
+                    middles = [gap.middle_s for gap in gaps]
+                    places = [*np.searchsorted(instants, middles, side="right"), len(rows)]
+                    for gap, low, high in zip(gaps, places[:-1], places[1:], strict=True):
+                        free = np.exp(poles * (instants[low:high] - gap.end_s))
                         _take_out(columns[:, :, first + low : first + high], free)
                 first += len(rows)
         return found

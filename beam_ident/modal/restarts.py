@@ -158,8 +158,13 @@ def restart_columns(
     exposure_s : float
     gap : InputGap
     pole_slopes : tuple of ndarray -- as of ``free_motions``
+
+    Notes
+    -----
+    A sample stands after a gap where it stands after its middle: those inside are left out, and no sample changes
+    sides while the fit moves the latency by less than that.
     """
-    after = instants > gap.end_s
+    after = instants > gap.middle_s
     elapsed = np.where(after, instants - gap.end_s, 0.0)
     one = after.astype(np.float64)
     drifts = [(one, np.zeros_like(one)), (elapsed, one)][:n_drifts]

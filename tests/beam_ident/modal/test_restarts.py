@@ -8,12 +8,21 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from beam_ident import EstimationError, InputSignal, ModalStructure, Prior, TimeRecord, identify
+from beam_ident import (
+    EstimationError,
+    InputSignal,
+    ModalModel,
+    ModalStructure,
+    OutputSignal,
+    Prior,
+    TimeRecord,
+    identify,
+)
 from beam_ident.data.gaps import InputGap
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.restarts import Restarts, bridge_effects
 from beam_ident.modal_estimation.record_levels import restart_priors
-from beam_ident.modal_estimation.variable_projection import fit_modes
+from beam_ident.modal_estimation.variable_projection import fit_modes, held_cost
 from tests.beam_ident.truth import OMEGAS, RESIDUES, ZETAS, beam_record
 
 
@@ -146,3 +155,27 @@ def test_a_fit_that_fails_names_the_gaps() -> None:
     drive = InputSignal("hub", "m", times, values, "cubic")
     with pytest.raises(EstimationError, match=r"Input hub has 1 gap \(0\.999-1\.020 s\)"):
         identify(TimeRecord((drive,), (output,)))
+
+
+def test_no_sample_at_the_end_of_a_gap_changes_sides_with_the_latency() -> None:
+    # Held, with stamps on the input's own grid: the first sample after the gap stands exactly at its end.
+    times = 0.01 * np.arange(3000)
+    rng = np.random.default_rng(0)
+    held = rng.standard_normal(3000)
+    plant = ModalModel(
+        "receptance", "u", ("y",), np.array([20.0]), np.array([0.02]), np.array([[3.0]]), *np.zeros((2, 1)),
+        0.0, 0.0, np.zeros((7, 7)), np.ones(1),
+    )  # fmt: skip
+    values = plant.simulate(InputSignal("u", "N", (0.0, 0.01), held, "zoh"), times[1:])[:, 0]
+    held[1000:1100] = np.nan
+    record = TimeRecord(
+        (InputSignal("u", "N", (0.0, 0.01), held, "zoh"),), (OutputSignal("y", "m", times[1:], values),)
+    )
+    # Without the residual term, which follows the jumps of a held input.
+    regression = ModalRegression([record], ModalStructure("receptance", has_residual=False))
+    costs = [
+        held_cost(regression, np.array([20.3]), np.array([0.02]), ClockState(latency, 0.0))
+        for latency in (-2e-7, -1e-7, 0.0, 1e-7, 2e-7)
+    ]
+    # A smooth cost is straight so near; one sample on the other side would move it by several.
+    assert np.max(np.abs(np.diff(costs, 2))) < 1e-3
