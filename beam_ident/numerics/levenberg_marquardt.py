@@ -15,6 +15,9 @@ _STEP_TOLERANCE = 1e-3  # of a standard deviation: below this nothing visible ch
 _COST_TOLERANCE = 1e-7  # in log-likelihood
 _TRIALS = 12
 _HOPE = 5.0
+_IDLE = 1e-4  # in log-likelihood: short steps that lower the cost by less, one after the other, lead nowhere
+_IDLE_TURNS = 3
+_AT_A_JUMP = 0.5  # in log-likelihood: what a standard deviation from the optimum costs
 
 HOPELESS = "what it can still gain is not worth its parameters"
 
@@ -76,7 +79,7 @@ def minimise(
         return Minimum(state, True, "nothing nonlinear to estimate", 0)
     if not math.isfinite(start.cost):
         return Minimum(state, False, "the starting point is not allowed", 0)
-    fallen = math.inf
+    fallen, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         information, direction = problem.slope(state)
         if state.cost - _HOPE * fallen > target:
@@ -84,7 +87,7 @@ def minimise(
             promised = 0.5 * float(direction @ scaled_solve(information, direction, 0.0))
             if state.cost - _HOPE * promised > target:
                 return Minimum(state, False, HOPELESS, iteration)
-        fallen = -1.0
+        fallen, hindrance = -1.0, 0.0
         for _ in range(_TRIALS):
             # H + damping on unit diagonal (Marquardt): short steps along the gradient where the model is not
             # to be trusted.
@@ -98,6 +101,7 @@ def minimise(
             if math.isfinite(trial.cost) and trial.cost <= state.cost:
                 fallen = state.cost - trial.cost
                 state = trial
+                hindrance = damping
                 damping = max(damping * 0.1, 1e-12)
                 break
             damping = max(damping * 10.0, 1e-6)
@@ -109,4 +113,12 @@ def minimise(
             return Minimum(state, is_flat, reason, iteration)
         if fallen < _COST_TOLERANCE and damping < 1.0:
             return Minimum(state, True, "the cost falls no further", iteration)
+        # Where an instant stands at a jump of a held input, the cost jumps as well: only shorter and shorter steps
+        # towards it are possible, while all else has settled.
+        idle = idle + 1 if fallen < _IDLE and hindrance >= 1.0 else 0
+        if idle == _IDLE_TURNS:
+            information, direction = problem.slope(state)
+            if 0.5 * float(direction @ scaled_solve(information, direction, 0.0)) < _AT_A_JUMP:
+                reason = "the cost jumps here, less than a standard deviation from its optimum"
+                return Minimum(state, True, reason, iteration)
     return Minimum(state, False, f"stopped after {max_iterations} iterations", max_iterations)

@@ -68,3 +68,30 @@ def test_a_start_that_is_not_allowed_is_said_to_be_one():
     assert not minimum.converged
     assert minimum.reason == "the starting point is not allowed"
     assert minimum.iterations == 0
+
+
+class Edge(Valley):
+    """A bowl whose cost is higher by a thousand beyond a border that runs a little or far before its lowest point."""
+
+    def __init__(self, border: float) -> None:
+        self.border = border
+
+    def state(self, theta: np.ndarray) -> Point:
+        return Point(theta, super().state(theta).cost + 1e3 * (theta[0] > self.border))
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        return np.array([theta[0], 0.3 * theta[0] - theta[1]])
+
+    def slope(self, state: Point) -> tuple[np.ndarray, np.ndarray]:
+        jacobian = np.array([[1.0, 0.0], [0.3, -1.0]])
+        return jacobian.T @ jacobian, -jacobian.T @ self.residuals(state.theta)
+
+
+def test_a_jump_beside_the_optimum_is_an_end_and_one_far_from_it_is_none():
+    for border, is_near in ((-0.1, True), (-3.0, False)):
+        edge = Edge(border)
+        minimum = minimise(edge, edge.state(np.array([-5.0, 4.0])), 40)
+        assert minimum.state.theta[0] < border
+        assert minimum.converged is is_near
+        # Less than a standard deviation from the lowest point costs less than a half.
+        assert bool(minimum.state.cost - LOWEST < 0.5) is is_near
