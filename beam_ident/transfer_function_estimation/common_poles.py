@@ -384,7 +384,7 @@ def _beyond(found: _Found, known: dict[tuple[object, ...], OutputErrorState | No
             with contextlib.suppress(EstimationError):
                 known[key] = _beyond(_joint_minimum(smaller), known)[1].state.states[0]
         state = known.get(key)
-        if state is not None:
+        if state is not None and math.isfinite(state.cost):
             again = _JointProblem(joint.problems, state.scale)
             points = [again.state(own) for own in widened(again.problems[0], state)]
             start = min(points, key=lambda own: own.cost)

@@ -328,6 +328,8 @@ class _Chain:
         A structure that holds another can do whatever that one does: it must not end in a worse optimum.
         """
         for state in inside:
+            if not math.isfinite(state.cost):  # a point that is not allowed says nothing
+                continue
             self.problem.scale = state.scale
             points = [self.problem.state(theta) for theta in widened(self.problem, state)]
             start = min(points, key=lambda own: own.cost)

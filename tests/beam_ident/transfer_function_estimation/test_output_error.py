@@ -13,7 +13,7 @@ from beam_ident import (
 )
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
-from beam_ident.transfer_function_estimation.srivc import widened
+from beam_ident.transfer_function_estimation.srivc import Optimum, _Chain, widened
 from beam_ident.transfer_function_estimation.state_variable_filter import stable_coefficients
 from benchmarks.ident.supersets import hard_record
 
@@ -179,3 +179,15 @@ def test_every_structure_inside_another_does_nothing_that_the_other_cannot():
         costs = [problem.state(wider).cost for wider in widened(problem, state)]
         # A pole that is far out leaves one part in the ratio of its place to the Nyquist frequency.
         assert min(costs) < state.cost + (1.0 if name == "pole" else 1e-6), name
+
+
+def test_a_structure_inside_that_ended_at_a_point_that_is_not_allowed_says_nothing():
+    own = problem(own_poles=False)
+    chain = _Chain(own, "auto", [2.0], [np.zeros(2)], 1)
+    state = own.state(a_point(own))
+    smaller = own.inside()["zero"]
+    # A delay of a hundred seconds; the coefficients would be stable in any other place, too.
+    refused = smaller.state(np.array([1.0, 0.5, 0.1, 100.0, 100.0]))
+    assert refused.cost == np.inf
+    found = Optimum(state, False, "", 0)
+    assert chain.beyond(found, [refused]) is found
