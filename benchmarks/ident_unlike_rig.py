@@ -5,7 +5,8 @@
 
 FIT [%] of the worst output on the half that was not seen, where offset, ramp and initial state are fitted to every
 model alike.  The peers get every even order and their best one is shown, chosen by the unseen half itself, and linear
-interpolation over gaps, which they cannot take; ours gets one call, and the data as they are.
+interpolation over gaps, which they cannot take; ours gets one call, and the data as they are.  What is lost of the
+outputs is lost of the input as well, elsewhere; the unseen half has an input without gaps.
 """
 
 from __future__ import annotations

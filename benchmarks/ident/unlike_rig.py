@@ -1,14 +1,14 @@
 """Twenty simulated systems unlike the rig through the automatic call, beside what a peer can do.
 
 Two to fourteen modes, rigid bodies, delays, drift, closed loops, and gaps in input and outputs; the first half
-identifies, the second is predicted.  ``benchmarks.ident_peers --systems unlike-rig`` sets peers beside it.  Others of
-the same kind are all late by up to 60 ms.
+identifies, the second is predicted.  ``benchmarks.ident_unlike_rig`` sets peers beside it.  Others of the same kind
+are all late by up to 60 ms.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ class UnlikeRig:
     title : str -- modes, outputs, and what is unusual
     structure : str -- what the input is
     truth : ModalModel
-    first, second : TimeRecord -- with gaps as NaN in the outputs
+    first, second : TimeRecord -- with gaps as NaN: of both in the outputs, of the first in the input, too
     period : float -- of input and outputs [s]
     """
 
@@ -116,6 +116,9 @@ def unlike_rig(seed: int, latest_s: float | None = None) -> UnlikeRig:
     outputs = tuple(OutputSignal(name, "m", times, values[:, j]) for j, name in enumerate(names))
     whole = TimeRecord((drive,), outputs)
     half = 0.5 * n * period
+    first_half = whole.between(0.0, half)
+    if gap:
+        first_half = replace(first_half, inputs=(_holed(first_half.inputs[0], gap, seed),))
     said = [
         f"{n_modes} modes, {n_outputs} outputs",
         *["rigid body"] * is_rigid,
@@ -128,10 +131,24 @@ def unlike_rig(seed: int, latest_s: float | None = None) -> UnlikeRig:
         ", ".join(said),
         ModalStructure(kind),
         truth,
-        whole.between(0.0, half),
+        first_half,
         whole.between(half, 2.0 * half),
         period,
     )
+
+
+def _holed(drive: InputSignal, share: float, seed: int) -> InputSignal:
+    """Return an input that lacks a share of its samples, in stretches of at most a twelfth of it."""
+    rng = np.random.default_rng([seed, 21])
+    n = len(drive.values)
+    n_stretches = max(1, round(12.0 * share))
+    length = round(share * n / n_stretches)
+    kept = np.ones(n, dtype=bool)
+    # One in each part of the record, so that together they are as long as they should be.
+    for part in np.array_split(np.arange(1, n - 1), n_stretches):
+        start = int(rng.integers(part[0], part[-1] - length))
+        kept[start : start + length] = False
+    return replace(drive, values=np.where(kept, drive.values, np.nan))
 
 
 def unseen_fits(system: UnlikeRig, model: ModalModel) -> np.ndarray:
