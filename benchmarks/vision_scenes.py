@@ -47,6 +47,8 @@ WARM_FRAMES = 40
 FRAMES = 60
 WRONG_PX = 0.35
 WRONG_SIGMAS = 6.0
+UNDISTURBED = 12
+"""So many frames show a marker that is then hidden beside a twin: hidden from the first on, it is told by nobody."""
 EDGE_PX = 20.0
 """A marker so near to the edge of the picture does not count as in sight [px]."""
 ROW_PX = 15.0
@@ -178,13 +180,14 @@ def twin_moving(rng: np.random.Generator) -> Scene:
 
 
 def cover(rng: np.random.Generator, scene: Scene | None = None) -> Scene:
-    """A bar that creeps over markers, stops and goes."""
+    """A bar that creeps over markers and goes; over a given scene, from its twelfth frame on."""
+    first = 0 if scene is None else UNDISTURBED
     scene = plain(rng) if scene is None else scene
     width, speed = rng.uniform(4, 80), rng.uniform(0.3, 12)
     start, grey = 320 - rng.uniform(10, 60) - width, float(rng.choice([0, 20, 60, 120, 200]))
     top = rng.uniform(-50, 400)
     bottom = top + rng.uniform(30, 500)
-    for i, frame in enumerate(disturbed(scene)):
+    for i, frame in enumerate(disturbed(scene)[first:]):
         left = start + speed * i
         frame.disturbances = replace(
             frame.disturbances, occluders=(Occluder(left, top, left + width, bottom, grey),)
@@ -204,8 +207,7 @@ def hidden(rng: np.random.Generator) -> Scene:
     """Markers that are hidden for a while, one or all, some beside a twin."""
     scene = twin_resting(rng) if rng.random() < 0.4 else plain(rng)
     chosen = rng.random(N_MARKERS) < 0.6
-    # What is hidden from the first frame on, beside a twin, cannot be told from it by anybody.
-    first, count = int(rng.integers(12, 35)), int(rng.integers(1, 25))
+    first, count = int(rng.integers(UNDISTURBED, 35)), int(rng.integers(1, 25))
     for frame in disturbed(scene)[first : first + count]:
         frame.x = frame.x.copy()
         frame.x[:, chosen] = np.nan

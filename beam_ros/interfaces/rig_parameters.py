@@ -226,6 +226,21 @@ class TrackerSettings:
     )
     noise_per_grey: float = setting("growth of that variance with the level", "grey levels", 0.0, 1e4)
     min_contrast: float = setting("below which nothing is a marker", "grey levels", 1.0, 65535.0)
+    aspect: float = setting(
+        "width over height of a marker's image: 1 head-on, 0.8 at 37 degrees", "", 0.5, 2.0
+    )
+    shape_tolerance: float = setting(
+        "by which a marker may differ from a disc, and from itself", "", 0.01, 0.9
+    )
+    brightness_tolerance: float = setting(
+        "of one marker's brightness, where the others keep theirs", "", 0.01, 0.9
+    )
+    level_fraction: float = setting("of the contrast, below which all counts as ground", "", 0.02, 0.6)
+    max_jump: float = setting(
+        "farthest from its prediction that a marker is believed by itself", "m", 1e-5, 1.0
+    )
+    row_gate: float = setting("farthest that a frame takes a marker across the rows", "m", 1e-5, 1.0)
+    row_tolerance: float = setting("of the rows in which markers are expected", "m", 1e-5, 1.0)
     averaged_frames: int = live("of a tare or a calibration point", "", 2, 100_000)
     drawing_rate: float = live("of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)
     calibration: str = setting("calibration file; empty: the nominal scale")

@@ -352,12 +352,20 @@ class Rig(RigParameters):
         """What the tracker expects to see."""
         from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, TrackerParameters
 
-        line = self.tracker.noise_variance, self.tracker.noise_per_grey
+        tracker, scale = self.tracker, self.camera.pixels_per_metre
+        line = tracker.noise_variance, tracker.noise_per_grey
         return TrackerParameters.for_camera(
             self.camera_parameters(),
             self.markers.heights,
-            refinement=self.tracker.refinement,
-            sigma_floor_px=max(self.tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
-            min_contrast_grey=self.tracker.min_contrast,
+            refinement=tracker.refinement,
+            sigma_floor_px=max(tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
+            min_contrast_grey=tracker.min_contrast,
+            aspect=tracker.aspect,
+            level_fraction=tracker.level_fraction,
+            max_jump_px=max(tracker.max_jump * scale, 1.0),
+            row_gate_px=max(tracker.row_gate * scale, 0.5),
+            expected_row_tolerance_px=tracker.row_tolerance * scale,
+            shape_tolerance=tracker.shape_tolerance,
+            brightness_tolerance=tracker.brightness_tolerance,
             noise_line=line if any(line) else None,
         )

@@ -31,6 +31,14 @@ PERFECT_DISC_SIGMA_PX = 0.0003
 """What sampling leaves of a perfect disc's position [px]: no standard deviation is smaller."""
 
 
+_SMEAR = 0.75
+"""Longest smear that leaves a marker's image its plateau, over the marker's diameter."""
+_APART_PX = 5.5
+"""Room between two markers, one above the other, beside half a smear [px]: their blurred rims, and some ground."""
+_ROOM = 0.45
+"""The tolerance of a marker's row is at most this share of the way to the next marker."""
+
+
 def _require(condition: bool, name: str, value: object, expected: str) -> None:
     if not condition:
         raise VisionParameterError(f"{name} is {value!r}; expected {expected}: correct it in the rig file")
@@ -219,11 +227,12 @@ class TrackerParameters:
         must be in view when they are acquired
     expected_row_tolerance_px : float -- tolerance of these rows, and how far a jump may take the markers across
         the rows [px]
+    aspect : float -- width of a marker's image over its height: 1 for a disc seen head-on, cos(angle) for one
+        that is turned about the beam
     level_fraction : float -- what is subtracted from the region before its centroid is taken, as a fraction
         of the marker's contrast above the background
-    max_jump_px : float -- largest distance between prediction and measurement of a seen marker [px]
-    gate_growth_px : float -- growth of that distance with every frame in which the marker is lost [px]
-    max_gate_px : float -- where the growth ends [px]
+    max_jump_px : float -- largest distance between prediction and measurement of a seen marker [px]; a lost
+        marker's grows by a quarter of it with every frame, up to ``max_gate_px``
     row_gate_px : float -- largest distance across the rows from where the marker was last seen [px]: the
         beam moves along u
     max_smear_px : float -- longest motion within an exposure that still counts as a marker's image [px]; a
@@ -247,10 +256,9 @@ class TrackerParameters:
     refinement: Refinement
     expected_rows_px: tuple[float, ...] | None = None
     expected_row_tolerance_px: float = 15.0
+    aspect: float = 1.0
     level_fraction: float = 0.05
     max_jump_px: float = 24.0
-    gate_growth_px: float = 6.0
-    max_gate_px: float = 80.0
     row_gate_px: float = 5.0
     max_smear_px: float = 9.0
     diameter_tolerance: float = 0.35
@@ -263,10 +271,9 @@ class TrackerParameters:
     def __post_init__(self) -> None:
         _require_number(self, "marker_diameter_px", 3.0, 500.0)
         _require_number(self, "min_contrast_grey", 1.0)
+        _require_number(self, "aspect", 0.5, 2.0)
         _require_number(self, "level_fraction", 0.02, 0.6)
         _require_number(self, "max_jump_px", 1.0)
-        _require_number(self, "gate_growth_px", 0.0)
-        _require_number(self, "max_gate_px", 1.0)
         _require_number(self, "row_gate_px", 0.5)
         _require_number(self, "max_smear_px", 0.0)
         for name in (
@@ -291,24 +298,29 @@ class TrackerParameters:
             )
         _require_word(self, "polarity", Polarity)
         _require_word(self, "refinement", Refinement)
-        _require(
-            self.max_gate_px >= self.max_jump_px,
-            "TrackerParameters.max_gate_px",
-            self.max_gate_px,
-            f"at least max_jump_px ({self.max_jump_px:g})",
-        )
         if self.expected_rows_px is not None:
             rows = tuple(float(row) for row in self.expected_rows_px)
+            least = self.marker_diameter_px + self.max_smear_px / 2 + _APART_PX
             gaps = [lower - upper for lower, upper in pairwise(rows)]
-            _require(
-                all(math.isfinite(row) for row in rows)
-                and all(gap > 2 * self.expected_row_tolerance_px for gap in gaps),
-                "TrackerParameters.expected_rows_px",
-                rows,
-                "rows from the lowest marker to the highest (falling), further apart than twice "
-                f"expected_row_tolerance_px ({self.expected_row_tolerance_px:g})",
-            )
+            if not all(math.isfinite(row) for row in rows) or min(gaps, default=math.inf) < least:
+                raise VisionParameterError(
+                    f"the markers' rows in the image are {[round(row, 1) for row in rows]}; expected them falling, "
+                    f"at least {least:.3g} px apart: correct markers.heights and camera.pixels_per_metre"
+                )
             object.__setattr__(self, "expected_rows_px", rows)
+            # A row between two markers belongs to neither.
+            tolerance = min([self.expected_row_tolerance_px, *(_ROOM * gap for gap in gaps)])
+            object.__setattr__(self, "expected_row_tolerance_px", tolerance)
+
+    @property
+    def max_gate_px(self) -> float:
+        """How far from where it was last seen a lost marker is believed, at most [px]."""
+        return 10.0 / 3.0 * self.max_jump_px
+
+    @property
+    def gate_growth_px(self) -> float:
+        """By how much the distance at which a lost marker is believed grows with every frame [px]."""
+        return 0.25 * self.max_jump_px
 
     @classmethod
     def for_camera(
@@ -328,6 +340,7 @@ class TrackerParameters:
         """
         derived: dict[str, object] = {
             "marker_diameter_px": camera.marker_diameter_px,
+            "max_smear_px": _SMEAR * camera.marker_diameter_px,
             "polarity": "bright" if camera.contrast > 0 else "dark",
             "expected_rows_px": tuple(float(row) for row in camera.rows(marker_heights)),
         }

@@ -12,6 +12,21 @@ from beam_ros.vision.tracking.spots import Gates
 
 LONELY_FRAMES = 25
 """Frames in which a spot must be the only one of its kind in its row, or what else is there must rest."""
+SAME_PLACE_PX = 2.0
+"""What lies so near to where something was seen before is the same [px]."""
+
+
+@dataclass
+class Thing:
+    """What is no marker, or not known to be one: its column [px], the first and the last frame that showed it."""
+
+    u: float
+    first: int
+    last: int
+
+    def is_new(self, frame: int) -> bool:
+        """False for what has rested for long, and still does."""
+        return self.last != frame or self.last - self.first < LONELY_FRAMES
 
 
 @dataclass
@@ -36,8 +51,7 @@ class MarkerState:
     alone_frames : int -- frames in a row in which, while it was lost, one spot of its kind was in its row
     acquired_at : int -- number of the frame in which it was acquired
     sighting : (int, float, float) or None -- before that: frame, column and excess of the spot in its row [px, px^2]
-    clutter : tuple of float -- columns of what else was in its row then [px]
-    lonely_since : int -- number of the frame since which nothing in its row has changed
+    clutter : list of Thing -- what else was in its row then
     """
 
     known_row: float | None
@@ -61,8 +75,7 @@ class MarkerState:
     alone_frames: int = 0
     acquired_at: int = NEVER
     sighting: tuple[int, float, float] | None = None
-    clutter: tuple[float, ...] = ()
-    lonely_since: int = NEVER
+    clutter: list[Thing] = field(default_factory=list)
 
     @property
     def is_followed(self) -> bool:
@@ -94,7 +107,17 @@ class MarkerState:
         self.is_mixed = False
         self.rivals = []
 
-    def forget(self, frame: int) -> None:
+    def forget(self) -> None:
         """Take back that the marker was acquired."""
         self.appearance = self.light = self.gates = self.sighting = None
-        self.lonely_since = frame
+
+    def note_clutter(self, columns: list[float], frame: int) -> None:
+        """Note what was seen in the row in a frame and is not known to be the marker."""
+        kept = [thing for thing in self.clutter if frame - thing.last < LONELY_FRAMES]
+        for u in columns:
+            old = next((thing for thing in kept if abs(thing.u - u) <= SAME_PLACE_PX), None)
+            if old is None:
+                kept.append(Thing(u, frame, frame))
+            else:
+                old.last = frame
+        self.clutter = kept

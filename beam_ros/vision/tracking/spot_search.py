@@ -116,16 +116,17 @@ def one_disc(spot: Spot, light: Light, parameters: TrackerParameters) -> OneDisc
 
     Notes
     -----
-    A blurred disc of area S has second moments S / (4 pi) + b^2 along both axes, b the blur. A smear of length s adds
-    s^2 / 12 along u and leaves the area and the moment along v as they are. A second disc that touches adds area,
-    which the moment along v does not follow.
+    A blurred disc of area S, seen with the aspect q, has second moments q S / (4 pi) + b^2 along u and
+    S / (4 pi q) + b^2 along v, b the blur. A smear of length s adds s^2 / 12 along u and leaves the area and the
+    moment along v as they are. A second disc that touches adds area, which the moment along v does not follow.
     """
     scatter = light.noise / (max(light.contrast - light.above, 1.0) * math.sqrt(spot.area))
     tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * spot.variance_v
-    excess = spot.variance_u - spot.variance_v
+    uniform = spot.area / (4 * math.pi)
+    excess = spot.variance_u - spot.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)
     is_round = (
         excess >= -tolerance
         and abs(spot.covariance) <= tolerance
-        and spot.variance_v - spot.area / (4 * math.pi) >= -tolerance
+        and spot.variance_v - uniform / parameters.aspect >= -tolerance
     )
     return OneDisc("ok" if is_round else "shape", excess, tolerance)

@@ -406,7 +406,7 @@ class SpotMeter:
         contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
         parameters = self.parameters
         diameter = parameters.marker_diameter_px
-        smallest = (1 - parameters.diameter_tolerance) * diameter - 2
+        smallest = (1 - parameters.diameter_tolerance) * diameter * min(parameters.aspect, 1.0) - 2
         tallest = (1 + parameters.diameter_tolerance) * diameter + 2
         widest = 2 * tallest + parameters.max_smear_px  # two that touch are one object
         boxes = [cv2.boundingRect(contour) for contour in contours]
@@ -481,17 +481,19 @@ class SpotMeter:
             plateau, u, v = spot.plateau, spot.u, spot.v
         if spot is None or light is None:
             return None
-        nominal = math.pi * self.radius**2
+        aspect = parameters.aspect
+        nominal = math.pi * self.radius**2 * aspect
         low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
         roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
+        # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
+        uniform = spot.area / (4 * math.pi)
+        round_u = spot.variance_v - uniform * (1 / aspect - aspect)
         is_marker = (
             low * nominal <= spot.area <= high * nominal
-            and spot.variance_u >= spot.variance_v * (1 - roundness)
-            and spot.variance_u <= spot.variance_v * (1 + roundness) + self.smear_variance
+            and spot.variance_u >= round_u * (1 - roundness)
+            and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
             and abs(spot.covariance) <= roundness * spot.variance_v
-            # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
-            and spot.variance_v
-            <= (spot.area / (4 * math.pi) + max(2.0, self.radius**2 / 4)) * (1 + roundness)
+            and spot.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
             and abs(spot.skew_u) <= roundness
             and abs(spot.skew_v) <= roundness
             and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise

@@ -30,7 +30,7 @@ from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.jumps import TOGETHER_FRAMES, is_common, moved_together
-from beam_ros.vision.tracking.marker_state import LONELY_FRAMES, MarkerState
+from beam_ros.vision.tracking.marker_state import LONELY_FRAMES, SAME_PLACE_PX, MarkerState
 from beam_ros.vision.tracking.rivals import FORGET_AFTER_FRAMES, Track, associated, continued, present
 from beam_ros.vision.tracking.spot_search import RowSpots, one_disc, spots_in_row
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
@@ -56,8 +56,6 @@ _MAJORITY = 3
 _SPEED_SLACK = 0.15
 """Relative uncertainty of a smear that follows from two frames."""
 _SIGNIFICANT = 3.0
-_SAME_PLACE_PX = 2.0
-"""What lies so near to where something was seen before is the same [px]."""
 _EQUAL_SIZE = 0.1
 """Relative tolerance of the area of a marker against that of the others when it is acquired."""
 _EQUAL_LIGHT = 0.15
@@ -263,7 +261,7 @@ class MarkerTracker:
         if is_due or is_fresh or is_new or marker.rivals:
             row = self._in_row(image, k, own=spot.u)
             if is_new and self._has_company(marker, row):
-                marker.forget(self._frame)
+                marker.forget()
                 return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
             others = [other for other, _ in row.alike]
             marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
@@ -369,7 +367,11 @@ class MarkerTracker:
             spots.pop(k, None)
             marker.alone_frames = marker.alone_frames + 1 if len(lit) == 1 else 0
             marker.is_doubtful |= len(lit) > 1
-            chosen = self._choose(marker, lit, self._farthest(marker, spots, reasons))
+            farthest = self._farthest(marker, spots, reasons)
+            # What lies nearer to where it was may be the marker, covered in part or beside a twin.
+            unlike = [u for u, _ in row.others] + [spot.u for spot, _ in row.alike if spot not in dict(lit)]
+            farthest = min([farthest, *(abs(u - marker.u) + SAME_PLACE_PX for u in unlike)])
+            chosen = self._choose(marker, lit, farthest)
             if chosen is not None:
                 spots[k], marker.light = chosen
                 reasons[k] = "ok"
@@ -561,8 +563,8 @@ class MarkerTracker:
             else:
                 reasons[k] = "ambiguous" if near else "not_acquired"
                 marker.sighting = None
-                if near:
-                    marker.lonely_since = self._frame
+                if len(near) > 1:
+                    marker.note_clutter([spot.u for spot, _ in near], self._frame)
         return chosen, reasons
 
     def _doubt(
@@ -571,15 +573,17 @@ class MarkerTracker:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
         disc, before = one_disc(spot, light, self.parameters), marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
-        # Anything else may be the marker, smeared or joined with a twin, unless it has been there for long.
-        clutter = [u for u, v in others if math.dist((u, v), spot[:2]) > _SAME_PLACE_PX]
-        is_known = all(any(abs(u - old) <= _SAME_PLACE_PX for old in marker.clutter) for u in clutter)
-        if not is_known:
-            marker.lonely_since = self._frame
-        marker.clutter = tuple(clutter)
+        beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
+        things = beside if disc.reason == "ok" else [*beside, spot.u]
+        marker.note_clutter(things, self._frame)
         if disc.reason != "ok":
             return disc.reason
-        if clutter and self._frame - marker.lonely_since < LONELY_FRAMES:
+        # Anything else may be the marker, smeared, joined with a twin or covered in part.
+        if any(
+            thing.is_new(self._frame)
+            and (thing.last == self._frame or abs(thing.u - spot.u) > self.parameters.marker_diameter_px)
+            for thing in marker.clutter
+        ):
             return "ambiguous"
         if disc.excess <= disc.tolerance:
             return "ok"
@@ -614,7 +618,7 @@ class MarkerTracker:
         """True when a row shows something that was not there when its marker was acquired."""
         return any(
             abs(u - marker.u) <= self.parameters.max_gate_px
-            and all(abs(u - old) > _SAME_PLACE_PX for old in marker.clutter)
+            and all(abs(u - thing.u) > SAME_PLACE_PX for thing in marker.clutter)
             for u in [*(spot.u for spot, _ in row.alike), *(u for u, _ in row.others)]
         )
 

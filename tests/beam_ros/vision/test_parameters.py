@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.errors import VisionParameterError
-from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
+from tests.beam_ros.vision.packaged_rig import RIG, packaged_camera, packaged_tracker
 
 
 def test_image_axes_follow_the_written_convention():
@@ -54,7 +54,6 @@ def test_whole_numbers_are_accepted_for_real_ones():
         {"polarity": "grey"},
         {"marker_diameter_px": 0.0},
         {"level_fraction": 0.9},
-        {"max_gate_px": 2.0},
         {"expected_rows_px": (100.0, 300.0)},
         {"expected_rows_px": (300.0, 290.0)},
         {"noise_grey": -1.0},
@@ -72,3 +71,20 @@ def test_tracker_parameters_follow_from_the_camera():
     assert parameters.marker_diameter_px == pytest.approx(12.0)
     assert np.allclose(parameters.expected_rows_px, [450.0, 37.5])
     assert parameters.area_tolerance == 0.2
+
+
+def test_the_gates_of_the_rig_are_metres_and_scale_with_the_picture():
+    near, far = (RIG.with_values({"camera.pixels_per_metre": scale}) for scale in (3000.0, 1500.0))
+    for name in ("max_jump_px", "max_gate_px", "gate_growth_px", "row_gate_px", "max_smear_px"):
+        gates = [getattr(rig.tracker_parameters(), name) for rig in (near, far)]
+        assert gates[0] == pytest.approx(2 * gates[1]), name
+
+
+def test_markers_of_little_distance_have_the_tolerance_that_is_left_and_too_little_names_its_keys():
+    camera = packaged_camera()
+    close = packaged_tracker(camera, [0.2, 0.2 + 24 / 1500])
+    assert close.expected_row_tolerance_px == pytest.approx(0.45 * 24)
+    with pytest.raises(
+        VisionParameterError, match=r"at least 22 px apart: correct markers.heights and camera"
+    ):
+        packaged_tracker(camera, [0.2, 0.2 + 21 / 1500])

@@ -396,6 +396,50 @@ def test_expected_rows_pick_the_markers_among_other_spots():
     assert columns(result) == pytest.approx([320.0] * 3, abs=0.04)
 
 
+def seen_at_an_angle(camera: CameraParameters, u: float, aspect: float, rng) -> np.ndarray:
+    """A picture of the markers as discs turned about the beam, drawn from their edges' distance."""
+    y, x = np.mgrid[: camera.height, : camera.width].astype(float)
+    picture = np.full(x.shape, camera.background)
+    for row in camera.rows(HEIGHTS):
+        away = np.hypot((x - u) / aspect, y - row)
+        picture += camera.contrast * 0.5 * (1 - np.tanh((away - camera.marker_diameter_px / 2) / 0.9))
+    return np.clip(np.rint(picture + 2.0 * rng.standard_normal(x.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("aspect", [0.7, 0.8])
+def test_discs_turned_about_the_beam_are_acquired_where_the_rig_says_so(aspect):
+    camera, rng = packaged_camera(), np.random.default_rng(16)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS, aspect=aspect), 3)
+    for u in (320.0, 320.4, 321.3):
+        result = tracker.process(seen_at_an_angle(camera, u, aspect, rng), 0)
+        assert columns(result) == pytest.approx([u] * 3, abs=0.06)
+    head_on = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3)
+    assert not head_on.process(seen_at_an_angle(camera, 320.0, aspect, rng), 0).is_complete
+
+
+def test_a_wide_swing_near_the_camera_is_followed_through_its_foreshortening():
+    # 28 mm at 3300 px/m lower the tip by 0.6 w^2 / L, or 5 px.
+    camera = packaged_camera(
+        width=1280, height=1100, pixels_per_metre=3300.0, origin_px=(640.0, 1050.0), exposure_s=0.001
+    )
+    renderer, tracker = make(camera)
+    rng, heights = np.random.default_rng(17), np.array(HEIGHTS)
+    for k in range(60):
+        x = 0.028 * np.sin(0.25 * k) * (heights / 0.285) ** 1.8
+        z = heights - 0.6 * x**2 / 0.3
+        assert tracker.process(renderer.render(x, rng, marker_z=z), k).is_complete
+
+
+def test_markers_one_above_the_other_with_a_diameter_between_them_are_followed():
+    camera, heights = packaged_camera(), (0.01, 0.2, 0.216)
+    renderer, tracker = make(camera, heights)
+    rng = np.random.default_rng(18)
+    for k in range(40):
+        x = 0.004 * np.sin(0.3 * k + np.arange(3.0))
+        result = tracker.process(renderer.render(x, rng), k)
+        assert columns(result) == pytest.approx(camera.columns(x), abs=0.04)
+
+
 def test_reset_forgets_and_another_image_size_starts_anew():
     camera = packaged_camera()
     renderer, tracker = make(camera)
