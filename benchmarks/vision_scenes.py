@@ -209,6 +209,8 @@ def hidden(rng: np.random.Generator) -> Scene:
     chosen = rng.random(N_MARKERS) < 0.6
     first, count = int(rng.integers(UNDISTURBED, 35)), int(rng.integers(1, 25))
     for frame in disturbed(scene)[first : first + count]:
+        if not frame.in_sight[chosen].all():
+            break  # nobody can tell which of two that touch was hidden
         frame.x = frame.x.copy()
         frame.x[:, chosen] = np.nan
         frame.in_sight &= ~chosen

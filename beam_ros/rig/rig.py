@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
+_BEND = 2.0
+"""A beam that swings freely may bend further than any command may bend it: by so many times as much."""
+
+
 class Rig(RigParameters):
     """A complete, checked set of the rig's parameters: ``rig.hub.travel`` is the parameter ``hub.travel``."""
 
@@ -360,6 +364,7 @@ class Rig(RigParameters):
             refinement=tracker.refinement,
             sigma_floor_px=max(tracker.sigma_floor, PERFECT_DISC_SIGMA_PX),
             min_contrast_grey=tracker.min_contrast,
+            max_bend_px=_BEND * self.hub.max_tip_deflection * scale,
             aspect=tracker.aspect,
             level_fraction=tracker.level_fraction,
             max_jump_px=max(tracker.max_jump * scale, 1.0),

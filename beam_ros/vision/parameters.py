@@ -227,6 +227,8 @@ class TrackerParameters:
         must be in view when they are acquired
     expected_row_tolerance_px : float -- tolerance of these rows, and how far a jump may take the markers across
         the rows [px]
+    max_bend_px : float -- farthest that two markers may be apart along u; what is farther from the markers that
+        are followed is not acquired [px]
     aspect : float -- width of a marker's image over its height: 1 for a disc seen head-on, cos(angle) for one
         that is turned about the beam
     level_fraction : float -- what is subtracted from the region before its centroid is taken, as a fraction
@@ -256,6 +258,7 @@ class TrackerParameters:
     refinement: Refinement
     expected_rows_px: tuple[float, ...] | None = None
     expected_row_tolerance_px: float = 15.0
+    max_bend_px: float = math.inf
     aspect: float = 1.0
     level_fraction: float = 0.05
     max_jump_px: float = 24.0
@@ -271,6 +274,7 @@ class TrackerParameters:
     def __post_init__(self) -> None:
         _require_number(self, "marker_diameter_px", 3.0, 500.0)
         _require_number(self, "min_contrast_grey", 1.0)
+        _require(self.max_bend_px > 0, "TrackerParameters.max_bend_px", self.max_bend_px, "a number > 0")
         _require_number(self, "aspect", 0.5, 2.0)
         _require_number(self, "level_fraction", 0.02, 0.6)
         _require_number(self, "max_jump_px", 1.0)
@@ -340,7 +344,7 @@ class TrackerParameters:
         """
         derived: dict[str, object] = {
             "marker_diameter_px": camera.marker_diameter_px,
-            "max_smear_px": _SMEAR * camera.marker_diameter_px,
+            "max_smear_px": max(cls.max_smear_px, _SMEAR * camera.marker_diameter_px),
             "polarity": "bright" if camera.contrast > 0 else "dark",
             "expected_rows_px": tuple(float(row) for row in camera.rows(marker_heights)),
         }

@@ -543,6 +543,12 @@ class MarkerTracker:
         chosen: dict[int, tuple[Spot, Light]] = {}
         reasons: dict[int, Reason] = {}
         tolerance = self.parameters.expected_row_tolerance_px
+        at = [marker.u for marker in self._markers if marker.is_followed and marker.lost_frames == 0]
+
+        def is_near(u: float, v: float, row: float) -> bool:
+            reach = self.parameters.max_bend_px
+            return abs(v - row) <= tolerance and all(abs(u - other) <= reach for other in at)
+
         for k in missing:
             marker = self._markers[k]
             row = marker.known_row
@@ -552,10 +558,10 @@ class MarkerTracker:
             near = [
                 candidate
                 for candidate in found
-                if abs(candidate[0].v - row) <= tolerance and not self._is_taken(candidate[0], k)
+                if is_near(candidate[0].u, candidate[0].v, row) and not self._is_taken(candidate[0], k)
             ]
             if len(near) == 1:
-                beside = [other for other in others if abs(other[1] - row) <= tolerance]
+                beside = [other for other in others if is_near(*other, row)]
                 reasons[k] = self._doubt(marker, *near[0], beside)
                 if reasons[k] == "ok":
                     chosen[k] = near[0]

@@ -440,6 +440,81 @@ def test_markers_one_above_the_other_with_a_diameter_between_them_are_followed()
         assert columns(result) == pytest.approx(camera.columns(x), abs=0.04)
 
 
+@pytest.mark.parametrize("aside_px", [1.0, 2.0, 4.0])
+def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
+    camera = packaged_camera()
+    renderer, tracker = make(camera)
+    rng, row = np.random.default_rng(51), float(camera.rows(HEIGHTS[1]))
+    for k in range(40):
+        x = 0.004 * np.sin(0.3 * k + np.arange(3.0))
+        twin = SecondSpot(float(camera.columns(x[1])) + aside_px, row)
+        result = tracker.process(renderer.render(x, rng, disturbances=Disturbances(spots=(twin,))), k)
+        assert [marker.is_valid for marker in result.markers] == [True, False, True]
+        assert result.markers[1].reason in ("shape", "smear", "area")
+    # Alone again it is a marker at once.
+    assert tracker.process(renderer.render(np.zeros(3), rng), 40).markers[1].is_valid
+
+
+@pytest.mark.parametrize("start", [0.0, 0.4, 1.3, 2.6])
+def test_a_twin_at_rest_in_the_swing_of_a_marker_is_not_acquired_for_it(start):
+    camera = packaged_camera()
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(52)
+    twin = Disturbances(spots=(SecondSpot(320.0, float(camera.rows(HEIGHTS[1]))),))
+    for k in range(80):
+        travel = np.linspace(-0.15, 0.15, 6)  # over the exposure
+        x = np.repeat(0.014 * np.sin(0.3 * (k + travel) + start)[:, None], 3, axis=1)
+        for marker in tracker.process(renderer.render(x, rng, disturbances=twin), k).markers:
+            if marker.is_valid:
+                assert marker.u_px == pytest.approx(
+                    float(camera.columns(renderer.exposure_weights @ x[:, 0])), abs=0.35
+                )
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.5, 1.2])
+def test_a_step_of_the_light_loses_no_marker(gain):
+    camera = packaged_camera(noise_grey=0.0)
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(53)
+    for k in range(60):
+        x = 0.003 * np.sin(0.28 * k + np.arange(3.0))
+        lit = renderer.render(x, rng) * (gain if k >= 40 else 1.0) + 2.0 * rng.standard_normal((480, 640))
+        result = tracker.process(np.clip(np.rint(lit), 0, 255).astype(np.uint8), k)
+        assert columns(result) == pytest.approx(camera.columns(x), abs=0.1)
+
+
+def test_one_marker_in_another_light_than_the_others_is_not_believed():
+    camera = packaged_camera()
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(54)
+    for k in range(50):
+        frame = renderer.render(np.zeros(3), rng)
+        if k >= 40:
+            frame[90:170] = frame[90:170] // 2
+        reasons = [marker.reason for marker in tracker.process(frame, k).markers]
+        assert reasons == (["ok"] * 3 if k < 40 else ["ok", "brightness", "ok"])
+
+
+@pytest.mark.parametrize("across_px", [-0.1, 0.1])
+def test_a_camera_that_sags_slowly_is_followed(across_px):
+    camera = packaged_camera()
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(55)
+    for k in range(150):
+        z = np.array(HEIGHTS) - across_px * k / 1500
+        x = np.full(3, 0.1 * k / 1500)
+        assert tracker.process(renderer.render(x, rng, marker_z=z), k).is_complete
+
+
+def test_a_swing_of_a_hundred_pixels_a_frame_is_followed():
+    camera = packaged_camera(exposure_s=0.0002)
+    renderer, tracker = make(camera)
+    rng, shape = np.random.default_rng(56), (np.array(HEIGHTS) / 0.285) ** 1.8
+    for k in range(60):
+        x = 0.13 * np.sin(0.7 * max(0, k - 20)) * shape
+        assert tracker.process(renderer.render(x, rng), k).is_complete
+
+
 def test_reset_forgets_and_another_image_size_starts_anew():
     camera = packaged_camera()
     renderer, tracker = make(camera)
