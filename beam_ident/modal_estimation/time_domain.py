@@ -285,9 +285,12 @@ class _Task:
         _refuse_hopeless(regression, self.n_modes)
         search = self._begun(records, regression)
         try:
-            return search._model(search.begun(self.n_modes, self.max_modes).fit)
+            fit = search.begun(self.n_modes, self.max_modes).fit
         except OwnClocks:
             return self._outcome(records, ()).model
+        if not len(fit.omegas):
+            raise EstimationError("no mode was found: expected one at least. Record longer, or excite more")
+        return search._model(fit)
 
     def _cost(
         self, records: list[TimeRecord], jumps: tuple[ClockJump, ...], model: ModalModel, seen_s: float
@@ -1125,7 +1128,10 @@ class _TimeSearch(ModeSearch[ModalRegression]):
             warnings.append(said)
         warnings += misfit_warnings(
             [
-                (output.name, [(own.times_s, own.modelled, own.residuals) for own in output.records])
+                (
+                    output.name,
+                    [(own.times_s, own.modelled, own.residuals, own.spread) for own in output.records],
+                )
                 for output in outputs
             ]
         )

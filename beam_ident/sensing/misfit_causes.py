@@ -32,6 +32,9 @@ from beam_ident.noise.scores import ScoreTest, are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
+SpreadPart = tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray
+]  # and the noise of every sample over the record's
 
 _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
 _LIKE_COLOUR = ("line", "jump", "drift")  # which an autoregression would take for its own
@@ -49,6 +52,7 @@ _FINER = 8  # steps between two lines
 _BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
 _MAINS_HZ = (50.0, 60.0)
 _AT_ONCE = 8192  # samples: what their columns need stays in the cache
+_EVEN = np.ones(1)  # spread of noise that is the same everywhere
 _NOTHING = 1e-10  # of a column's square: what remains of it then is rounding
 
 
@@ -66,13 +70,14 @@ class _Cause:
     said: Callable[[FloatArray], str]  # of the coefficients
 
 
-def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part]]]) -> list[str]:
+def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part | SpreadPart]]]) -> list[str]:
     """Return what the residuals of outputs look like, one sentence for each output that has more than noise.
 
     Parameters
     ----------
     outputs : sequence of (name, records)
-        Of every output, record by record: stamps [s], what the model says there and what it leaves, each (n,).
+        Of every output, record by record: stamps [s], what the model says there and what it leaves, each (n,);
+        where noise differs from sample to sample, how loud it is there, too.
     """
     warnings = []
     for name, parts in outputs:
@@ -84,14 +89,18 @@ def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part]]]) -> list[str]:
     return warnings
 
 
-def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray) -> list[str]:
+def _causes(
+    times: FloatArray, modelled: FloatArray, residuals: FloatArray, spread: FloatArray = _EVEN
+) -> list[str]:
     """Return the causes in one record, the one that explains most first."""
     n, size = len(times), float(np.std(modelled))
     if n < _MIN_SAMPLES or not size > 0.0 or are_rounding(modelled + residuals, residuals):
         return []
-    left = residuals.copy()
+    left = residuals / spread
     left[outliers(left)] = 0.0  # they are named by themselves
     columns = _columns(times, (modelled - np.mean(modelled)) / size)
+    if len(spread) == n:
+        columns = {name: functools.partial(_weighed, own, 1.0 / spread) for name, own in columns.items()}
     found: list[str] = []
     kinds: set[str] = set()
     for _ in range(_MOST_CAUSES):
@@ -396,6 +405,11 @@ def _candidates(
         cause, columns["line"] = line
         causes.append(cause)
     return causes
+
+
+def _weighed(column: Column, weights: FloatArray, here: slice) -> FloatArray:
+    """Return a column as noise that differs from sample to sample shows it."""
+    return np.asarray(column(here) * weights[here])
 
 
 def _after(column: Column, place: int, here: slice) -> FloatArray:

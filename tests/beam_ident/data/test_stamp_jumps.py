@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord, identify, validate
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, identify, validate
 from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from benchmarks.ident.delay import JumpingClock
 from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN
@@ -36,6 +36,17 @@ def test_steady_and_scattered_stamps_are_not_suspected(scatter: float) -> None:
 def test_where_many_samples_are_lost_no_interval_says_anything() -> None:
     kept = np.random.default_rng(1).random(1000) > 0.1
     assert possible_jumps(record(PERIOD * np.arange(1000)[kept]), 0, ["u"]) == []
+
+
+def test_a_lost_sample_where_nothing_is_found_ends_in_a_word_of_that() -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.delete(PERIOD * np.arange(400), 100)
+    drive = InputSignal(
+        "u", "m", 1e-3 * np.arange(4000), np.cumsum(rng.standard_normal(4000)) * 1e-4, "cubic"
+    )
+    noise = OutputSignal("y", "m", stamps, rng.standard_normal(len(stamps)))
+    with pytest.raises(EstimationError, match=r"no more than chance|no mode"):
+        identify(TimeRecord((drive,), (noise,)))
 
 
 def test_stamps_are_corrected_from_each_jump_on() -> None:

@@ -101,3 +101,16 @@ def test_an_estimate_of_a_record_whose_stamps_are_late_says_so():
     found = estimate_transfer_function(type(sound)(sound.inputs, (late,)), 2, 0)
     assert any("delay" in said for said in found.warnings)
     assert not estimate_transfer_function(sound, 2, 0).warnings
+
+
+def test_noise_that_is_known_to_grow_with_the_speed_is_no_misfit():
+    # Stamps that scatter: noise in proportion to the slope, with which causes have their columns.
+    speed = np.gradient(CLEAN, TIMES)
+    spread = np.sqrt(0.1 + np.square(speed / np.std(speed)))
+    rng = np.random.default_rng(0)
+    draws = [0.02 * spread * rng.standard_normal(len(TIMES)) for _ in range(100)]
+    # One of a hundred is a chance of one in ten, three one in 6000; taken for noise of one level six are said.
+    assert sum(bool(misfit_warnings([("y", [(TIMES, CLEAN, noise)])])) for noise in draws) > 3
+    assert sum(bool(misfit_warnings([("y", [(TIMES, CLEAN, noise, spread)])])) for noise in draws) < 3
+    late = draws[1] - 0.01 * speed / np.std(speed)
+    assert "stamps were" in " ".join(misfit_warnings([("y", [(TIMES, CLEAN, late, spread)])]))
