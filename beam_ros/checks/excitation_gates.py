@@ -21,6 +21,9 @@ _EXCITE_MORE = (
     "excite this mode more or longer, take noise from the outputs, or record until it has rung down"
 )
 
+_BEYOND_A_MODE = 1.1  # of a frequency: where an excitation has passed its mode
+_SKIRT = 1.5  # times the end of the excitation: what starts and ends of it still move
+
 Modes = tuple[FloatArray, FloatArray]
 """Natural frequencies [rad/s] and damping ratios."""
 
@@ -31,10 +34,11 @@ def input_band(record: TimeRecord, structure: str) -> Band:
     own = ModalStructure(structure)  # type: ignore[arg-type]
     differentiations = own.differentiations if own.is_motion else 0
     first, last = drive.span_s
-    rate = max(len(output.times_s) for output in record.outputs) / (last - first)
+    busiest = max((output.times_s for output in record.outputs), key=len)
+    rate = 1.0 / float(np.median(np.diff(busiest))) if len(busiest) > 1 else 1.0 / (last - first)
     if drive.sigma == 0.0 and (noise := StillNoise.of(drive)).sigma > 0.0:
         drive = replace(drive, sigma=noise.sigma)
-    return excited_band(drive, differentiations, last - first, rate)
+    return replace(excited_band(drive, differentiations, last - first, rate), unfolded_hz=0.5 * rate)
 
 
 def motion_gates(record: TimeRecord, band: Band) -> Iterator[Gate]:
@@ -100,6 +104,7 @@ def mode_gates(
     low, high = band.reach_hz
     omegas, zetas = modes
     hertz = omegas / (2.0 * math.pi)
+    yield from _folded_modes(hertz, band)
     shown = (hertz > low) & (hertz < high)
     if not np.any(shown) and band.is_excited:
         yield Gate(
@@ -145,3 +150,20 @@ def mode_gates(
             "a frequency known within its own resonance, a damping ratio two deviations from zero",
             "" if is_known else _EXCITE_MORE,
         )
+
+
+def _folded_modes(hertz: FloatArray, band: Band) -> Iterator[Gate]:
+    """Name the modes beyond the excitation that the outputs show somewhere else, inside of it."""
+    rate = 2.0 * band.unfolded_hz
+    for f in hertz[(hertz > max(band.reach_hz[1], band.unfolded_hz)) & (hertz < _SKIRT * band.high_hz)]:
+        alias = abs(f - rate * round(f / rate))
+        if band.is_excited and band.low_hz < alias < band.high_hz:
+            yield Gate(
+                f"mode at {f:.3g} Hz",
+                "doubtful",
+                f"not excited, and looks like {alias:.3g} Hz in {rate:.3g} samples a second: what little of it moves "
+                "lies among the frequencies that are excited",
+                "every mode near the excitation below half the outputs' rate, or excited itself",
+                f"excite up to {_BEYOND_A_MODE * f:.3g} Hz, or film at more than {2.0 * f:.3g} frames a second; "
+                f"believe no mode near {alias:.3g} Hz",
+            )

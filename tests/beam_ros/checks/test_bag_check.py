@@ -225,3 +225,15 @@ def test_the_verb_prints_the_table_and_its_status_is_the_verdict(
     assert main(["check", str(tmp_path / "nowhere")]) == 2
     assert main(["check", str(WHOLE), "--output", "beam/displacement:position[z999]"]) == 2
     assert "expected one of z010, z225, z285" in capsys.readouterr().err
+
+
+def test_a_mode_that_the_frame_rate_folds_into_the_excitation_is_named(tmp_path: Path) -> None:
+    values = {"excitation.kind": "multisine", "excitation.end_frequency": 24.0, "excitation.still": 2.0}
+    for rate, is_folded in ((50.0, True), (100.0, False)):
+        rig = Rig.from_file().with_values({**values, "excitation.duration": 5.0, "camera.rate": rate})
+        simulate(rig, tmp_path / f"{rate:g}")
+        said = [own for own in check_bag(tmp_path / f"{rate:g}").gates if "looks like" in own.figure]
+        assert [own.name for own in said] == ["mode at 28.3 Hz"] * is_folded
+        if is_folded:  # 50 - 28.26 = 21.74 Hz
+            assert "21.7 Hz" in said[0].figure
+            assert "film at more than 56.5" in said[0].remedy
