@@ -100,6 +100,10 @@ class Inside(Protocol):
     def uppers(self) -> Sequence[ComplexArray]:
         """Poles with imaginary part >= 0, in that unit."""
 
+    @property
+    def cost(self) -> float:
+        """Infinite where the point is not allowed."""
+
 
 @dataclass(frozen=True, eq=False)
 class KnownInside:
@@ -108,6 +112,7 @@ class KnownInside:
     theta: FloatArray
     scale: float
     uppers: tuple[ComplexArray, ...]
+    cost: float = 0.0  # that of an estimate, which is allowed
 
     @staticmethod
     def of(denominator: FloatArray, delays: Sequence[float]) -> KnownInside:

@@ -121,6 +121,9 @@ class BeamModel:
     @cached_property
     def damping_ratios(self) -> FloatArray:
         """Damping ratios of the clamped beam, shape (n_modes,); modes with 1 and more do not oscillate."""
+        if self.is_proportional:
+            diagonal = np.diag(self.matrices.C)[1:] / self.basis.modal_mass
+            return np.asarray(diagonal / (2.0 * self.basis.natural_frequencies), dtype=np.float64)
         return damping_ratios_of(self.pole_pairs)
 
     @cached_property
