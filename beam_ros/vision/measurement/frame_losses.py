@@ -31,11 +31,16 @@ _MAX_SHARE = 0.35
 _MAX_LOST = 400
 _CERTAIN = 1e-3
 """A frame's place is certain where all other places together have at most this probability."""
+_DOUBT = 2.0
+"""What no model holds (the beam's own bending, the hub between its samples) may be as large as the noise."""
+_MIN_TELLING = 6
 _TURNS = 6
 _WINDOW_S = 0.6
 _GOOD_CORRELATION = 0.97
 _LARGEST_TIMING_S = 0.2e-3
 _SIGNIFICANT = 5.0
+_SOME, _LIKELY = 0.6, 2.5
+"""Jitter is refused from this share of the limit on where it is significant, from the limit on where it is likely."""
 _RECURSION = 6
 _BROKEN = 9.0
 """So many standard deviations of its innovations break the recursion of a free swing."""
@@ -99,11 +104,13 @@ def time_film(
     search = _Search(hub_times_s, hub_positions_m, camera_times_s, seen_hub_m, period_s, fits_drift)
     found, lost = search.best()
     times = camera_times_s + lost * (period_s or 0.0)
-    jitter, jitter_sd = search.judge(found, times)
+    # Frames beside a loss may still be misplaced, which looks like jitter: they are left out first.
+    jitter, jitter_sd = search.judge(found, times, heeds_jitter=not np.any(lost))
     is_timed = np.ones(len(times), dtype=bool)
     if period_s is not None:
         is_timed = search.certain(found, lost)
         if np.any(lost):
+            is_timed &= _well_placed(lost, is_timed & search.is_moving(found, times))
             # Frames whose place is doubtful pull at the clock.
             search.seen = np.where(is_timed, search.seen, np.nan)
             found = search.fit(times)
@@ -269,7 +276,7 @@ class _Search:
         at = found.hub_times(self.times[:, None] + np.arange(-n_more, top) * self.period_s)
         hub = np.interp(at, self.hub_t, self.hub_x)
         cost = np.minimum(
-            0.5 * ((self.seen[:, None] - found.gain * hub - found.zero_m) / self.sigma) ** 2, _CAP
+            0.5 * ((self.seen[:, None] - found.gain * hub - found.zero_m) / (_DOUBT * self.sigma)) ** 2, _CAP
         )
         cost[~np.isfinite(self.seen)] = 0.0
         losses = int(np.count_nonzero(np.diff(lost)))
@@ -283,7 +290,9 @@ class _Search:
         chosen = weight[np.arange(len(lost)), lost + n_more]
         return np.asarray(1.0 - chosen <= _CERTAIN)
 
-    def judge(self, found: Synchronisation, times: FloatArray) -> tuple[float, float]:
+    def judge(
+        self, found: Synchronisation, times: FloatArray, *, heeds_jitter: bool = True
+    ) -> tuple[float, float]:
         """Refuse times that the hub contradicts; returns the jitter and its standard deviation [s]."""
         residual, speed = self.residuals(found, times)
         used = np.isfinite(residual)
@@ -316,7 +325,8 @@ class _Search:
         slope_sd = math.sqrt(float((inverse @ (design.T * left**2) @ design @ inverse)[1, 1]))
         jitter = math.sqrt(max(float(slope), 0.0))
         jitter_sd = slope_sd / (2 * jitter) if jitter > 0 else math.sqrt(slope_sd)
-        if jitter > limit and slope > _SIGNIFICANT * slope_sd:
+        is_some = jitter > _SOME * limit and slope > _SIGNIFICANT * slope_sd
+        if heeds_jitter and (is_some or (jitter > limit and slope > _LIKELY * slope_sd)):
             raise SynchronisationError(
                 f"the film's frames come {jitter * 1e3:.2f} +- {jitter_sd * 1e3:.2f} ms (rms) off the times "
                 f"that it states; "
@@ -376,6 +386,12 @@ def _sums(log_likelihood: FloatArray, stay: float, step: float) -> FloatArray:
         risen = np.concatenate([[-np.inf], risen[:-1]]) + step
         total[k] = np.logaddexp(last + stay, risen) + log_likelihood[k]
     return total
+
+
+def _well_placed(lost: IndexArray, tells: np.ndarray) -> np.ndarray:
+    """Whether enough frames tell the place of all those between two losses: a few may agree by chance."""
+    _, stretch = np.unique(lost, return_inverse=True)
+    return np.asarray((np.bincount(stretch, weights=tells) >= _MIN_TELLING)[stretch])
 
 
 def _as_the_swing_tells(

@@ -91,8 +91,8 @@ def test_frames_that_were_dropped_without_a_word_are_found_and_the_rest_gets_its
         if kind == "none":
             assert found.n_lost == 0
             assert found.is_timed.all()
-    # Bursts may leave too little in one piece to begin with.
-    assert refused <= (2 if kind == "bursts" else 0)
+    # Bursts may leave frames that nobody can place, or too little in one piece to begin with.
+    assert refused <= (3 if kind == "bursts" else 0)
 
 
 def test_a_frame_lost_while_the_hub_rests_breaks_the_swing_and_ends_what_is_timed(experiment):
