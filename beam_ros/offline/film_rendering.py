@@ -7,7 +7,6 @@ really there: the hub's bag, the time of every frame, and every marker's or poin
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -17,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from beam_ident.report.page import write_whole
 from beam_ros import messages
 from beam_ros.arrays import ByteArray, FloatArray
 from beam_ros.errors import UsageError
@@ -24,6 +24,7 @@ from beam_ros.excitation.recipes import recipe_of_rig
 from beam_ros.messages import BagTypes
 from beam_ros.offline.simulation import Measure, simulate
 from beam_ros.offline.whole_beam import strip_parameters
+from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.camera.matroska import MatroskaWriter
@@ -119,7 +120,7 @@ def render_film(
         "faults": asdict(order.faults),
         "messages": count,
     }
-    (folder / "truth.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_whole(folder / "truth.json", strict_json(content, indent=2) + "\n")
     return content
 
 

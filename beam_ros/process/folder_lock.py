@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from beam_ros.errors import UsageError
+from beam_ros.process.strict_json import strict_json
 
 if sys.platform == "win32":
     import msvcrt
@@ -68,7 +69,7 @@ class FolderLock:
             file.close()  # The last owner took it away between these lines; somebody else may have a new one.
         file.truncate(0)
         since = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        json.dump({"pid": os.getpid(), "host": platform.node(), "since": since}, file)
+        file.write(strict_json({"pid": os.getpid(), "host": platform.node(), "since": since}))
         file.flush()
         return file
 

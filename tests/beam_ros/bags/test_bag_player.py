@@ -195,6 +195,7 @@ def test_a_tracker_on_replayed_images_finds_the_displacements_that_it_found_live
     columns = [live.names.index(name) for name in again[0].names]
     replayed = np.array([found[int(live.stamps_ns[k])].positions for k in both])
     off = np.abs(replayed - live.positions[both][:, columns])
-    # The same pixels. The windows in them depend on the frame in which the markers were found first.
-    assert np.nanmedian(off) < 5e-8
+    # The same pixels. The windows in them, and what was learned of the noise, depend on the frame in which the
+    # markers were found first: a tenth of a displacement's standard deviation.
+    assert np.nanmedian(off) < 3e-7
     assert np.nanmax(off) < 1e-6
