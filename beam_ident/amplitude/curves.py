@@ -46,7 +46,7 @@ class AmplitudeCurves:
         Of the ringing; with 95 % the band holds the whole curve. It has room for what averaging leaves out, too:
         eta^2/2 of a frequency and eta/6 of a damping ratio, eta being how far stiffness and damping change a cycle.
     damping_ratios, damping_band : ndarray, shape (n,) and (2, n)
-        -A'/(A omega): what a logarithmic decrement between two neighbouring maxima shows.
+        ``-A'/(A omega)``: what a logarithmic decrement between two neighbouring maxima shows.
     frequency_sd_hz, damping_sd : ndarray, shape (n,)
         Standard deviations point by point.
     is_one_pole : bool
@@ -58,9 +58,9 @@ class AmplitudeCurves:
     reference_amplitude : float
         Unit of the coefficients' amplitude [``unit``].
     frequency_coefficients : ndarray
-        w_0, w_2, .. of phi' = w_0 + w_2 A^2 + .. [rad/s].
+        ``w_0, w_2, ..`` of ``phi' = w_0 + w_2 A^2 + ..`` [rad/s].
     rate_coefficients : ndarray
-        g_-1, g_0, g_1, .. of -A' = g_-1 + g_0 A + g_1 A^2 + .. [1/s]: dry, linear and quadratic damping.
+        ``g_-1, g_0, g_1, ..`` of ``-A' = g_-1 + g_0 A + g_1 A^2 + ..`` [1/s]: dry, linear and quadratic damping.
     covariance : ndarray, shape (n_terms, n_terms)
         Of both, one after the other.
     output_name, unit : str
