@@ -130,6 +130,13 @@ def identification_page(
     _add_fit(page, result, outputs, modes)
     page.section("Frequency response")
     longest = max(records, key=lambda one: one.outputs[0].times_s[-1] - one.outputs[0].times_s[0])
+    longest = busiest_stretch(longest)
+    if all(longest is not one for one in records):
+        begin, end = longest.outputs[0].times_s[[0, -1]]
+        page.paragraph(
+            f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
+            "where its input moves most. The fit is that of all of it."
+        )
     add_frequency_domain(page, longest, models, modes)
     page.section("Order")
     _add_orders(page, result)
@@ -144,6 +151,28 @@ def identification_page(
         add_trials(page, trials)
     page.provenance(provenance or {})
     return page
+
+
+def busiest_stretch(record: TimeRecord, most_samples: int = 100_000) -> TimeRecord:
+    """Return a record, or of one with more samples of an output the stretch of so many where its input moves most.
+
+    Parameters
+    ----------
+    record : TimeRecord
+    most_samples : int
+    """
+    times = max((output.times_s for output in record.outputs), key=len)
+    if len(times) <= most_samples:
+        return record
+    length = float(times[-1] - times[0]) * most_samples / len(times)
+    pieces = []
+    for begin in np.arange(float(times[0]), float(times[-1]) - 0.999 * length, length):
+        inputs = tuple(drive.between(begin, begin + length) for drive in record.inputs)
+        moved = sum(float(np.var(drive.values)) for drive in inputs)
+        pieces.append((moved, begin, inputs))
+    _, begin, inputs = max(pieces, key=lambda piece: piece[0])
+    outputs = tuple(output.between(begin, begin + length) for output in record.outputs)
+    return TimeRecord(inputs, outputs, record.start_ns, record.name)
 
 
 def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -> None:

@@ -13,7 +13,12 @@ from beam_ident import identify, validate
 from beam_ident.errors import ReportError
 from beam_ident.report.evidence import ErrorSources, Theory, Trial, Unseen, mode_rows
 from beam_ident.report.gates import Gate
-from beam_ident.report.identification import identification_page, poles_table, write_report
+from beam_ident.report.identification import (
+    busiest_stretch,
+    identification_page,
+    poles_table,
+    write_report,
+)
 from tests.beam_ident.result_cases import BY_NAME, record, result
 from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
@@ -152,3 +157,17 @@ def test_several_records_are_drawn_one_by_one(modal):
     records = [beam_record(1), beam_record(2)]
     page = identification_page("t", records, identify(records, n_modes=3))
     assert {"record-1", "record-2"} <= set(page.figures)
+
+
+def test_a_long_record_is_shown_where_its_input_moves_most(modal):
+    data, found = modal
+    assert busiest_stretch(data) is data
+    n = len(data.outputs[0].times_s)
+    shown = busiest_stretch(data, n // 3)
+    assert len(shown.outputs[0].times_s) == pytest.approx(n / 3, abs=2)
+    first, last = shown.outputs[0].times_s[[0, -1]]
+    drive = data.inputs[0]
+    inside = (drive.times_s >= first) & (drive.times_s <= last)
+    assert np.var(drive.values[inside]) >= np.var(drive.values)
+    page = identification_page("A stretch", data, found)
+    assert "The record is long" not in page.text()
