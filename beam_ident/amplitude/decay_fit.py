@@ -199,7 +199,7 @@ class DecayProblem:
             self.n_samples,
             tuple(tuple(next(grouped) for _ in decay) for decay in self.decays),
             tuple(float(value) for value in sigmas),
-            np.array([self._flow(point, k)[-1] for k in range(len(self.decays))]),
+            np.array([self._last_amplitude(point, k) for k in range(len(self.decays))]),
             bool(found.status > 0),
             int(found.nfev),
         )
@@ -230,9 +230,10 @@ class DecayProblem:
         scale[n + 1 :: 2] = 1.0 / (span * np.maximum(start.others[:, 0], 1e-300))
         return scale
 
-    def _flow(self, point: Start, k: int) -> FloatArray:
-        stamps = np.unique(np.concatenate([s.times_s for s in self.decays[k]])) - self.starts[k]
-        return slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), stamps)[0]
+    def _last_amplitude(self, point: Start, k: int) -> float:
+        """Return the amplitude at the end of a decay."""
+        end = np.array([max(float(s.times_s[-1]) for s in self.decays[k]) - self.starts[k]])
+        return float(slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), end)[0][0])
 
     def _whitened(self, point: Start, sigmas: FloatArray) -> list[FloatArray]:
         """Return what is left of every output of every decay, over its noise."""

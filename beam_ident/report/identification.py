@@ -130,17 +130,17 @@ def identification_page(
     _add_fit(page, result, outputs, modes)
     page.section("Frequency response")
     longest = max(records, key=lambda one: one.outputs[0].times_s[-1] - one.outputs[0].times_s[0])
-    longest = busiest_stretch(longest)
-    if all(longest is not one for one in records):
-        begin, end = longest.outputs[0].times_s[[0, -1]]
+    shown = busiest_stretch(longest)
+    if shown is not longest:
+        begin, end = shown.outputs[0].times_s[[0, -1]]
         page.paragraph(
             f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
             "where its input moves most. The fit is that of all of it."
         )
-    add_frequency_domain(page, longest, models, modes)
+    add_frequency_domain(page, shown, models, modes)
     page.section("Order")
     _add_orders(page, result)
-    add_stabilisation(page, longest, models, modes)
+    add_stabilisation(page, shown, models, modes)
     if theory is not None and modes:
         page.section("Theory")
         add_theory(page, modes, theory, known)

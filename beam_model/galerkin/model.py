@@ -146,7 +146,15 @@ class BeamModel:
         eigenvalues = eigenvalues[np.argsort(np.abs(eigenvalues))][own:]
         hub = (-float(rates[0]),) if is_resisted else ()
         pairs = sorted_by_mode(eigenvalues, pole_pairs(omega, rates[1:] / (2.0 * omega)), hub)
-        return np.array([[self._led_to_zero(pole, eigenvalues) for pole in pair] for pair in pairs])
+        return np.array(
+            [
+                (
+                    zero := self._led_to_zero(first, eigenvalues),
+                    zero.conjugate() if first.imag else self._led_to_zero(second, eigenvalues),
+                )
+                for first, second in pairs
+            ]
+        )
 
     def _led_to_zero(self, pole: complex, eigenvalues: ComplexArray) -> complex:
         """Return the zero of the hub's impedance next to an eigenvalue."""
