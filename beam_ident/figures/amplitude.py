@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from beam_ident.arrays import FloatArray
@@ -14,20 +13,17 @@ if TYPE_CHECKING:
     from beam_ident.amplitude.curves import AmplitudeCurves
 
 
-def amplitude_figure(curves: AmplitudeCurves, modes: Sequence[tuple[float, float]] = ()) -> Figure:
+def amplitude_figure(curves: AmplitudeCurves, pole: tuple[float, float] | None = None) -> Figure:
     """Draw the curves with their simultaneous bands, and the single pole that was fitted beside them.
 
     Parameters
     ----------
     curves : AmplitudeCurves
-    modes : sequence of (frequency [Hz], damping ratio) -- the one nearest to the curve is drawn
+    pole : (frequency [Hz], damping ratio), optional -- drawn beside the curves
     """
     figure, axes = axes_grid(1, 2, (9.0, 3.4), sharex=True)
     x = 1e3 * curves.amplitudes if curves.unit == "m" else curves.amplitudes
     unit = "mm" if curves.unit == "m" else curves.unit
-    middle = float(curves.frequencies_hz[len(curves.frequencies_hz) // 2])
-    near = [mode for mode in modes if abs(mode[0] / middle - 1.0) < 0.2]
-    pole = min(near, key=lambda mode: abs(mode[0] - middle)) if near else None
     rows: tuple[tuple[FloatArray, FloatArray, str, float], ...] = (
         (curves.frequencies_hz, curves.frequency_band_hz, "frequency [Hz]", 1.0),
         (curves.damping_ratios, curves.damping_band, "damping ratio [%]", 100.0),

@@ -34,6 +34,7 @@ from beam_ident.report.gates import Gate
 from beam_ident.report.measurement import add_frequency_domain, add_records, add_stabilisation
 from beam_ident.report.modes import add_modes, add_poles, add_shapes, add_theory
 from beam_ident.report.page import Page
+from beam_ident.report.quantities import nearest_mode
 from beam_ident.report.validation import add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
 from beam_ident.results import LineResult, Result, models_of
@@ -186,8 +187,12 @@ def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -
         )
     for warning in curves.warnings:
         page.warning(f"{warning}.", tone="doubt")
+    own = nearest_mode(
+        [mode.omega for mode in modes], 2.0 * math.pi * float(np.median(curves.frequencies_hz))
+    )
+    pole = None if own is None else (modes[own].omega / (2.0 * math.pi), modes[own].zeta)
     page.figure(
-        figures.amplitude_figure(curves, [(mode.omega / (2.0 * math.pi), mode.zeta) for mode in modes]),
+        figures.amplitude_figure(curves, pole),
         "Frequency and damping ratio of the free decays over their amplitude; with 95 % the bands hold the whole of "
         "each curve. Dashed: the single pole of the identification.",
         f"Two curves over amplitude with bands: {curves.verdict}",
