@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -158,6 +159,16 @@ def test_an_unknown_interpreter_extra_or_constraint_is_refused(clone: Path) -> N
     )
     assert_refused(call(clone, "--constraint", "none.txt"), "none.txt")
     assert not (clone / ".venv").exists()
+
+
+def test_every_extra_can_be_set_up_by_name(bootstrap: ModuleType, setup_arguments: dict[str, Any]) -> None:
+    assert set(bootstrap.EXTRAS) == set(setup_arguments["extras_require"])
+
+
+def test_every_target_names_extras_that_there_are(bootstrap: ModuleType) -> None:
+    lines = re.findall(r"--extras (\S+)", (ROOT / "Makefile").read_text())
+    assert lines
+    assert {extra for line in lines for extra in line.split(",")} <= set(bootstrap.EXTRAS)
 
 
 def test_a_newer_interpreter_on_the_path_is_used_rather_than_refused(
