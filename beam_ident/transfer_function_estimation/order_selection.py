@@ -43,6 +43,7 @@ _FIRST_PART = 0.7  # of the progress: one start for every structure
 _VISIBLE = 1.0  # of -2 log-likelihood
 _NEAR = 2  # parameters
 _TERMS = ("n_integrators", "has_offset", "has_ramp")
+_FAR = 10.0  # difference of BIC: very strong evidence (Kass and Raftery 1995)
 _STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
 
 Degrees = tuple[int, int | tuple[int, ...]]  # of the denominator, and of the numerators
@@ -204,7 +205,7 @@ def select_transfer_function(
     entries = [_entry(n, m, outcome, options) for (n, m), outcome in zip(structures, results, strict=True)]
     offered = False
     if may_offer:
-        entries, results, offered = _with_offers(records, structures, results, entries, options)
+        entries, results, offered = _with_offers(records, structures, results, entries, options, asks)
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
     if not passed:
         reasons = "; ".join(f"{e.n_poles}/{e.n_zeros}: {e.refused_because}" for e in entries[:4])
@@ -215,9 +216,15 @@ def select_transfer_function(
     entries[best] = replace(entries[best], is_chosen=True)
     chosen = results[best]
     assert not isinstance(chosen, str)
+    if said := _better_but_refused(entries, best):
+        chosen = replace(chosen, warnings=(said, *chosen.warnings))
     if offered and (said := _terms(entries[best], options)):
         chosen = replace(chosen, warnings=(f"Chosen with {said}, which BIC prefers.", *chosen.warnings))
-    if motion.is_estimated and chosen.initial_motion.is_estimated:
+    if (
+        motion.is_estimated
+        and chosen.initial_motion.is_estimated
+        and math.isnan(chosen.initial_motion.p_value)
+    ):
         chosen = replace(chosen, initial_motion=motion, warnings=(*motion.warnings, *chosen.warnings))
     ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
     return OrderSelection(tuple(ordered), chosen)
@@ -258,22 +265,40 @@ def _figure_of_merit(structure: Degrees, outcome: Outcome, options: dict[str, An
     return math.inf if entry.refused_because else entry.bic
 
 
+def _better_but_refused(entries: Sequence[StructureEntry], chosen: int) -> str:
+    """Return a warning where a structure that was refused leaves the chosen one far behind, else nothing."""
+    best = min(entries, key=lambda entry: entry.bic if entry.converged else math.inf)
+    if not best.refused_because or not best.bic < entries[chosen].bic - _FAR:
+        return ""
+    return (
+        f"{best.n_poles}/{best.n_zeros} explains the data far better than the chosen structure (R_T^2 "
+        f"{best.r_squared:.5f} against {entries[chosen].r_squared:.5f}), but was refused: {best.refused_because}. "
+        "What is chosen lacks something: try other degrees, n_integrators=1 or has_offset=True, or record longer."
+    )
+
+
 def _with_offers(
     records: Sequence[TimeRecord],
     structures: list[Degrees],
     results: list[Outcome],
     entries: list[StructureEntry],
     options: dict[str, Any],
+    asks: bool,
 ) -> tuple[list[StructureEntry], list[Outcome], bool]:
-    """Return entries and estimates with those of integrators, offset and drift, and whether they were looked at."""
+    """Return entries and estimates with those of integrators, offset and drift, and whether they were looked at.
+
+    They are offered to the best structure, refused or not: a pole near zero that is hardly known may be what stands
+    for an integrator.
+    """
     found = [(k, outcome) for k, outcome in enumerate(results) if not isinstance(outcome, str)]
-    passed = [(k, outcome) for k, outcome in found if not entries[k].refused_because]
     if not found:
         return entries, results, False
-    place, best = min(passed or found, key=lambda own: own[1].bic)
-    if passed and not leaves_doubt(best):
+    place = min(found, key=lambda own: own[1].bic)[0]
+    passed = [(k, outcome) for k, outcome in found if not entries[k].refused_because]
+    if passed and not leaves_doubt(min(passed, key=lambda own: own[1].bic)[1]):
         return entries, results, False
     entries, results = list(entries), list(results)
+    n_plain = len(entries)
     for offer in offers(*structures[place], options):
         own = {**options, **{name: offer.options[name] for name in _TERMS}, "n_starts": 1}
         if not isinstance(offer.n_poles, int):
@@ -285,7 +310,47 @@ def _with_offers(
         results.append(outcome)
         if not (isinstance(outcome, str) or entries[-1].refused_because or leaves_doubt(outcome)):
             break
+    taken = [entry for entry in entries[n_plain:] if not entry.refused_because]
+    if taken:
+        # What lacked has bent the degrees, too, and may have looked like initial motion: both are chosen anew, with
+        # these terms and with fewer.
+        winner = min(taken, key=lambda entry: entry.bic)
+        anew = {**options, "has_free_response": None} if asks else options
+        for terms in _fewer_terms(winner, anew):
+            _with_terms(records, structures, results, entries, {**anew, **terms})
     return entries, results, True
+
+
+def _fewer_terms(entry: StructureEntry, options: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the terms of a structure, and those with one less, where that is more than was asked for."""
+    own = {name: getattr(entry, name) for name in _TERMS}
+    given = {name: options.get(name, type(value)(0)) for name, value in own.items()}
+    sets = [own]
+    if own["n_integrators"] > given["n_integrators"]:
+        sets.append({**own, "n_integrators": own["n_integrators"] - 1})
+    if own["has_ramp"] > given["has_ramp"]:
+        sets.append({**own, "has_ramp": False})
+    elif own["has_offset"] > given["has_offset"]:
+        sets.append({**own, "has_offset": False})
+    return [terms for terms in sets if terms != given]
+
+
+def _with_terms(
+    records: Sequence[TimeRecord],
+    structures: Sequence[Degrees],
+    results: list[Outcome],
+    entries: list[StructureEntry],
+    options: dict[str, Any],
+) -> None:
+    """Add the estimates of all structures with terms of ``options``, an integrator standing for a pole."""
+    known = {(e.n_poles, e.n_zeros, *(getattr(e, name) for name in _TERMS)) for e in entries}
+    terms = tuple(options[name] for name in _TERMS)
+    for n, m in structures:
+        own = n - options["n_integrators"]
+        if own >= 1 and (own, m, *terms) not in known:
+            outcome = _attempt((records, own, m, {**options, "n_starts": 1}))
+            entries.append(_entry(own, m, outcome, options))
+            results.append(outcome)
 
 
 def _terms(entry: StructureEntry, options: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from beam_ident import (
     EstimationError,
@@ -208,3 +209,54 @@ def test_no_integrator_is_offered_where_none_is_missing():
     assert not any("Ask for" in said for said in found.warnings)
     given = select_transfer_function(plain, [2], [1], n_integrators=1)
     assert [entry.n_integrators for entry in given.table] == [1]
+
+
+def simulated(
+    numerator: list[float], denominator: list[float], values: np.ndarray, period: float
+) -> np.ndarray:
+    """Return the output of B(s)/A(s) at the ticks of a held input, by SciPy's discretisation."""
+    system = signal.cont2discrete(signal.tf2ss(numerator, denominator), period, "zoh")[:4]
+    return signal.dlsim((*system, period), values)[1][:, 0]
+
+
+def seen(values: np.ndarray, clean: np.ndarray, period: float, noise: float, seed: int) -> TimeRecord:
+    noisy = clean + noise * np.random.default_rng(seed).standard_normal(len(clean))
+    return TimeRecord(
+        (InputSignal("u", "V", (0.0, period), values, "zoh"),),
+        (OutputSignal("y", "m", period * np.arange(len(clean)), noisy),),
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_integrator_that_the_best_structure_hides_in_a_pole_is_offered_to_that_structure(seed):
+    """A level that first falls: (0.5 - s) / (s (s + 3)). The pole near zero is refused as unknown, and rightly."""
+    values = np.repeat(np.random.default_rng(seed).choice([-1.0, 1.0], 100), 20)
+    clean = simulated([-1.0, 0.5], [1.0, 3.0, 0.0], values, PERIOD_S)
+    record = seen(values, clean, PERIOD_S, 0.01 * np.std(clean), seed)
+    selection = select_transfer_function(record, range(1, 4))
+    model = selection.chosen.model
+    np.testing.assert_allclose(model.denominator, [1.0, 3.0, 0.0], rtol=0.02)
+    np.testing.assert_allclose(model.numerator, [-1.0, 0.5], rtol=0.02)
+
+
+def test_an_offset_is_not_taken_for_an_integrator_that_a_zero_cancels():
+    """A step about an operating point of 20: the pole at zero that stands for the offset meets a zero there."""
+    values = np.r_[np.zeros(20), np.ones(280)]
+    clean = simulated([2.0], [1.0, 0.4, 4.0], values, 0.1)
+    selection = select_transfer_function(seen(values, 20.0 + clean, 0.1, 0.01, 1), range(1, 4))
+    chosen = next(entry for entry in selection.table if entry.is_chosen)
+    assert (chosen.n_poles, chosen.n_zeros, chosen.n_integrators, chosen.has_offset) == (2, 0, 0, True)
+    assert selection.chosen.offset == pytest.approx(20.0, abs=0.02)
+
+
+def test_a_choice_far_behind_a_structure_that_was_refused_says_so():
+    """With known terms the search is not free to mend what lacks."""
+    values = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 100), 20)
+    clean = simulated([-1.0, 0.5], [1.0, 3.0, 0.0], values, PERIOD_S)
+    record = seen(values, clean, PERIOD_S, 0.01 * np.std(clean), 1)
+    selection = select_transfer_function(record, range(1, 4), n_integrators=0)
+    best = selection.table[0]
+    assert best.refused_because
+    said = [own for own in selection.chosen.warnings if "explains the data far better" in own]
+    assert len(said) == 1
+    assert best.refused_because in said[0]
