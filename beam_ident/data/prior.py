@@ -23,10 +23,17 @@ class Prior:
     sd: float = 0.0
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.mean) or math.isnan(self.sd) or self.sd < 0.0:
+        try:
+            mean, sd = float(self.mean), float(self.sd)
+        except (TypeError, ValueError):
+            mean = sd = math.nan
+        if not math.isfinite(mean) or math.isnan(sd) or sd < 0.0:
             raise EstimationError(
                 f"prior is {self.mean} +- {self.sd}; expected a finite mean and sd >= 0 (or inf)"
             )
+        # Whole numbers, too, begin what moves by fractions.
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "sd", sd)
 
     @property
     def is_free(self) -> bool:

@@ -136,3 +136,14 @@ def test_estimators_that_take_a_delay_as_given_do_not_pretend_to_find_it(method)
         estimate_transfer_function(late_record(0.1), 2, 1, method, delay="estimate")
     found = estimate_transfer_function(late_record(0.1, snr_db=40.0), 2, 1, method, delay=0.1)
     assert found.scores.fit_percent > 80.0
+
+
+@pytest.mark.parametrize("delay", [Prior(0, np.inf), Prior(0, 1)])
+def test_a_delay_that_is_known_to_whole_seconds_is_estimated_to_fractions(delay):
+    model = estimate_transfer_function(late_record(0.1234), 2, 1, delay=delay).model
+    assert np.max(np.abs(scores(model, 0.1234))) < 4.0
+
+
+def test_a_prior_of_something_that_is_no_number_is_refused():
+    with pytest.raises(EstimationError, match="expected a finite mean"):
+        Prior("soon", 1.0)  # type: ignore[arg-type]
