@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -44,6 +45,7 @@ _DAMPING = (0.0005, 0.002, 0.006, 0.02, 0.06, 0.2)
 _PEAKS = 12
 _MAX_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
+_QUIETER = 10.0  # times in power: what a structure that stands still is below one that rings
 _STRAIGHT, _BENT = 1, 3  # degrees of a drift; anything quicker has cycles enough to be a mode
 
 
@@ -98,7 +100,8 @@ def fit_free_decay(
     outputs : OutputSignal or a sequence of them
         At any stamps; NaN where nothing was seen.
     n_modes : int or None -- None lets the Bayesian information criterion decide
-    start_s, end_s : float -- the stretch that rings freely [s]
+    start_s, end_s : float
+        The stretch that rings freely [s]; without a start, a rest before it is left out, and a warning says so.
     max_modes : int
 
     Raises
@@ -132,6 +135,10 @@ def fit_free_decay(
         OutputSignal(s.name, s.unit, s.times_s[keep], s.values[keep], s.exposure_s)
         for s, keep in zip(signals, kept, strict=True)
     ]
+    if math.isinf(start_s) and (begin := _end_of_rest(seen)) is not None:
+        decay = fit_free_decay(signals, n_modes, begin, end_s, max_modes)
+        said = f"The outputs rested first: the decay is taken from {begin:.6g} s (start_s says otherwise)."
+        return replace(decay, warnings=(said, *decay.warnings))
     failure: EstimationError | None = None
     try:
         straight = _DecaySearch(seen, _STRAIGHT)
@@ -144,6 +151,43 @@ def fit_free_decay(
         return _DecaySearch(seen, _BENT).result(n_modes, max_modes)
     except EstimationError as err:
         raise failure or err from err
+
+
+def _end_of_rest(signals: Sequence[OutputSignal]) -> float | None:
+    """Return when structures that stood still at first swing furthest, or None where they rang from the beginning.
+
+    Notes
+    -----
+    Rest and ringing are normal samples of two means and two variances: the likelihood of the best cut between them
+    decides (Maeda 1985, for the onset of seismic waves).  Rest may be under a static load, whose release begins the
+    decay.  What rings does not stand still for a whole cycle.
+    """
+    best, begin = 0.0, None
+    for signal in signals:
+        values = signal.values - np.mean(signal.values)
+        n = len(values)
+        counts = np.arange(_MIN_SAMPLES, n - _MIN_SAMPLES)
+        if not len(counts):
+            continue
+        sums, squares = np.cumsum(values), np.cumsum(values**2)
+        before, after = counts, n - counts
+        quiet = squares[counts - 1] / before - (sums[counts - 1] / before) ** 2
+        loud = (squares[-1] - squares[counts - 1]) / after - ((sums[-1] - sums[counts - 1]) / after) ** 2
+        floor = (1e-9 * float(np.ptp(values))) ** 2
+        quiet, loud = np.maximum(quiet, floor), np.maximum(loud, floor)
+        gains = n * math.log(float(np.var(values))) - before * np.log(quiet) - after * np.log(loud)
+        gains[_QUIETER * quiet > loud] = -math.inf
+        place = int(np.argmax(gains))
+        cut = int(counts[place])
+        rest = values[:cut]
+        # Mean crossings of what rings, half a cycle each; those of noise alone are no cycles.
+        ringing = values[cut:] - np.mean(values[cut:])
+        crossings = int(np.count_nonzero(np.diff(np.signbit(ringing[np.abs(ringing) > np.ptp(rest)]))))
+        stood, rang = (float(np.ptp(signal.times_s[part])) for part in (slice(cut), slice(cut, None)))
+        if gains[place] <= best or crossings < 2 or stood < 2.0 * rang / crossings:
+            continue
+        best, begin = float(gains[place]), float(signal.times_s[cut + int(np.argmax(np.abs(ringing)))])
+    return begin
 
 
 class _DecaySearch(ModeSearch[StackedRegression]):

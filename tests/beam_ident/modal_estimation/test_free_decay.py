@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, OutputSignal
-from beam_ident.modal_estimation.free_decay import _DecayBasis, fit_free_decay
+from beam_ident.modal_estimation.free_decay import _DecayBasis, _end_of_rest, fit_free_decay
 from benchmarks.ident.free_decays import LOCAL_HZ, ManyPoints
 from tests.beam_ident.truth import averaged_cosine
 
@@ -63,6 +63,34 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(decays(0.1), end_s=2.05)
     with pytest.raises(EstimationError, match="n_modes is 0"):
         fit_free_decay(decays(0.1), n_modes=0)
+
+
+@pytest.mark.parametrize("load", [0.0, 1.0, -0.4])  # what the structure is held by until it is let go
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.05])
+def test_a_rest_before_the_decay_is_left_out(load, noise):
+    times = 0.01 * np.arange(3000)
+    elapsed = np.maximum(times - 8.0, 0.0)
+    pole = 2 * np.pi * 3.0 * (-0.01 + 1j * np.sqrt(1 - 1e-4))
+    rings = np.real(np.exp(pole * elapsed) * (1.0 if load else -1j))
+    values = np.where(times > 8.0, rings, load) + noise * np.random.default_rng(1).standard_normal(3000)
+    found = fit_free_decay(OutputSignal("tip", "m", times, values))
+    assert 8.0 <= found.start_s < 8.0 + 1.1 / 3.0
+    assert found.warnings[0].startswith("The outputs rested first: the decay is taken from 8.")
+    assert len(found.natural_frequencies) == 1
+    assert abs(found.frequencies_hz[0] - 3.0) < 4.0 * found.natural_frequency_sd[0] / (2 * np.pi) + 1e-9
+    assert abs(found.damping_ratios[0] - 0.01) < 4.0 * found.damping_ratio_sd[0] + 1e-9
+
+
+@pytest.mark.parametrize("frequencies", [(3.0,), (3.0, 3.1), (0.2,), (0.05,)])
+@pytest.mark.parametrize("phase", [0.0, 1.57, 3.14])
+def test_what_rings_from_the_beginning_is_taken_whole(frequencies, phase):
+    """Beats that begin at their null, too, and half a cycle of a slow mode at its crest."""
+    times = 0.01 * np.arange(3000)
+    poles = [2 * np.pi * f * (-0.005 + 1j) for f in frequencies]
+    signs = 1.0 - 2.0 * np.arange(len(poles))
+    values = sum(a * np.real(np.exp(p * times + 1j * phase)) for a, p in zip(signs, poles, strict=True))
+    noisy = values + 0.01 * np.random.default_rng(2).standard_normal(3000)
+    assert _end_of_rest([OutputSignal("tip", "m", times, noisy)]) is None
 
 
 def test_many_points_find_what_the_best_of_them_finds_alone():
