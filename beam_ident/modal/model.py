@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc as chi_squared_tail
 
-from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import finite_row, require_input_signal, require_time
 from beam_ident.data.own_clocks import OwnClock
 from beam_ident.data.records import InputSignal
@@ -183,15 +183,49 @@ class ModalModel:
 
     def nothing_p_value(self) -> float:
         """Return how often outputs that do not follow the input would seem to follow it as much (Wald's test)."""
-        first = 2 * self.n_modes + 2
-        values, sds = self.parameters[first:], self.standard_deviations[first:]
-        known = sds > 0.0
-        if not np.any(known):
+        return self._zero_p_value(np.arange(2 * self.n_modes + 2, len(self.parameters)))
+
+    def no_body_p_value(self) -> float:
+        """Return how often outputs without a rigid body would seem to follow one as much (Wald's test)."""
+        return self._zero_p_value(
+            np.arange(2 * self.n_modes + 2, len(self.parameters), self.n_modes + 2, dtype=np.intp)
+        )
+
+    def _zero_p_value(self, places: IndexArray) -> float:
+        """Return how often parameters that are zero would seem to differ as much; 1 where none was estimated."""
+        places = places[self.standard_deviations[places] > 0.0]
+        if not len(places):
             return 1.0
-        covariance = self.covariance[first:, first:][np.ix_(known, known)] / np.outer(sds[known], sds[known])
-        scaled = values[known] / sds[known]
+        sds = self.standard_deviations[places]
+        covariance = self.covariance[np.ix_(places, places)] / np.outer(sds, sds)
+        scaled = self.parameters[places] / sds
         statistic = float(scaled @ np.linalg.lstsq(covariance, scaled, rcond=1e-12)[0])
-        return float(chi_squared_tail(np.count_nonzero(known), statistic))
+        return float(chi_squared_tail(len(places), statistic))
+
+    @property
+    def has_body_under_force(self) -> bool:
+        """Whether gains are those of a rigid body that a force moves."""
+        structure = ModalStructure(self.structure)
+        return structure.has_direct and not structure.is_motion
+
+    @property
+    def rigid_body_mass(self) -> FloatArray:
+        """Mass that a force moves as a rigid body, as every output sees it: 1 / gain, in the gains' shape [kg].
+
+        Infinite where nothing follows; EstimationError for a moved base and for a receptance.
+        """
+        if not self.has_body_under_force:
+            raise EstimationError(
+                f"the structure {self.structure!r} has no rigid body under a force; expected 'force', 'mobility' or "
+                "'accelerance'. Identify with one of them from a measured force"
+            )
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / self.gains)
+
+    @property
+    def rigid_body_mass_sd(self) -> FloatArray:
+        """Standard deviations of ``rigid_body_mass`` [kg]."""
+        return np.asarray(self.gain_sd * self.rigid_body_mass**2)
 
     @property
     def frequencies_hz(self) -> FloatArray:
@@ -251,7 +285,7 @@ class ModalModel:
         return float(self.standard_deviations[2 * self.n_modes + 1])
 
     def _residues_by_path(self) -> FloatArray:
-        return self.residues.reshape(-1, self.n_modes)
+        return self.residues.reshape(self.gains.size, self.n_modes)
 
     def _output_sd(self) -> FloatArray:
         return self.standard_deviations[2 * self.n_modes + 2 :].reshape(*self.gains.shape, self.n_modes + 2)

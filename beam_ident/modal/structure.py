@@ -19,6 +19,7 @@ what moves it as a rigid body, or what modes below the band leave of themselves.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,6 +37,23 @@ _DIFFERENTIATIONS: dict[str, int] = {
     "receptance": 0,
     "mobility": 1,
     "accelerance": 2,
+}
+
+_MOTIONS = (
+    ("m", "mm", "um", "rad", "deg"),
+    ("m/s", "mm/s", "rad/s", "deg/s"),
+    ("m/s^2", "mm/s^2", "rad/s^2"),
+)
+"""Units of a displacement, and of what it is differentiated once and twice."""
+_FORCES = ("N", "kN", "N m")
+_SPELLINGS = {
+    "m/s2": "m/s^2",
+    "m/s²": "m/s^2",
+    "m/s/s": "m/s^2",
+    "µm": "um",
+    "μm": "um",
+    "Nm": "N m",
+    "N*m": "N m",
 }
 
 
@@ -96,3 +114,50 @@ class ModalStructure:
         if not self.has_direct:
             return 0.0
         return s ** (self.differentiations - 2)
+
+
+def kinds_by_units(input_units: Iterable[str], output_units: Iterable[str]) -> tuple[StructureKind, ...]:
+    """Return the structures that go with the units of inputs and outputs; between several the data decide.
+
+    Parameters
+    ----------
+    input_units, output_units : iterable of str
+        A unit that is not known here is taken for a displacement.
+
+    Raises
+    ------
+    EstimationError
+        Inputs or outputs of different kinds, or outputs that no structure derives from the input.
+
+    Notes
+    -----
+    The response of a displacement to a displacement is ``s^0 H``; each differentiation of the output, or integration
+    of the input, is one ``s`` more.
+    """
+    inputs, outputs = sorted(set(input_units)), sorted(set(output_units))
+    orders = {_differentiated(unit) for unit in outputs}
+    are_forces = {_spelt(unit) in _FORCES for unit in inputs}
+    integrations = {_differentiated(unit) - order for unit in inputs for order in orders}
+    if len(orders) == len(are_forces) == 1:
+        if True in are_forces:
+            of_tests: tuple[tuple[StructureKind, ...], ...]
+            of_tests = ("force", "receptance"), ("mobility",), ("accelerance",)
+            return of_tests[orders.pop()]
+        moved: tuple[StructureKind, ...] = ("base_motion", "velocity", "acceleration")
+        if len(integrations) == 1 and (order := integrations.pop()) >= 0:
+            return (moved[order],)
+    raise EstimationError(
+        f"no structure goes with inputs in {', '.join(map(repr, inputs))} and outputs in "
+        f"{', '.join(map(repr, outputs))}: expected inputs of one kind, outputs of one kind, and an input that is a "
+        f"force or no smoother than the outputs. Name one of {', '.join(_DIFFERENTIATIONS)}, or make a record for "
+        "each kind of sensor"
+    )
+
+
+def _spelt(unit: str) -> str:
+    return _SPELLINGS.get(unit.strip(), unit.strip())
+
+
+def _differentiated(unit: str) -> int:
+    """Return how often a displacement is differentiated to have this unit."""
+    return next((order for order, units in enumerate(_MOTIONS) if _spelt(unit) in units), 0)

@@ -30,7 +30,8 @@ from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.line_basis import LineBasis
 from beam_ident.modal.stacked_regression import Part, StackedRegression
-from beam_ident.modal.structure import ModalStructure, StructureKind
+from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
+from beam_ident.modal_estimation.free_base import with_kind_of
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, Family, rivals
 from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
@@ -48,7 +49,7 @@ _SCAN_DAMPING = (0.002, 0.01, 0.05, 0.25)
 @on_one_thread
 def fit_frequency_modes(
     records: FrequencyRecord | Sequence[FrequencyRecord],
-    structure: StructureKind | ModalStructure = "base_motion",
+    structure: StructureKind | ModalStructure | None = None,
     n_modes: int | None = None,
     latency: Prior | None = None,
     max_modes: int = MAX_MODES,
@@ -59,8 +60,9 @@ def fit_frequency_modes(
     ----------
     records : FrequencyRecord or a sequence of them
         One input and the same outputs in each.
-    structure : str or ModalStructure
-        Where the modes stand; offsets, ramps and free responses have no place here.
+    structure : str, ModalStructure or None
+        Where the modes stand; offsets, ramps and free responses have no place here.  None goes by the units of the
+        records, as in ``identify``.
     n_modes : int or None -- None lets the Bayesian information criterion decide
     latency : Prior or None
         How late the outputs' stamps are [s]; None takes 0 as known.
@@ -82,7 +84,15 @@ def fit_frequency_modes(
         require_frequency_record(record)
     if latency is not None and not isinstance(latency, Prior):
         raise EstimationError(f"latency is {latency!r}; expected a Prior(mean, sd) in s, or None")
-    form = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
+    if structure is None and data:
+        units = (
+            [unit for one in data for unit in one.input_units],
+            [unit for one in data for unit in one.output_units],
+        )
+        return with_kind_of(
+            kinds_by_units(*units), lambda kind: fit_frequency_modes(data, kind, n_modes, latency, max_modes)
+        )
+    form = structure if isinstance(structure, ModalStructure) else ModalStructure(structure or "base_motion")
     prior = Prior(0.0, 0.0) if latency is None else latency
     bases = _bases(data, form, prior)
     checked_limit(n_modes, max_modes)

@@ -249,12 +249,14 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 return self._stopped(
                     stop, "a look at what simpler structures find, and the weighing by the noise"
                 )
-        if not len(self.chosen.omegas):
+        alone = self.chosen if len(self.chosen.omegas) else self.body_alone()
+        if alone is None:
             raise EstimationError(
                 f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
                 f"noise ({self.entries[-1].refused_because or ended}). {self.remedy}, or ask for a number of "
                 "modes to see the best candidate"
             )
+        self.chosen = alone
         if not is_weighed:
             return Weighed(self.chosen, self.problem, self.problem)
         try:
@@ -298,6 +300,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 break
             fit = self.fit(np.delete(fit.omegas, doubtful), np.delete(fit.zetas, doubtful), fit.clock)
         return fit
+
+    def body_alone(self) -> ModalFit | None:
+        """Return a fit without modes that says something all the same, of a rigid body; None where there is none."""
+        return None
 
     def inside(self, n_modes: int) -> Iterator[ModalFit]:
         """Yield as many modes as structures inside this one find, where the present fit may not be the best."""

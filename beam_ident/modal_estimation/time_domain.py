@@ -36,7 +36,7 @@ from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult, OutputFit
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.modal.structure import ModalStructure, StructureKind
+from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
 from beam_ident.modal_estimation.clock_search import (
     OwnClocks,
     clock_places,
@@ -46,7 +46,7 @@ from beam_ident.modal_estimation.clock_search import (
     own_delays,
     own_rates,
 )
-from beam_ident.modal_estimation.hub_friction import FrictionEstimate
+from beam_ident.modal_estimation.free_base import NO_BODY, FrictionEstimate, with_kind_of
 from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
@@ -116,7 +116,7 @@ _HOPE = 5.0  # times what a mode promises with all other poles held, it may gain
 @on_one_thread
 def identify(
     record: TimeRecord | Sequence[TimeRecord],
-    structure: StructureKind | ModalStructure = "base_motion",
+    structure: StructureKind | ModalStructure | None = None,
     n_modes: int | None = None,
     latency: Prior | Mapping[str, Prior | float] | None = None,
     clock_rate: Prior | Mapping[str, Prior | float] | None = None,
@@ -132,8 +132,9 @@ def identify(
         One experiment, or several that share the model.  Every output weighs in each by the level, the colour
         and the outliers of its noise there; where noise on the input matters, by the level.  An input that is
         measured and states no ``sigma`` has that which its rest shows.
-    structure : str or ModalStructure
-        Which model goes with the input, or with every input; "base_motion" for a hub position.
+    structure : str, ModalStructure or None
+        Which model goes with the input, or with every input; None goes by the units: "base_motion" for a hub position
+        [m], and for a force [N] on what may be free or held whichever the data show, "force" or "receptance".
     n_modes : int or None
         Number of modes; None lets the Bayesian information criterion decide.
     latency, clock_rate : Prior, mapping or None
@@ -164,7 +165,16 @@ def identify(
         a constant output, an input and outputs at rest, an impossible order, no such input, no such output.
     """
     records = require_records(record, may_lack_outputs=True)
-    input_names = tuple(drive.name for drive in chosen_inputs(records[0], input_name))
+    drives = chosen_inputs(records[0], input_name)
+    if structure is None:
+        outputs = [output.unit for one in records for output in one.outputs]
+        return with_kind_of(
+            kinds_by_units([drive.unit for drive in drives], outputs),
+            lambda kind: identify(
+                records, kind, n_modes, latency, clock_rate, input_name, max_modes, progress
+            ),
+        )
+    input_names = tuple(drive.name for drive in drives)
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     checked_limit(n_modes, max_modes)
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
@@ -602,6 +612,26 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         """Return whether modes that are still to be refined explain more than noise without an input would."""
         return len(self.plain.pieces) > 1 or not self._unrelated(unweighed(self.problem, fit))
 
+    def body_alone(self) -> ModalFit | None:
+        """Return a fit without modes whose outputs follow a rigid body under a force, beyond what noise does.
+
+        Where no mode is seen, none is left out: there is no residual term, which would jump with a held force.
+        """
+        structure = replace(self.plain.structure, has_residual=False)
+        if not structure.has_direct or structure.is_motion or not self.band.is_excited:
+            return None
+        before = self.problem, self.plain
+        self.problem = self.plain = ModalRegression(
+            self.records, structure, self.input_names, restarts=before[1].restarts
+        )
+        none = np.empty(0)
+        fit = fit_modes(self.problem, none, none, self.chosen.clock, self.latency, self.clock_rate)
+        seen = fit.converged and self._model(fit).no_body_p_value() < NO_BODY
+        if seen and not self._unrelated(unweighed(self.problem, fit)):
+            return fit
+        self.problem, self.plain = before
+        return None
+
     def inside(self, n_modes: int) -> Iterator[ModalFit]:
         """Yield what is found without initial motion, ramp or offset, where the fit or a mode of it is in doubt.
 
@@ -1013,10 +1043,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         # Direct terms that were fitted as if noise were white may themselves make it look less predictable.
         measured = [(regression.times[j][part], regression.values[j][part]) for j, part in parts]
         drifts = (int(terms.has_offset) + int(terms.has_ramp)) * len(parts)
-        without = min(
-            innovation_criterion([base.residuals[j][part] for j, part in parts]) + base.n_parameters * log_n,
-            innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n,
+        without = (
+            innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n
         )
+        if len(fit.omegas):
+            direct = innovation_criterion([base.residuals[j][part] for j, part in parts])
+            without = min(without, direct + base.n_parameters * log_n)
         with_modes = innovation_criterion([fit.residuals[j][part] for j, part in parts])
         are_exact = all(are_rounding(v, e) for v, e in zip(regression.values, fit.residuals, strict=True))
         if are_exact or with_modes + fit.n_parameters * log_n < without:

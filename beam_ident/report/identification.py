@@ -111,7 +111,10 @@ def identification_page(
     for text, address in links:
         page.link(text, address)
     page.section("Modes")
-    add_modes(page, modes, known, doubts)
+    if modes:
+        add_modes(page, modes, known, doubts)
+    else:
+        page.paragraph("The outputs follow a rigid body, and no mode stands out of the noise.")
     add_poles(page, models, modes, _reference(reference_modes, theory, modes))
     for model in models:
         add_shapes(page, model, theory, known)

@@ -149,7 +149,7 @@ def add_poles(
             "modes",
         )
     for model in models:
-        if not isinstance(model, ModalModel | TransferFunctionModel):
+        if not isinstance(model, ModalModel | TransferFunctionModel) or not len(model.poles):
             continue
         name = getattr(model, "output_name", "")
         page.figure(
@@ -187,8 +187,18 @@ def add_shapes(page: Page, model: Any, theory: Theory | None, sources: ErrorSour
 
 
 def _add_residues(page: Page, model: ModalModel, theory: Theory | None, sources: ErrorSources) -> None:
-    sizes = {curve.output_name: curve for curve in response_curves(model, model.natural_frequencies)}
     of_drive = f", driven by {model.input_name}"
+    if model.has_body_under_force:
+        masses = zip(model.output_names, model.rigid_body_mass, model.rigid_body_mass_sd, strict=True)
+        page.table(
+            ["output", "mass [kg]", "95 % interval [kg]"],
+            [[name, with_uncertainty(m, sd), interval(m, sd)] for name, m, sd in masses],
+            f"The mass that moves as a rigid body{of_drive}, as every output sees it (1 over its gain, in kg where "
+            "the force is in N and the output in m): outputs on one body that does not turn see one mass.",
+        )
+    if not model.n_modes:
+        return
+    sizes = {curve.output_name: curve for curve in response_curves(model, model.natural_frequencies)}
     rows = []
     for i in range(model.n_modes):
         k = (

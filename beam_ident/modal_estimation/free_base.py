@@ -1,5 +1,6 @@
-"""Whether a free base under a force rolls on as it should, or as under friction.
+"""Whether a force moves a free base at all, and whether that rolls on as it should or as under friction.
 
+What a force acts on is free, with the structure "force", or held, with "receptance"; the first holds the second.
 The structure "force" has a rigid body, ``c / s^2``; viscous friction makes it ``c / (s (s + p))``.  For a small p
 the difference is ``-p c / s^3``: the triple integral of the force, which nothing else in the model can
 pass for over a whole record.  What the residuals hold of it is an estimate of p by one step from
@@ -10,16 +11,46 @@ the other parameters, so that it is rather too small.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
 from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.structure import StructureKind
 from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _VISIBLE = 5.0  # standard deviations
+NO_BODY = 1e-6  # level at which the outputs must follow a rigid body, as that of a mode's residues
+
+ResultT = TypeVar("ResultT", IdentificationResult, FrequencyDomainResult)
+
+
+def with_kind_of(kinds: Sequence[StructureKind], estimate: Callable[[StructureKind], ResultT]) -> ResultT:
+    """Return an estimate with the first of some structures, or with the next where nothing is seen of a rigid body.
+
+    Parameters
+    ----------
+    kinds : sequence of str -- by the units of the signals; the first holds the others
+    estimate : callable -- returns the estimate with one of them
+
+    Raises
+    ------
+    EstimationError
+        Nothing can be estimated with the first, which is then refused by the others as well.
+    """
+    found = estimate(kinds[0])
+    if len(kinds) == 1 or found.model.no_body_p_value() < NO_BODY:
+        return found
+    try:
+        return estimate(kinds[1])
+    except EstimationError:
+        return found
 
 
 @dataclass(frozen=True)
