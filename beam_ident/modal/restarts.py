@@ -168,8 +168,12 @@ def restart_columns(
     elapsed = np.where(after, instants - gap.end_s, 0.0)
     one = after.astype(np.float64)
     drifts = [(one, np.zeros_like(one)), (elapsed, one)][:n_drifts]
-    found = free_motions(poles, elapsed, exposure_s, pole_slopes)
-    return RestartColumns(drifts, tuple(np.where(after, column, 0.0) for column in found))
+    found = []
+    for motions in free_motions(poles, elapsed[after], exposure_s, pole_slopes):
+        column = np.zeros((len(poles), len(instants)), dtype=np.complex128)
+        column[:, after] = motions
+        found.append(column)
+    return RestartColumns(drifts, tuple(found))
 
 
 def bridge_amplitudes(

@@ -666,9 +666,12 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         if not may_ask or self.plain.n_outputs < 2 or not self.band.is_excited:
             return
         searches = [own for name in self.plain.output_names if (own := self._alone(name)) is not None]
+        most = len(self._believed[0].omegas)
         for reference in searches[:_ASKED]:
             reference._extend(None, MANY_MODES)
-            if len(reference.chosen.omegas) and not reference.is_in_doubt:
+            # One that shows less than others have is no judge of clocks: the modes that it misses bend its own.
+            most, shown = max(most, len(reference.chosen.omegas)), len(reference.chosen.omegas)
+            if 0 < shown == most and not reference.is_in_doubt:
                 break
         else:
             return

@@ -51,6 +51,7 @@ class Whitening:
         self.coefficients = coefficients
         first = np.flatnonzero(steps > 1.5 * float(np.median(steps))) + 1 if len(steps) else steps.astype(int)
         self._runs = list(zip([0, *first], [*first, len(times_s)], strict=True))
+        self._starts_and_ends = np.append(0, first), np.append(first, len(times_s))
         self._predictors = [coefficients]
         self._weights = [1.0]
         current = coefficients
@@ -101,18 +102,16 @@ class Whitening:
             return columns, ()
         joined = np.concatenate([memory[0], columns]) if memory else columns
         known = begin - (len(joined) - len(columns))  # number of the first row in ``joined``
-        result, last = np.empty_like(columns), begin + len(columns)
-        for start, end in self._runs:
-            first, stop = max(start, begin), min(end, last)
-            if first >= stop:
-                continue
-            # A prediction looks back by the order: that many rows before are in ``joined``, or the run's first.
-            from_here = max(start, known)
-            run = joined[from_here - known : stop - known]
-            found = lfilter(self.coefficients, [1.0], run, axis=0)
-            result[first - begin : stop - begin] = found[first - from_here :]
-            for k in range(first - start, min(order, stop - start)):
-                result[start + k - begin] = self._weights[k] * (self._predictors[k] @ run[k::-1])
+        # As if all were one run; a prediction looks back by the order, and that many rows before are in ``joined``.
+        result = np.asarray(lfilter(self.coefficients, [1.0], joined, axis=0))[len(joined) - len(columns) :]
+        starts, ends = self._starts_and_ends
+        for k in range(order):
+            # The k-th rows of all runs have k rows before them.
+            rows = (starts + k)[
+                (starts + k < ends) & (starts + k >= begin) & (starts + k < begin + len(columns))
+            ]
+            before = joined[rows[:, None] - np.arange(k + 1) - known]
+            result[rows - begin] = self._weights[k] * np.einsum("rk...,k->r...", before, self._predictors[k])
         return result, (joined[max(len(joined) - order, 0) :].copy(),)
 
 

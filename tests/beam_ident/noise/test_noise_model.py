@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, toeplitz
+from scipy.signal import lfilter
 
 from beam_ident.noise.continuous_noise import ContinuousNoise, ContinuousWhitening
 from beam_ident.noise.heavy_tails import HeavyTails
@@ -44,3 +46,14 @@ def test_whitening_is_the_inverse_root_of_the_covariance():
     white = np.concatenate([passed.apply(own) for own in np.split(np.eye(N), [1, 100, 101])])
     left = white @ covariance @ white.T
     np.testing.assert_allclose(left, left[0, 0] * np.eye(N), atol=1e-9 * left[0, 0])
+
+
+def test_runs_of_any_length_are_whitened_each_from_its_first_sample_on():
+    coefficients = np.poly([0.7, -0.4, 0.2])
+    lengths = (1, 2, 9, 3, 1, 4, 12)
+    times = np.concatenate([100 * k + np.arange(n) for k, n in enumerate(lengths)]) * 0.01
+    impulse = lfilter([1.0], coefficients, np.eye(1, 400)[0])
+    correlation = np.array([impulse[k:] @ impulse[: len(impulse) - k] for k in range(max(lengths))])
+    covariance = block_diag(*(toeplitz(correlation[:n]) for n in lengths))
+    white = Whitening(coefficients, times).apply(np.eye(len(times)))
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(len(times)), atol=1e-12)
