@@ -29,6 +29,7 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.autoregression import autoregression, score_covariance
+from beam_ident.noise.outliers import outliers
 from beam_ident.noise.scores import ScoreTest, Whiteness
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -307,17 +308,22 @@ def _own_steps(
     n_theta, n_outputs = fit.n_theta, regression.n_outputs
     of_theta, spread = np.zeros((n_theta, n_theta)), np.zeros(n_outputs)
     cross, score_of_theta = np.zeros((n_theta, n_outputs)), np.zeros(n_theta)
-    scores, colour = np.zeros(n_outputs), np.ones(n_outputs)
+    scores, colour, power = np.zeros(n_outputs), np.ones(n_outputs), np.ones(n_outputs)
     for j, design in enumerate(present):
         basis = LinearSolution.of(design[:, n_theta:]).basis
         both = np.column_stack([design[:, :n_theta], columns[j] / regression.row_levels(j)]) / fit.sigmas[j]
         both -= basis @ (basis.T @ both)
         noise = fit.residuals[j] / fit.sigmas[j]
+        # The estimates left these out, or nearly so.
+        spread_of_rows = fit.spreads[j] if fit.spreads else 1.0
+        far = outliers(noise / spread_of_rows)
+        both[far], noise[far] = 0.0, 0.0
         shared, own = both[:, :-1], both[:, -1]
         of_theta += shared.T @ shared
         score_of_theta += shared.T @ noise
         cross[:, j], spread[j], scores[j] = shared.T @ own, own @ own, own @ noise
         own_free = noise - own * (own @ noise) / max(spread[j], 1e-300)
+        power[j] = max(float(own_free @ own_free) / max(len(noise) - len(far), 1), 1.0)
         under_colour = float(score_covariance(own[:, None], autoregression(own_free))[0, 0])
         colour[j] = max(under_colour / max(spread[j], 1e-300), 1.0)
     scale = np.sqrt(np.maximum(np.diag(of_theta), 1e-300))
@@ -326,7 +332,7 @@ def _own_steps(
     information = np.diag(spread) - cross.T @ inverse @ cross
     scores = scores - cross.T @ inverse @ score_of_theta
     variances = np.where(np.diag(information) > _DEPENDENT * np.max(spread), np.diag(information), np.inf)
-    return scores / variances, np.square(scores) / variances / colour, colour
+    return scores / variances, np.square(scores) / variances / (colour * power), colour
 
 
 class OwnClocks(Exception):  # noqa: N818 - no error: a search begins anew with what it says

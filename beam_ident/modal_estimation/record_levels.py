@@ -19,11 +19,15 @@ from scipy.special import chdtri as chi_squared_isf
 from beam_ident.arrays import FloatArray
 from beam_ident.data.gaps import POOR_BRIDGE, InputGap, describe_gaps
 from beam_ident.data.prior import Prior
+from beam_ident.data.records import TimeRecord
 from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.identification_result import OutputFit
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.restarts import Restarts, bridge_amplitudes, bridge_effects
 from beam_ident.modal_estimation.input_disturbance import Observations
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes
+from beam_ident.noise.outliers import outliers, spoiling
+from beam_ident.noise.scores import are_rounding
 from beam_ident.sensing.stamp_jitter import StampJitter
 
 _MOST_FROM_BRIDGES = 0.05  # of the variance of a pole or of the clock
@@ -57,6 +61,34 @@ def weigh_records(
         if not np.any(np.abs(moved) > _SETTLED * reach):
             break
     return weighed, fit
+
+
+def without_outliers(records: Sequence[TimeRecord], outputs: Sequence[OutputFit]) -> list[TimeRecord] | None:
+    """Return records in which the gross outliers of a fit are not seen; None where there are too few to report.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord -- that were fitted, outputs on the stamps that they have there
+    outputs : sequence of OutputFit -- what the fit leaves
+    """
+    found, cleaned = False, list(records)
+    for output in outputs:
+        with_it = [k for k, one in enumerate(records) if output.name in one.output_names]
+        for k, own in zip(with_it, output.records, strict=True):
+            far = outliers(own.residuals / own.spread)
+            if not spoiling(own.residuals / own.spread, far) or are_rounding(own.measured, own.residuals):
+                continue
+            found = True
+            signals = tuple(
+                dataclasses.replace(
+                    signal, values=np.where(np.isin(signal.times_s, own.times_s[far]), np.nan, signal.values)
+                )
+                if signal.name == output.name
+                else signal
+                for signal in cleaned[k].outputs
+            )
+            cleaned[k] = dataclasses.replace(cleaned[k], outputs=signals)
+    return cleaned if found else None
 
 
 def stamp_jitters(regression: ModalRegression, fit: ModalFit) -> tuple[StampJitter, ...]:

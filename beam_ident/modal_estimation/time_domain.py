@@ -67,11 +67,12 @@ from beam_ident.modal_estimation.record_levels import (
     stamp_jitters,
     unweighed,
     weigh_records,
+    without_outliers,
 )
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes, held_cost
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
-from beam_ident.noise.outliers import outlier_warning
+from beam_ident.noise.outliers import outlier_warning, outliers, spoiling
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
@@ -89,6 +90,7 @@ _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input w
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is reported
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
+_OUTLIER_LOOKS = 3  # at records without the outliers seen so far
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
 _MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
 _IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
@@ -249,11 +251,46 @@ class _Task:
         jumps = self._jumps(records, places) if places else ()
         if jumps:
             with contextlib.suppress(EstimationError):
-                found = self._outcome(records, jumps)
+                found = self._seen_past_outliers(records, jumps)
                 needed = math.sqrt(chi_squared_isf(1, _JUMP_LEVEL))
                 if all(abs(jump.size_s) > needed * jump.size_sd for jump in found.clock_jumps):
                     return found
-        return self._outcome(records, ())
+        return self._seen_past_outliers(records, ())
+
+    def _seen_past_outliers(
+        self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]
+    ) -> IdentificationResult:
+        """Return the outcome, without the outliers where the search, by least squares, finds other modes so.
+
+        The last fit weighs outliers as what they are, but it has the modes that the search has found beside them.
+        Every look without those that are seen may show smaller ones.
+        """
+        found = before = self._outcome(records, jumps)
+        for _ in range(_OUTLIER_LOOKS):
+            has_own_stamps = found.model.own_clocks or found.clock_jumps
+            cleaned = None if has_own_stamps else without_outliers(records, found.outputs)
+            if cleaned is None:
+                break
+            try:
+                following = self._outcome(cleaned, jumps)
+            except EstimationError:
+                break
+            if self.n_modes is None:
+                is_better = following.model.n_modes != found.model.n_modes
+            else:
+                is_better = sum(map(bool, following.doubts)) < sum(map(bool, found.doubts))
+            if not is_better:
+                break
+            counts = [
+                f"{missing} of {len(was.times_s)} samples of {was.name}"
+                for was, own in zip(before.outputs, following.outputs, strict=True)
+                if (missing := len(was.times_s) - len(own.times_s))
+            ]
+            said = (
+                f"Outliers: {', '.join(counts)} hid modes from the search, or feigned some, and are left out."
+            )
+            records, found = cleaned, replace(following, warnings=(*following.warnings, said))
+        return found
 
     def _jumps(self, records: list[TimeRecord], places: list[list[ClockJump]]) -> tuple[ClockJump, ...]:
         """Return by how much clocks jump at some of the places where they may.
@@ -640,6 +677,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
         regression, fit = self.plain, self.chosen
         is_long = len(regression.pieces) > 1 or max(map(len, regression.times)) > _THINNED
         doubts = [mode_complaint(fit, regression, mode, self.band) for mode in range(n_modes)]
+        # Outliers are the likelier cause of doubts, and are looked after by themselves.
+        is_long = is_long or any(spoiling(left, outliers(left)) for left in fit.residuals)
         if is_long or (fit.converged and not any(doubts)):
             return
         form = regression.structure

@@ -10,6 +10,7 @@ import pytest
 from beam_ident import OutputSignal, TimeRecord, identify
 from benchmarks.ident.several_records import TwoFilms
 from tests.beam_ident.noise.test_outliers import spoiled
+from tests.beam_ident.truth import OMEGAS, beam_record
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +71,32 @@ def test_a_gap_in_the_stamps_is_no_neighbourhood(films):
     kept = np.random.default_rng(0).uniform(size=889) > 0.25
     outputs = [dataclasses.replace(o, values=np.where(kept, o.values, np.nan)) for o in coloured.outputs]
     assert np.max(np.abs(scores(films, TimeRecord(coloured.inputs, tuple(outputs))))) < 3.6
+
+
+def with_outliers(record: TimeRecord, share: float, size: float, seed: int) -> TimeRecord:
+    rng = np.random.default_rng([seed, 6])
+    outputs = []
+    for own in record.outputs:
+        far = rng.random(len(own.values)) < share
+        outputs.append(
+            dataclasses.replace(own, values=own.values + far * size * rng.standard_normal(len(far)))
+        )
+    return dataclasses.replace(record, outputs=tuple(outputs))
+
+
+@pytest.mark.parametrize("n_modes", [None, 3])
+def test_modes_below_the_outliers_are_found_and_no_output_is_called_late(n_modes):
+    # Outliers of 2 mm beside noise of 5 um: least squares sees two modes of three.
+    result = identify(with_outliers(beam_record(1), 0.02, 2e-3, 1), n_modes=n_modes)
+    model = result.model
+    assert model.n_modes == 3
+    assert not any(result.doubts)
+    assert not np.any(model.output_delays)
+    assert np.max(np.abs((model.natural_frequencies - OMEGAS) / model.natural_frequency_sd)) < 4.0
+    assert any(said.startswith("Outliers: ") for said in result.warnings)
+
+
+def test_outliers_of_outputs_on_one_clock_feign_no_delays():
+    model = identify(with_outliers(beam_record(0), 0.05, 1e-4, 0)).model
+    assert model.n_modes == 3
+    assert not np.any(model.output_delays)
