@@ -16,7 +16,10 @@ from beam_model.advice.loads import PredictedLoads as PredictedLoads
 from beam_model.advice.loads import predict_loads as predict_loads
 from beam_model.advice.summary import ModelSummary as ModelSummary
 from beam_model.advice.summary import summarise as summarise
+from beam_model.advice.validity import validity as validity
 from beam_model.continuum.exact import exact_frequency_response as exact_frequency_response
+from beam_model.dynamics.amplitude_laws import AmplitudeLaw as AmplitudeLaw
+from beam_model.dynamics.amplitude_laws import amplitude_law as amplitude_law
 from beam_model.dynamics.axis_dynamics import AxisStepper as AxisStepper
 from beam_model.dynamics.axis_dynamics import EndStops as EndStops
 from beam_model.dynamics.axis_dynamics import HubFriction as HubFriction
@@ -51,3 +54,5 @@ from beam_model.galerkin.stepping import MotionStepper as MotionStepper
 from beam_model.parameters import BeamParameters as BeamParameters
 from beam_model.parameters import Damping as Damping
 from beam_model.parameters import PointMass as PointMass
+from beam_model.parameters import Section as Section
+from beam_model.parameters import StillAir as StillAir

@@ -13,9 +13,12 @@ from typing import Literal, get_args
 from beam_model.errors import BeamParameterError
 
 Gravity = Literal["off", "upright", "hanging"]
+BendingTheory = Literal["euler-bernoulli", "timoshenko"]
 
 STANDARD_GRAVITY = 9.80665
 """Acceleration of free fall [m/s^2] (CGPM 1901)."""
+
+_GAS_CONSTANT = 287.053  # J/(kg K), of dry air
 
 
 def check_number(
@@ -131,6 +134,86 @@ class Damping:
 
 
 @dataclass(frozen=True)
+class Section:
+    """The strip's rectangular section, for what bending alone does not show: its rotation, its shear, its air.
+
+    Parameters
+    ----------
+    width : float
+        b, across the motion [m].
+    thickness : float
+        h, in the direction of motion [m].
+    poissons_ratio : float
+        nu of the material.
+    shear_coefficient : float
+        k, the section's mean shear strain over that at its centre; 0: k = 10 (1 + nu)/(12 + 11 nu) of a rectangle
+        (Cowper 1966).
+    """
+
+    width: float
+    thickness: float
+    poissons_ratio: float = 0.3
+    shear_coefficient: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "thickness"):
+            value = check_number(f"section.{name}", getattr(self, name), "m", above=0.0)
+            object.__setattr__(self, name, value)
+        ratio = check_number("section.poissons_ratio", self.poissons_ratio, "", above=-1.0, at_most=0.5)
+        coefficient = check_number(
+            "section.shear_coefficient", self.shear_coefficient, "", at_least=0.0, at_most=1.0
+        )
+        if coefficient == 0.0:
+            coefficient = 10.0 * (1.0 + ratio) / (12.0 + 11.0 * ratio)
+        object.__setattr__(self, "poissons_ratio", ratio)
+        object.__setattr__(self, "shear_coefficient", coefficient)
+
+    @property
+    def gyration_radius(self) -> float:
+        """sqrt(I/A) [m]."""
+        return self.thickness / math.sqrt(12.0)
+
+    @property
+    def shear_ratio(self) -> float:
+        """E/(k G), with E/G = 2 (1 + nu)."""
+        return 2.0 * (1.0 + self.poissons_ratio) / self.shear_coefficient
+
+
+@dataclass(frozen=True)
+class StillAir:
+    """Dry air at rest, which moves along with the strip and resists it by its viscosity.
+
+    Parameters
+    ----------
+    temperature : float
+        [K].
+    pressure : float
+        [Pa].
+    """
+
+    temperature: float = 293.15
+    pressure: float = 101325.0
+
+    def __post_init__(self) -> None:
+        remedy = "20 degrees Celsius are 293.15 K."
+        value = check_number(
+            "air.temperature", self.temperature, "K", at_least=100.0, at_most=2000.0, remedy=remedy
+        )
+        object.__setattr__(self, "temperature", value)
+        object.__setattr__(self, "pressure", check_number("air.pressure", self.pressure, "Pa", above=0.0))
+
+    @property
+    def density(self) -> float:
+        """rho_a = p/(R T) [kg/m^3]."""
+        return self.pressure / (_GAS_CONSTANT * self.temperature)
+
+    @property
+    def viscosity(self) -> float:
+        """Dynamic viscosity mu = 1.458e-6 T^(3/2)/(T + 110.4) [Pa s], Sutherland (US Standard Atmosphere 1976)."""
+        return 1.458e-6 * self.temperature * math.sqrt(self.temperature) / (self.temperature + 110.4)
+
+
+@dataclass(frozen=True)
 class BeamParameters:
     """A uniform beam on a hub that travels across it.
 
@@ -156,6 +239,12 @@ class BeamParameters:
         k_theta, rotational stiffness of the clamp [N m/rad]; inf for a rigid one.
     damping : Damping
         How energy is lost.
+    section : Section, optional
+        Needed by Timoshenko's theory and by ``air``.
+    theory : {"euler-bernoulli", "timoshenko"}
+        Whether sections also turn with inertia of their own and shear.
+    air : StillAir, optional
+        The air around the strip: its added mass and its viscous damping (Sader 1998); None: none of both.
 
     Raises
     ------
@@ -173,6 +262,9 @@ class BeamParameters:
     point_masses: tuple[PointMass, ...] = ()
     clamp_stiffness: float = math.inf
     damping: Damping = field(default_factory=Damping)
+    section: Section | None = None
+    theory: BendingTheory = "euler-bernoulli"
+    air: StillAir | None = None
 
     def __post_init__(self) -> None:
         for name, unit in (
@@ -216,6 +308,23 @@ class BeamParameters:
         object.__setattr__(self, "point_masses", masses)
         if not isinstance(self.damping, Damping):
             raise BeamParameterError("damping", self.damping, "", "a Damping(ratios, viscous, air, internal)")
+        self._check_section()
+
+    def _check_section(self) -> None:
+        if self.theory not in get_args(BendingTheory):
+            raise BeamParameterError("theory", self.theory, "", '"euler-bernoulli" or "timoshenko"')
+        for name, kind in (("section", Section), ("air", StillAir)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise BeamParameterError(name, value, "", f"None or a {kind.__name__}")
+        if self.section is None and (self.theory == "timoshenko" or self.air is not None):
+            raise BeamParameterError(
+                "section",
+                None,
+                "",
+                "a Section(width, thickness) for Timoshenko's theory and for the air around the strip",
+                "Give it, or make the parameters by BeamParameters.from_section.",
+            )
 
     @classmethod
     def from_section(
@@ -233,6 +342,10 @@ class BeamParameters:
         point_masses: tuple[PointMass, ...] = (),
         clamp_stiffness: float = math.inf,
         damping: Damping | None = None,
+        theory: BendingTheory = "euler-bernoulli",
+        poissons_ratio: float = 0.3,
+        shear_coefficient: float = 0.0,
+        air: StillAir | None = None,
     ) -> BeamParameters:
         """Return the parameters of a strip with a rectangular section.
 
@@ -244,8 +357,10 @@ class BeamParameters:
             Of the material [kg/m^3].
         youngs_modulus : float
             E [Pa]; not E/(1 - nu^2): a strip this slender is a beam, not a plate.
-        hub_mass, tip_mass, tip_inertia, gravity, point_masses, clamp_stiffness, damping
+        hub_mass, tip_mass, tip_inertia, gravity, point_masses, clamp_stiffness, damping, theory, air
             As in ``BeamParameters``.
+        poissons_ratio, shear_coefficient : float
+            As in ``Section``.
 
         Notes
         -----
@@ -266,6 +381,9 @@ class BeamParameters:
             point_masses=point_masses,
             clamp_stiffness=clamp_stiffness,
             damping=Damping() if damping is None else damping,
+            section=Section(width, thickness, poissons_ratio, shear_coefficient),
+            theory=theory,
+            air=air,
         )
 
     @property
@@ -303,6 +421,18 @@ class BeamParameters:
     def clamp_compliance(self) -> float:
         """EI / (k_theta L): 0 for a rigid clamp."""
         return self.flexural_rigidity / (self.clamp_stiffness * self.length)
+
+    @property
+    def rotary_inertia_ratio(self) -> float:
+        """I/(A L^2): the inertia with which sections turn, over rho L^2; 0 in Euler and Bernoulli's theory."""
+        if self.theory == "euler-bernoulli" or self.section is None:
+            return 0.0
+        return (self.section.gyration_radius / self.length) ** 2
+
+    @property
+    def shear_compliance(self) -> float:
+        """EI/(k G A L^2): how much a section shears, against how much it bends; 0 in Euler and Bernoulli's theory."""
+        return 0.0 if self.section is None else self.rotary_inertia_ratio * self.section.shear_ratio
 
     @property
     def weight_ratio(self) -> float:

@@ -18,6 +18,7 @@ from beam_model.advice.experiment_advice import (
     node_heights,
     relative_amplitudes,
 )
+from beam_model.advice.validity import validity
 from beam_model.arrays import FloatArray
 from beam_model.galerkin.model import BeamModel
 
@@ -45,6 +46,8 @@ class ModelSummary:
         Where each mode appears in frames at ``frame_rate_hz``.
     frame_rate_hz : float
     advice : ExperimentAdvice
+    doubts : tuple of str
+        Where the theory does not hold.
     """
 
     frequencies_hz: FloatArray
@@ -60,6 +63,7 @@ class ModelSummary:
     aliases_hz: FloatArray
     frame_rate_hz: float
     advice: ExperimentAdvice
+    doubts: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain lists and numbers, ready for JSON; a settling time without damping is null."""
@@ -81,6 +85,7 @@ class ModelSummary:
         }
         result["nodes_mm"] = [nodes.tolist() for nodes in self.nodes_mm]
         result["frame_rate_hz"] = self.frame_rate_hz
+        result["doubts"] = list(self.doubts)
         result["advice"] = {
             "n_modes": advice.n_modes,
             "marker_heights_mm": (1000.0 * advice.marker_heights).tolist(),
@@ -129,11 +134,17 @@ class ModelSummary:
             "  half-power bands   " + ", ".join(f"{width:.3f} Hz" for width in advice.half_power_bandwidths),
             f"  settling to 0.1 %  {settling}",
         ]
+        if self.doubts:
+            lines += ["", "where the theory does not hold", *(f"  {doubt}" for doubt in self.doubts)]
         return "\n".join(lines)
 
 
 def summarise(
-    model: BeamModel, marker_heights: ArrayLike = (), frame_rate: float = 100.0, n_advised: int = 3
+    model: BeamModel,
+    marker_heights: ArrayLike = (),
+    frame_rate: float = 100.0,
+    n_advised: int = 3,
+    amplitude: float = 0.0,
 ) -> ModelSummary:
     """Return a rig's theory on one page.
 
@@ -146,6 +157,8 @@ def summarise(
         Of the camera [Hz].
     n_advised : int
         How many modes the advice is for; no more than the model has.
+    amplitude : float
+        How far the tip is bent [m]; 0: as little as linear theory means.
     """
     heights = np.array(
         model.parameters.check_heights(np.atleast_1d(np.asarray(marker_heights, dtype=np.float64)))
@@ -167,4 +180,5 @@ def summarise(
         aliases_hz=aliases(f, frame_rate),
         frame_rate_hz=float(frame_rate),
         advice=advise(model, min(n_advised, n)),
+        doubts=validity(model, min(n_advised, n), amplitude),
     )

@@ -467,7 +467,9 @@ def _damping_ratios(
     given = dict(zip(names, values, strict=True))
     viscous = given.get("viscous", beam.damping.viscous) + beam.damping.air
     internal = given.get("internal", beam.damping.internal)
-    C = viscous * np.diag(basis.strip_overlap) + internal * np.diag(basis.bending_stiffness)
+    C = (viscous + basis.air_damping) * np.diag(basis.strip_overlap) + internal * np.diag(
+        basis.bending_stiffness
+    )
     return np.asarray(C / (2.0 * basis.modal_mass * basis.natural_frequencies))
 
 

@@ -36,7 +36,7 @@ class UncertaintyBudget:
     clamp_shift, clamp : float
         How far a real clamp lowers the frequencies, and how well that is known.
     air_shift, air : float
-        The same for the air that moves along.
+        The same for the air that moves along; the shift is left out for a beam with ``air``.
     temperature : float
         Of the beam against that of its data [K]; steel's frequencies fall by 0.0125 % per kelvin.
     camera_clock : float
@@ -155,7 +155,9 @@ def compare_with_theory(
         "temperature": np.full(n, -_TEMPERATURE_COEFFICIENT * budget.temperature),
         "camera clock": np.full(n, budget.camera_clock),
     }
-    predicted = base * (1.0 + budget.clamp_shift + budget.air_shift)
+    # A beam in still air has its shift already.
+    air_shift = budget.air_shift if parameters.air is None else 0.0
+    predicted = base * (1.0 + budget.clamp_shift + air_shift)
     deviations = measured / predicted - 1.0
     statistical = sigma / measured
     covariance = np.diag(statistical**2) + sum(np.outer(c, c) for c in contributions.values())

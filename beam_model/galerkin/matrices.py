@@ -8,7 +8,8 @@ M x'' + C x' + K x = F f:
 
 The phi_i are the clamped modes of the beam with everything that it carries, so that M and K are diagonal
 but for the coupling E to the hub. They are scaled to the modal mass m_b = rho L + M_t + marker masses;
-for a bare beam that is the scale of thesis eq. (2.35).
+for a bare beam that is the scale of thesis eq. (2.35). Still air adds to the strip's inertia, not to its weight, what
+moves along at the first mode's frequency; every mode's frequency and damping are then those of the air at its own.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from scipy import linalg
 from beam_model.arrays import FloatArray
 from beam_model.continuum.mode_shapes import UniformBeamShapes
 from beam_model.continuum.spectral_elements import SpectralElements
+from beam_model.continuum.still_air import air_load
 from beam_model.parameters import BeamParameters
 
 
@@ -40,7 +42,9 @@ class ModalBasis:
     natural_frequencies : ndarray, shape (n_modes,)
         omega_i [rad/s].
     modal_mass : float
-        m_b [kg], the same for every mode.
+        m_b [kg], the same for every mode; with the air that moves along.
+    air_damping : ndarray, shape (n_modes,)
+        c_a of still air at each mode's frequency, as it acts on ``modal_mass`` [N s/m^2].
     participation : ndarray, shape (n_modes,)
         E_i [kg], thesis eq. (2.36) with the tip mass and the markers.
     strip_integral : ndarray, shape (n_modes,)
@@ -48,11 +52,12 @@ class ModalBasis:
     strip_overlap : ndarray, shape (n_modes, n_modes)
         int phi_i phi_j dz [m].
     bending_stiffness : ndarray, shape (n_modes, n_modes)
-        int EI phi_i'' phi_j'' dz + k_theta phi_i'(0) phi_j'(0) [N/m]: what bends in the strip and in its clamp.
+        int EI phi_i'' phi_j'' dz + k_theta phi_i'(0) phi_j'(0) [N/m]: what bends in the strip and in its clamp, and
+        what shears.
 
     Notes
     -----
-    A uniform beam without gravity and markers has its modes in closed form (``mode_shapes``); every other
+    A uniform beam without gravity, markers, shear and air has its modes in closed form (``mode_shapes``); every other
     one is solved to rounding in piecewise polynomials (``spectral_elements``).
     """
 
@@ -60,22 +65,30 @@ class ModalBasis:
         self._parameters = parameters
         L, rho = parameters.length, parameters.mass_per_length
         strip = rho * L
-        self.modal_mass = parameters.beam_mass
+        is_plain = parameters.theory == "euler-bernoulli" and parameters.air is None
         self._uniform: UniformBeamShapes | None = None
-        if parameters.gravity_sign == 0 and not any(mass.mass > 0.0 for mass in parameters.point_masses):
+        if (
+            is_plain
+            and parameters.gravity_sign == 0
+            and not any(mass.mass > 0.0 for mass in parameters.point_masses)
+        ):
+            self.modal_mass = parameters.beam_mass
             # omega_i = (lambda_i L)^2 sqrt(EI/(rho L^4)), thesis eq. (2.34), with tip and clamp in the roots.
             shapes = UniformBeamShapes(
                 n_modes, parameters.tip_mass_ratio, parameters.tip_inertia_ratio, parameters.clamp_compliance
             )
             self._uniform = shapes
             self.natural_frequencies: FloatArray = shapes.roots**2 / parameters.time_scale
+            self.air_damping: FloatArray = np.zeros(n_modes)
             self.strip_integral: FloatArray = L * shapes.integral()
             self.strip_overlap: FloatArray = L * shapes.overlap()
             curvature_overlap = shapes.curvature_overlap() / L**3
             tip = shapes.evaluate(1.0)[0]
             self.participation: FloatArray = rho * self.strip_integral + parameters.tip_mass * tip
         else:
-            elements = SpectralElements(parameters, n_modes)
+            added = _added_mass(parameters)
+            self.modal_mass = parameters.beam_mass + added * L
+            elements = SpectralElements(parameters, n_modes, added / rho)
             squared, vectors = elements.modes(n_modes)
             # Sign and scale of thesis eq. (2.35): positive curvature at the clamp, modal mass m_b.
             rise = elements.basis(np.zeros(1), 2)[0] @ vectors
@@ -85,15 +98,23 @@ class ModalBasis:
             self.natural_frequencies = np.sqrt(squared) / parameters.time_scale
             self.strip_integral = L * (elements.strip_load @ vectors)
             self.strip_overlap = L * (vectors.T @ elements.strip_mass @ vectors)
-            curvature_overlap = (vectors.T @ elements.bending @ vectors) / L**3
+            curvature_overlap = (vectors.T @ elements.elastic @ vectors) / L**3
             self.participation = strip * (elements.load @ vectors)
+            # Less air goes along with the higher modes: they are faster, and slowed down as fast as if it did.
+            air = air_load(parameters, self.natural_frequencies)
+            share = 1.0 + (air.mass - added) * np.diag(self.strip_overlap) / self.modal_mass
+            self.natural_frequencies /= np.sqrt(share)
+            self.air_damping = air_load(parameters, self.natural_frequencies).damping / share
         self.bending_stiffness: FloatArray = parameters.flexural_rigidity * curvature_overlap
         if math.isfinite(parameters.clamp_stiffness):
-            slopes = self.shape(np.zeros(1), 1)[0]
+            slopes = self._clamp_angles()
             self.bending_stiffness += parameters.clamp_stiffness * np.outer(slopes, slopes)
 
     def shape(self, heights: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return d^k phi_i / dz^k at ``heights`` [m], shape (n_heights, n_modes), for k = 0 to 3."""
+        """Return d^k phi_i / dz^k at ``heights`` [m], shape (n_heights, n_modes), for k = 0 to 3.
+
+        Curvature and its derivative are those of bending: shear bends no section.
+        """
         x = np.asarray(heights, dtype=np.float64) / self._parameters.length
         if self._uniform is not None:
             values = self._uniform.evaluate(x, derivative)
@@ -101,6 +122,12 @@ class ModalBasis:
             values = self._elements.basis(x, derivative) @ self._vectors
         result: FloatArray = values / self._parameters.length**derivative
         return result
+
+    def _clamp_angles(self) -> FloatArray:
+        """Return by how much the section in the clamp turns, shape (n_modes,) [1/m]."""
+        if self._uniform is not None:
+            return np.asarray(self._uniform.evaluate(0.0, 1)[0] / self._parameters.length)
+        return np.asarray(self._elements.angle(np.zeros(1))[0] @ self._vectors / self._parameters.length)
 
     def static_shape(self, heights: FloatArray, derivative: int = 0) -> FloatArray:
         """Return d^k S/dz^k, shape (n_heights,): w = -S(z) [s^2] alpha'' under a lasting hub acceleration."""
@@ -126,6 +153,14 @@ class ModalBasis:
         else:
             value = float(self._elements.load @ self._static_vector)
         return value * strip * parameters.time_scale**2
+
+
+def _added_mass(parameters: BeamParameters) -> float:
+    """Return the mass of still air that moves along at the first mode's frequency [kg/m]."""
+    if parameters.air is None:
+        return 0.0
+    squared, _ = SpectralElements(parameters, 1).modes(1)
+    return float(air_load(parameters, np.sqrt(squared) / parameters.time_scale).mass[0])
 
 
 @dataclass(frozen=True)
@@ -169,6 +204,11 @@ class GalerkinMatrices:
     K: FloatArray
     F: FloatArray
 
+    @property
+    def resists_hub(self) -> bool:
+        """Whether the air resists the hub's own motion."""
+        return bool(self.C[0, 0] > 0.0)
+
     def modal_parameters(self) -> ModalParameters:
         """Return the eigenvectors of K - omega^2 M and M, C, K between them, thesis eqs. (2.42) and (2.43)."""
         squared, V = linalg.eigh(self.K, self.M)
@@ -193,6 +233,32 @@ class GalerkinMatrices:
         A[size:, size:] = -right[:, size : 2 * size]
         return A, np.concatenate([np.zeros(size), right[:, -1]])
 
+    def elastic_states(self) -> tuple[FloatArray, FloatArray]:
+        """Return A and its inverse over [q, q'] of the beam on its free hub, and alpha', too, where air resists it.
+
+        Notes
+        -----
+        The inverse solves both rows of eq. (2.40) without a force for [q, alpha'], given their derivatives.
+        """
+        n = self.F.size - 1
+        kept = np.r_[1 : n + 1, n + 2 : 2 * n + 2]
+        if self.resists_hub:
+            kept = np.append(kept, n + 1)
+        A = self.state_space()[0][np.ix_(kept, kept)]
+        M, C, stiffness = self.M, self.C, np.diag(self.K)[1:]
+        inverse = np.zeros_like(A)
+        inverse[n : 2 * n, :n] = np.eye(n)
+        by_rates, by_accelerations = C[1:, 1:], M[1:, 1:] - np.outer(M[1:, 0], M[0, 1:]) / M[0, 0]
+        if self.resists_hub:
+            # v = -(C_0q q' + E q'' + J v')/C_00, which then enters the rows of q.
+            hub = -np.concatenate([C[0, 1:], M[0, 1:], M[0, :1]]) / C[0, 0]
+            inverse[2 * n] = hub
+            row = np.hstack([C[1:, 1:], M[1:, 1:], M[1:, :1]]) + np.outer(C[1:, 0], hub)
+            inverse[:n] = -row / stiffness[:, None]
+        else:
+            inverse[:n] = -np.hstack([by_rates, by_accelerations]) / stiffness[:, None]
+        return A, inverse
+
 
 def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     """Return M, C, K and F of the beam on its hub in the basis of its clamped modes.
@@ -201,14 +267,15 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     -----
     C adds up what ``Damping`` holds: prescribed ratios give 2 zeta_i omega_i m_b on the diagonal; xi gives
     int xi phi_i phi_j (thesis eq. (2.39)); xi_a the same and, because air resists the absolute motion, the
-    hub's row xi_a [L, int phi_i]; eta gives eta times the bending stiffness, the clamp's with
-    it: a clamp yields because metal bends in it, which loses as the strip does.
+    hub's row xi_a [L, int phi_i]; still air acts as xi_a does, with c_a of each mode's frequency; eta gives eta
+    times the elastic stiffness, the clamp's with it: a clamp yields because metal bends in it, which loses as the
+    strip does.
     """
     n = basis.natural_frequencies.size
     damping = parameters.damping
     mass, E = basis.modal_mass, basis.participation
     M = np.zeros((n + 1, n + 1))
-    M[0, 0] = parameters.total_mass
+    M[0, 0] = parameters.hub_mass + mass
     # Inertia couples hub and beam, stiffness does not: it acts on w alone.
     M[0, 1:] = M[1:, 0] = E
     M[1:, 1:] = mass * np.eye(n)
@@ -221,6 +288,12 @@ def assemble(parameters: BeamParameters, basis: ModalBasis) -> GalerkinMatrices:
     C[1:, 1:] += damping.internal * basis.bending_stiffness
     C[0, 0] = damping.air * parameters.length
     C[0, 1:] = C[1:, 0] = damping.air * basis.strip_integral
+    # The rigid motion has no frequency of its own: it meets the air as the first mode does.
+    root = np.sqrt(basis.air_damping)
+    C[1:, 1:] += np.outer(root, root) * basis.strip_overlap
+    C[0, 0] += basis.air_damping[0] * parameters.length
+    C[0, 1:] += root[0] * root * basis.strip_integral
+    C[1:, 0] = C[0, 1:]
     F = np.zeros(n + 1)
     F[0] = 1.0
     return GalerkinMatrices(M, C, K, F)

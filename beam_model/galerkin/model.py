@@ -21,7 +21,13 @@ from beam_model.arrays import ComplexArray, FloatArray
 from beam_model.errors import BeamParameterError
 from beam_model.frequency_response import FrequencyResponse
 from beam_model.galerkin.matrices import GalerkinMatrices, ModalBasis, assemble
-from beam_model.galerkin.poles import damping_ratios_of, natural_frequencies_of, pole_pairs, sorted_by_mode
+from beam_model.galerkin.poles import (
+    damping_ratios_of,
+    eigenvalues_of,
+    natural_frequencies_of,
+    pole_pairs,
+    sorted_by_mode,
+)
 from beam_model.galerkin.stepping import ForceStepper, MotionStepper
 from beam_model.parameters import BeamParameters
 
@@ -102,7 +108,8 @@ class BeamModel:
         uncoupled = pole_pairs(omega, np.diag(C) / (2.0 * omega))
         if self.is_proportional:
             return uncoupled
-        return sorted_by_mode(np.linalg.eigvals(_companion(omega, C)).astype(np.complex128), uncoupled)
+        inverse = np.block([[-C / omega[:, None] ** 2, -np.diag(omega**-2)], [np.eye(omega.size), 0.0 * C]])
+        return sorted_by_mode(eigenvalues_of(_companion(omega, C), inverse), uncoupled)
 
     @property
     def poles(self) -> ComplexArray:
@@ -135,15 +142,11 @@ class BeamModel:
         Eigenvalues of thesis eq. (2.41), each then led to the zero of the hub's impedance with the left-out modes
         in it, where ``frequency_response`` has its poles. That mends the highest modes on a light hub.
         """
-        A, _ = self.matrices.state_space()
-        scale = self._force_scale()
-        eigenvalues = np.linalg.eigvals(A * scale[:, None] / scale[None, :]).astype(np.complex128)
+        eigenvalues = eigenvalues_of(*self.matrices.elastic_states())
         modal = self.matrices.modal_parameters()
         omega, rates = modal.natural_frequencies[1:], np.diag(modal.dampings)
-        is_resisted = self.parameters.damping.air > 0.0
-        # The hub's own: 0, where nothing holds it, and 0 again or what the air does to it.
-        own = 1 if is_resisted else 2
-        eigenvalues = eigenvalues[np.argsort(np.abs(eigenvalues))][own:]
+        is_resisted = self.matrices.resists_hub
+        # The hub's own, beside 0, where nothing holds it: what the air does to it.
         hub = (-float(rates[0]),) if is_resisted else ()
         pairs = sorted_by_mode(eigenvalues, pole_pairs(omega, rates[1:] / (2.0 * omega)), hub)
         return np.array(
@@ -301,7 +304,7 @@ class BeamModel:
         """Return an exact stepper for a hub acceleration held over each ``period`` [s]."""
         n = self.n_modes
         damping = self.parameters.damping
-        has_velocity, has_lag = damping.air > 0.0, damping.internal > 0.0
+        has_velocity, has_lag = self.matrices.resists_hub, damping.internal > 0.0
         mass = self.basis.modal_mass
         size = 2 * n + has_velocity + has_lag
         A, B = np.zeros((size, size)), np.zeros(size)

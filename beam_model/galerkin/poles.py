@@ -32,6 +32,32 @@ def pole_pairs(natural_frequencies: FloatArray, ratios: FloatArray) -> ComplexAr
     return np.asarray(natural_frequencies[:, None] * np.column_stack([first, second]), dtype=np.complex128)
 
 
+def eigenvalues_of(A: FloatArray, inverse: FloatArray) -> ComplexArray:
+    """Return the eigenvalues of a regular matrix, the small ones from its inverse, shape (n,).
+
+    Parameters
+    ----------
+    A, inverse : ndarray, shape (n, n)
+        The inverse written down, not computed from A.
+
+    Notes
+    -----
+    A solver errs by rounding times the largest eigenvalue. Heavy damping parts each mode's poles by factors of a
+    million and more; below a gap near their geometric mean the inverse has the better ones.
+    """
+    found = np.linalg.eigvals(A).astype(np.complex128)
+    found = found[np.argsort(np.abs(found))]
+    size = np.abs(found)
+    # What rounding would be multiplied by with a cut before each eigenvalue; no pair of conjugates is cut.
+    worse = np.maximum(size[:-1] / size[0], size[-1] / size[1:])
+    cut = 1 + int(np.argmin(np.where(size[1:] > 1.001 * size[:-1], worse, np.inf)))
+    if size[-1] <= worse[cut - 1] * size[0]:
+        return np.asarray(found)
+    others = 1.0 / np.linalg.eigvals(inverse).astype(np.complex128)
+    others = others[np.argsort(np.abs(others))]
+    return np.concatenate([others[:cut], found[cut:]])
+
+
 def sorted_by_mode(
     eigenvalues: ComplexArray, expected: ComplexArray, others: tuple[float, ...] = ()
 ) -> ComplexArray:

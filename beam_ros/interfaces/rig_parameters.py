@@ -31,6 +31,11 @@ class BeamSettings:
     youngs_modulus: float = setting("Young's modulus of the strip", "Pa", 1e6, 2e12)
     flexural_rigidity: float = setting("EI; 0: E I from the section", "N m^2", 0.0, 1e6)
     mass_per_length: float = setting("rho; 0: from section and density", "kg/m", 0.0, 1e3)
+    theory: Literal["euler-bernoulli", "timoshenko"] = setting(
+        "of bending; timoshenko: with rotation and shear"
+    )
+    poissons_ratio: float = setting("of the strip, for its shear", "1", 0.0, 0.5)
+    shear_coefficient: float = setting("of the section; 0: that of a rectangle", "1", 0.0, 1.0)
     gravity: Literal["off", "upright", "hanging"] = setting("how the beam stands")
     tip_mass: float = setting("mass at the tip", "kg", 0.0, 10.0)
     tip_inertia: float = setting("rotary inertia of the tip mass", "kg m^2", 0.0, 1.0)
@@ -39,6 +44,9 @@ class BeamSettings:
     viscous_damping: float = setting("per length, relative to the hub", "N s/m^2", 0.0, 1e3)
     air_damping: float = setting("per length, on the absolute motion", "N s/m^2", 0.0, 1e3)
     internal_damping: float = setting("Kelvin-Voigt time constant", "s", 0.0, 1.0)
+    still_air: bool = setting("added mass and viscous damping of the air, by Sader's theory")
+    air_temperature: float = setting("of that air", "K", 200.0, 400.0)
+    air_pressure: float = setting("of that air", "Pa", 1.0, 1e6)
     max_root_strain: float = setting("predicted bending strain that is refused", "1", 1e-6, 0.1)
     modes: int = setting("modes that the simulator integrates; 0: what the first five need", "", 0, 20)
 

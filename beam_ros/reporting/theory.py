@@ -54,6 +54,9 @@ def theory_of_rig(rig: Rig, structure: str, modes: Sequence[ModeRow]) -> Theory:
     n = max([k + 1 for k in range(len(ideal)) if sd[k] < ideal[k]], default=1)
     compared = compare_with_theory(rig.beam_parameters(), measured[:n], sd[:n], UncertaintyBudget())
     budget = UncertaintyBudget()
+    of_air = (
+        "" if rig.beam.still_air else f" and {-100 * budget.air_shift:.2g} % for the air that moves along"
+    )
     heights = np.array(rig.markers.heights)
     height_sd = np.array(rig.markers.height_uncertainties)
     residues, slopes = model.motion_residues(heights), model.motion_residues(heights, derivative=1)
@@ -62,8 +65,8 @@ def theory_of_rig(rig: Rig, structure: str, modes: Sequence[ModeRow]) -> Theory:
     return Theory(
         source=(
             "Theory: the Galerkin model of the clamped strip of the rig file. The prediction takes "
-            f"{-100 * budget.clamp_shift:.2g} % off for a real clamp and {-100 * budget.air_shift:.2g} % for the air "
-            "that moves along, as they are usual; a simulated beam has neither."
+            f"{-100 * budget.clamp_shift:.2g} % off for a real clamp{of_air}, as is usual; a simulated beam "
+            "has neither."
         ),
         natural_frequencies=ideal,
         damping_ratios=model.damping_ratios,

@@ -139,7 +139,7 @@ class Rig(RigParameters):
 
     def beam_parameters(self) -> BeamParameters:
         """The beam's physics, for ``beam_model``."""
-        from beam_model import BeamParameters, Damping, PointMass
+        from beam_model import BeamParameters, Damping, PointMass, StillAir
 
         masses = zip(self.markers.heights, self.markers.masses, strict=True)
         common: dict[str, Any] = {
@@ -155,6 +155,10 @@ class Rig(RigParameters):
                 air=self.beam.air_damping,
                 internal=self.beam.internal_damping,
             ),
+            "theory": self.beam.theory,
+            "air": StillAir(self.beam.air_temperature, self.beam.air_pressure)
+            if self.beam.still_air
+            else None,
         }
         section = BeamParameters.from_section(
             length=self.beam.length,
@@ -162,13 +166,13 @@ class Rig(RigParameters):
             thickness=self.beam.thickness,
             density=self.beam.density,
             youngs_modulus=self.beam.youngs_modulus,
+            poissons_ratio=self.beam.poissons_ratio,
+            shear_coefficient=self.beam.shear_coefficient,
             **common,
         )
         rigidity = self.beam.flexural_rigidity or section.flexural_rigidity
         mass_per_length = self.beam.mass_per_length or section.mass_per_length
-        return BeamParameters(
-            length=section.length, flexural_rigidity=rigidity, mass_per_length=mass_per_length, **common
-        )
+        return replace(section, flexural_rigidity=rigidity, mass_per_length=mass_per_length)
 
     def beam_model(self) -> BeamModel:
         """The Galerkin model with the rig's number of modes, or as many as its first five need."""

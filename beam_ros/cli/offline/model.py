@@ -39,7 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     rig = read_rig(arguments)
     model = rig.beam_model()
-    theory = summarise(model, rig.markers.heights, rig.camera.rate, min(3, model.n_modes))
+    theory = summarise(
+        model, rig.markers.heights, rig.camera.rate, min(3, model.n_modes), rig.hub.max_tip_deflection
+    )
     figures = [] if arguments.plot is None else _draw(rig, arguments.plot)
     if arguments.json:
         content = {

@@ -85,7 +85,7 @@ class BeamGuard:
         self._parameters = parameters
         self.led = HeldLoads(model, parameters.period, thickness)
         self.ring_ticks = math.ceil(2 * math.pi / float(model.natural_frequencies[0]) / parameters.period)
-        self._has_air = model.parameters.damping.air > 0.0
+        self._has_air = model.matrices.resists_hub
         self._n_modes = model.n_modes
         self._pushed: HeldLoads | None = None
         if parameters.command_mode == "effort":

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_model import AirDrag, BeamModel, BeamParameterError, Damping, NonlinearMotionStepper, NonlinearTerms
+from beam_model.dynamics.amplitude_laws import amplitude_law
+from tests.beam_model.rigs import strip
+
+
+@pytest.mark.parametrize(("mode", "expected"), [(0, 0.0194), (1, -6.454), (2, -55.98)])
+def test_the_shift_is_that_of_the_modes_energies(mode: int, expected: float) -> None:
+    law = amplitude_law(BeamModel(strip(), 3), mode, 0.30)
+    assert law.hardening * 0.30**2 == pytest.approx(expected, rel=2e-3)
+    low = amplitude_law(BeamModel(strip(), 3), mode, 0.20)
+    share = BeamModel(strip(), 3).shape([0.20, 0.30])[:, mode]
+    assert low.hardening * share[0] ** 2 == pytest.approx(law.hardening * share[1] ** 2, rel=1e-9)
+
+
+def test_a_swing_integrated_in_time_obeys_the_law() -> None:
+    model = BeamModel(strip(damping=Damping(viscous=0.01), gravity="upright", tip_mass=1e-3), 1)
+    drag = AirDrag(0.025, coefficient=20.0)
+    law = amplitude_law(model, 0, 0.30, drag)
+    stepper = NonlinearMotionStepper(model, 1e-3, NonlinearTerms(model, drag))
+    tip = float(model.shape([0.30])[0, 0])
+    stepper.state = np.array([0.04 / tip, 0.0])
+    w = tip * stepper.run(np.zeros(4000))[:, 0]
+    maxima = 1 + np.flatnonzero((w[1:-1] > w[:-2]) & (w[1:-1] > w[2:]))
+    peaks = w[maxima]
+    found = np.log(peaks[:-1] / peaks[1:]) / (2.0 * np.pi)
+    middle = np.sqrt(peaks[:-1] * peaks[1:])
+    assert found == pytest.approx(law.damping_ratios(middle), rel=0.01)
+
+
+def test_a_height_without_motion_is_refused() -> None:
+    model = BeamModel(strip(), 2)
+    with pytest.raises(BeamParameterError, match="Take the tip"):
+        amplitude_law(model, 0, 0.0)
+    with pytest.raises(BeamParameterError, match="an index from 0 to 1"):
+        amplitude_law(model, 2, 0.3)
