@@ -31,7 +31,7 @@ LIVE: dict[str, str] = {
 """Verbs that run nodes on the ROS graph."""
 
 OFFLINE: dict[str, str] = {
-    "model": "the rig's theory: natural frequencies, damping, participation; or the list of all parameters",
+    "model": "the rig's theory: frequencies, damping, participation; its beam from identified modes; all parameters",
     "design": "the excitation against the hub's limits and the beam's modes",
     "simulate": "the simulator's core straight into a bag, without DDS",
     "recover": "a valid bag from what can be read of a damaged one",

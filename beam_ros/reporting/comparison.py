@@ -110,7 +110,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 def _trials(path: Path, name: str, estimator: str, n_modes: int | None) -> list[Trial]:
     file = path / _MODEL if (path / _MODEL).is_file() else path
     if file.suffix == ".json":
-        models = _stored_models(file)
+        models = stored_models(file)
         return [Trial(_named(name, models, model), model, source=str(file)) for model in models]
     outcome = identification_of_bags(path, estimator=estimator, n_modes=n_modes)
     models = list(models_of(outcome.result))
@@ -122,7 +122,15 @@ def _named(name: str, models: Sequence[Any], model: Any) -> str:
     return f"{name} {model.output_name}" if len(models) > 1 else name
 
 
-def _stored_models(file: Path) -> list[Any]:
+def stored_models(file: Path) -> list[Any]:
+    """Return the models of a ``model.json``, or of the folder that holds one.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or holds no model.
+    """
+    file = file / _MODEL if (file / _MODEL).is_file() else file
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:

@@ -120,6 +120,7 @@ def coverage(free: tuple[str, ...], with_residues: bool, n_draws: int) -> tuple[
             priors,
             height_uncertainty=HEIGHT_SIGMA,
             model_discrepancy=DISCREPANCY,
+            damping_discrepancy=0.0,
         )
         expected = np.array([TRUE_VALUES[name] for name in free])
         scores.append((fit.values - expected) / fit.standard_deviations)
