@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from beam_ident.amplitude.curves import AmplitudeCurves
+from beam_ident.axis.axis_result import AxisResult
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import ModelFormatError
 from beam_ident.excitation.recipe import Recipe
@@ -22,6 +23,7 @@ Stored = (
     | MultiInputModel
     | SubspaceModel
     | AmplitudeCurves
+    | AxisResult
     | FreeDecay
     | ModalAnalysis
     | FrequencyRecord
@@ -34,6 +36,7 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Stored]] = {
     "multi_input_model": MultiInputModel.from_dict,
     "subspace_model": SubspaceModel.from_dict,
     "amplitude_curves": AmplitudeCurves.from_dict,
+    "axis": AxisResult.from_dict,
     "free_decay": FreeDecay.from_dict,
     "modal_analysis": ModalAnalysis.from_dict,
     "frequency_record": FrequencyRecord.from_dict,

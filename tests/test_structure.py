@@ -17,6 +17,11 @@ TESTED_IN = (
     ("beam_model/galerkin", "compiled", "galerkin/test_stepping"),
     ("beam_ident", "record_estimators", "test_estimators"),
     ("beam_ident", "results", "test_result_members"),
+    (
+        "beam_ident/axis",
+        "axis_output_error axis_record axis_result inverse_dynamics",
+        "axis/test_axis_estimation",
+    ),
     ("beam_ident/data", "prior", "modal_estimation/test_time_domain"),
     ("beam_ident/data", "stored_form", "test_stored_results"),
     ("beam_ident/design", "summary", "design/test_prediction"),

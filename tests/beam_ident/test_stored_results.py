@@ -18,8 +18,10 @@ from beam_ident import (
     ModelFormatError,
     Multisine,
     amplitude_curves,
+    identify_axis,
     restore,
 )
+from benchmarks.ident.driven_axis import DrivenAxis
 from tests.beam_ident import result_cases
 
 
@@ -33,6 +35,7 @@ def stored() -> dict[str, Any]:
         "subspace_model": result_cases.result("subspace_model"),
         "free_decay": result_cases.result("fit_free_decay"),
         "amplitude_curves": amplitude_curves(result_cases.decay()),
+        "axis": identify_axis(DrivenAxis(duration_s=4.0, speed=0.3, period_s=2e-3).record(0), force="force"),
         "modal_analysis": result_cases.result("analyse_modes"),
         "modal_model": result_cases.result("identify").model,
         "transfer_function": result_cases.result("estimate_transfer_function").model,
@@ -46,7 +49,7 @@ def stored() -> dict[str, Any]:
 
 NAMES = tuple(stored())
 ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"}
-OWN = ("subspace_model", "amplitude_curves", "free_decay", "modal_analysis", "frequency_record")
+OWN = ("subspace_model", "amplitude_curves", "axis", "free_decay", "modal_analysis", "frequency_record")
 
 
 def assert_same(first: Any, second: Any, where: str = "") -> None:
@@ -118,7 +121,8 @@ def test_entries_of_another_kind_are_refused(name):
 def test_shapes_that_do_not_agree_are_refused(name):
     value = stored()[name]
     data = value.to_dict()
-    entry = {"subspace_model": "denominator", "frequency_record": "omegas"}.get(name, "damping_ratios")
+    entries = {"subspace_model": "denominator", "frequency_record": "omegas", "axis": "estimates"}
+    entry = entries.get(name, "damping_ratios")
     with pytest.raises(ModelFormatError, match=r"shape|lines"):
         type(value).from_dict({**data, entry: data[entry][:-1]})
 

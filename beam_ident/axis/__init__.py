@@ -1,0 +1,1 @@
+"""A driven axis: its mass, friction, constant force and delay from force and position."""

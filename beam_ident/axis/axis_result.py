@@ -1,0 +1,265 @@
+"""What is known of an axis once it is identified, and how it does on records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.stored_form import read, require_shapes, written
+from beam_ident.errors import EstimationError
+
+SCHEMA = 1
+
+MEANINGS = {
+    "mass": "moving mass",
+    "force_constant": "force for a unit of the input",
+    "viscous": "viscous friction",
+    "coulomb": "dry friction",
+    "offset": "constant force against +x",
+    "coulomb_difference": "dry friction forward less backward",
+    "viscous_difference": "viscous friction forward less backward",
+    "delay": "delay from force to motion",
+}
+
+
+@dataclass(frozen=True)
+class AxisTerm:
+    """A force that the model lacks, as far as a record shows it.
+
+    Attributes
+    ----------
+    name : str -- on what it depends
+    force : float -- its rms over the record, in the unit of the input
+    z : float -- its coefficient over the standard deviation
+    """
+
+    name: str
+    force: float
+    z: float
+
+
+@dataclass(frozen=True)
+class AxisCheck:
+    """How an identified axis does on records, those of the fit or others.
+
+    Attributes
+    ----------
+    fit_percent : float
+        Of the positions that the force leads to, piece by piece of motion, against those measured.
+    residual_sd : float -- measured less simulated [m]
+    is_white : bool -- whether that is white noise
+    whiteness : str -- the same in words
+    terms : tuple of AxisTerm
+        Forces that the inverse dynamics of the record show beyond the model, over four standard deviations.
+    """
+
+    fit_percent: float
+    residual_sd: float
+    is_white: bool
+    whiteness: str
+    terms: tuple[AxisTerm, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The same in one sentence."""
+        words = (
+            f"the simulated positions fit by {self.fit_percent:.3f} %, residuals of {self.residual_sd:.2g} m"
+        )
+        if self.terms:
+            named = ", ".join(f"{term.name} ({term.force:.2g})" for term in self.terms)
+            return f"{words}; forces that the model lacks: {named}"
+        return f"{words}; no force is seen that the model lacks"
+
+
+@dataclass(frozen=True, eq=False)
+class AxisResult:
+    """Mass and friction of a driven axis.
+
+    Attributes
+    ----------
+    names : tuple of str -- of the parameters, see ``MEANINGS``
+    estimates : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+    units : tuple of str
+    method : str
+        Whose estimates these are: "output_error", or "instrumental_variables" where forces that nobody measured
+        outweigh the noise of the position.
+    other_estimates, other_sd : ndarray, shape (4,) -- the other method's first four parameters, for comparison
+    force_name, position_name, force_unit : str
+    known_mass, known_offset : float -- mass [kg] and constant force [N] that were given; NaN where none was
+    n_samples : int -- positions in motion, which the estimates rest on
+    n_pieces : int -- stretches of motion between rests
+    check : AxisCheck -- on the records of the fit
+    converged : bool
+    reason : str
+    iterations : int
+    warnings : tuple of str
+
+    Notes
+    -----
+    Forward and backward motion show two sums, F_c+ + F_0 and F_c- - F_0. Without a known constant force F_0 dry
+    friction is taken to be equal in both directions, and "offset" is half their difference; with it,
+    "coulomb_difference" is F_c+ - F_c-.
+    """
+
+    names: tuple[str, ...]
+    estimates: FloatArray
+    covariance: FloatArray
+    units: tuple[str, ...]
+    method: str
+    other_estimates: FloatArray
+    other_sd: FloatArray
+    force_name: str
+    position_name: str
+    force_unit: str
+    known_mass: float
+    known_offset: float
+    n_samples: int
+    n_pieces: int
+    check: AxisCheck
+    converged: bool
+    reason: str
+    iterations: int
+    warnings: tuple[str, ...]
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """Of the estimates, shape (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def value(self, name: str) -> float:
+        """Return an estimate by its name; 0 for a difference or a delay that was not needed.
+
+        Raises
+        ------
+        EstimationError
+            No parameter has this name.
+        """
+        return self._of(name, self.estimates)
+
+    def sd(self, name: str) -> float:
+        """Return the standard deviation of an estimate; 0 for one that was not needed.
+
+        Raises
+        ------
+        EstimationError
+            No parameter has this name.
+        """
+        return self._of(name, self.standard_deviations)
+
+    @property
+    def resistance_forward(self) -> float:
+        """Dry friction and constant force together, against motion along +x."""
+        return self.value("coulomb") + self._half
+
+    @property
+    def resistance_backward(self) -> float:
+        """Dry friction less constant force, against motion along -x."""
+        return self.value("coulomb") - self._half
+
+    @property
+    def _half(self) -> float:
+        if "offset" in self.names:
+            return self.value("offset")
+        return self.known_offset + 0.5 * self.value("coulomb_difference")
+
+    def summary(self) -> str:
+        """Return a table of the parameters with standard deviations and 95 % intervals, and what to know of them."""
+        lines = [f"{'':34}{'estimate':>12}{'sd':>10}{'95 % from':>12}{'to':>12}"]
+        for name, unit, value, sd in zip(
+            self.names, self.units, self.estimates, self.standard_deviations, strict=True
+        ):
+            label = f"{MEANINGS[name]} [{unit}]"
+            ends = f"{value - 1.96 * sd:>12.6g}{value + 1.96 * sd:>12.6g}"
+            lines.append(f"{label:34}{value:>12.6g}{sd:>10.2g}{ends}")
+        lines.append(
+            f"{self.method.replace('_', ' ')}, {self.n_samples} positions in {self.n_pieces} stretches of motion"
+        )
+        lines.append(self.check.verdict)
+        return "\n".join([*lines, *(f"note: {warning}" for warning in self.warnings)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
+        return written(self, "axis", SCHEMA)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> AxisResult:
+        """Rebuild what ``to_dict`` wrote.
+
+        Raises
+        ------
+        ModelFormatError
+            Another type or schema, a missing entry, or entries that do not agree.
+        """
+        found = read(AxisResult, data, "axis", SCHEMA)
+        n = len(found.names)
+        require_shapes(
+            "axis",
+            found,
+            {
+                "estimates": (n,),
+                "units": (n,),
+                "covariance": (n, n),
+                "other_estimates": (4,),
+                "other_sd": (4,),
+            },
+        )
+        return found
+
+    def _of(self, name: str, values: FloatArray) -> float:
+        if name in self.names:
+            return float(values[self.names.index(name)])
+        if name in ("delay", "viscous_difference"):
+            return 0.0
+        raise EstimationError(f"the axis has no parameter {name!r}; expected one of {', '.join(self.names)}")
+
+
+def in_known_units(
+    estimates: FloatArray, covariance: FloatArray, mass: float, mass_sd: float
+) -> tuple[FloatArray, FloatArray]:
+    """Turn parameters for a unit of the input into newtons by a known mass.
+
+    Parameters
+    ----------
+    estimates : ndarray, shape (n,) -- the mass first, a delay, if there is one, last and left as it is
+    covariance : ndarray, shape (n, n)
+    mass, mass_sd : float -- [kg]
+
+    Returns
+    -------
+    estimates, covariance -- the force constant first [N for a unit of the input]
+    """
+    n = len(estimates)
+    constant = mass / estimates[0]
+    found = constant * estimates
+    found[0] = constant
+    # k = M / m, and p_j = k p_j(unit): derivatives by every estimate, and by M.
+    slopes = constant * np.eye(n)
+    slopes[:, 0] = -found / estimates[0]
+    slopes[0, 0] = -constant / estimates[0]
+    by_mass = found / mass
+    return found, slopes @ covariance @ slopes.T + mass_sd**2 * np.outer(by_mass, by_mass)
+
+
+def units_of(names: tuple[str, ...], unit: str, in_newtons: bool) -> tuple[str, ...]:
+    """Return the units of parameters under an input of some unit.
+
+    Parameters
+    ----------
+    names : tuple of str
+    unit : str -- of the input
+    in_newtons : bool -- whether a known mass has turned it into newtons
+    """
+    force = "N" if in_newtons else unit
+    known = {
+        "mass": "kg" if force == "N" else f"{force} s^2/m",
+        "force_constant": f"N/{unit}",
+        "viscous": f"{force} s/m",
+        "viscous_difference": f"{force} s/m",
+        "delay": "s",
+    }
+    return tuple(known.get(name, force) for name in names)

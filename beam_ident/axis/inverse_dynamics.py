@@ -1,0 +1,343 @@
+"""Inverse dynamics with instrumental variables, in weak form.
+
+Newton's law of the axis, f = m x'' + c x' + R(x'), is multiplied by a smooth window w that is zero with its
+derivatives at both ends, and integrated by parts:
+
+    int w f = m int w'' x - c int w' x + F_c int w sgn(x') + F_0 int w
+
+so that no measured position is differentiated. Many overlapping windows make many equations, linear in the
+parameters. The windows also filter: force and positions pass through the same low-pass, which is what filtered
+derivatives are for (Gautier and Poignet, Control Engineering Practice 9 (2001) 1361-1372).
+
+An unmeasured force enters as an error of f, and a servo that holds the axis to its reference keeps it out of the
+motion; noise of the position enters x and is what least squares is biased by. Instruments mend that (Janot, Vandanjon
+and Gautier, IEEE Trans. Control Systems Technology 22 (2014) 132-145): the same columns made of a motion without that
+noise, the reference of the loop or the motion that a model makes of the force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from beam_ident.arrays import BoolArray, FloatArray
+from beam_ident.axis.axis_output_error import MassAndFriction
+from beam_ident.axis.axis_record import AxisRecord
+from beam_ident.axis.axis_result import AxisTerm
+from beam_ident.errors import EstimationError
+from beam_ident.noise.autoregression import autoregression, score_covariance
+
+_POWER = 4  # of the window (1 - s^2)^4
+_SPACING = 8  # windows in the length of one
+_NARROWEST = 9  # samples of a window
+_MAX_SHARE = 0.2  # of the longest piece
+_MIN_EQUATIONS = 24  # equations
+NAMES = ("mass", "viscous", "coulomb", "offset")
+WITH_DIFFERENCE = (*NAMES, "viscous_difference")
+_OWN = ("the acceleration", "the speed", "the direction", "nothing, a constant", "the speed, by direction")
+_SEEN = 4.0  # standard deviations
+_MATTERS = 5e-3  # of the force's rms
+_SHARE = 0.02  # of the longest piece, the window of the search for unmodelled forces
+_SLOW = 0.1  # of the velocity's rms: the speed within which friction may rise towards rest
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamicsFit:
+    """A fit of the equation of motion.
+
+    Attributes
+    ----------
+    parameters : MassAndFriction
+    names : tuple of str -- which of them were estimated
+    covariance : ndarray, shape (n, n) -- the colour of the residuals counted
+    window_s : float -- length of the windows [s]
+    residuals : ndarray, shape (n_windows,) -- of the mean force [N]
+    """
+
+    parameters: MassAndFriction
+    names: tuple[str, ...]
+    covariance: FloatArray
+    window_s: float
+    residuals: FloatArray
+
+    @property
+    def volume(self) -> float:
+        """Logarithm of the determinant of the covariance: what is compared between windows."""
+        return float(np.linalg.slogdet(self.covariance)[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Even:
+    """Positions, force and direction on the regular grid that the positions nearly have; NaN where unknown."""
+
+    period_s: float
+    positions: FloatArray
+    force: FloatArray
+    direction: FloatArray
+    is_moving: BoolArray
+    instrument: FloatArray
+    instrument_direction: FloatArray
+
+
+def fit_inverse_dynamics(
+    records: Sequence[AxisRecord],
+    delay_s: float = 0.0,
+    names: Sequence[str] = NAMES,
+    motions: Sequence[FloatArray] | None = None,
+    lead_s: float = 0.0,
+) -> InverseDynamicsFit:
+    """Estimate the parameters, with the window that leaves the smallest covariance.
+
+    Parameters
+    ----------
+    records : sequence of AxisRecord
+    delay_s : float -- by how much the force acts later than its stamps say [s]
+    names : sequence of str -- ``NAMES``, and "viscous_difference" and "delay" where they are wanted
+    motions : sequence of ndarray, optional
+        A motion for every record, at its positions' stamps, that instruments are made of; None: the measured one,
+        which is least squares.
+
+    Raises
+    ------
+    EstimationError
+        The moving pieces are too short for the narrowest windows.
+    """
+    even = [
+        _on_grid(record, delay_s, None if motions is None else motions[j]) for j, record in enumerate(records)
+    ]
+    longest = max(_longest_run(own.is_moving) for own in even)
+    best: InverseDynamicsFit | None = None
+    width = _NARROWEST
+    while width <= max(_MAX_SHARE * longest, _NARROWEST):
+        found = _solved(even, width, names, delay_s)
+        if found is not None and (best is None or found.volume < best.volume):
+            best = found
+        width = 2 * width - 1
+    if best is None:
+        raise EstimationError(
+            f"the axis moves for {longest} samples at the longest; its equation of motion needs some {_NARROWEST} "
+            f"samples in one stretch and {_MIN_EQUATIONS} windows in all: record longer moves, or sample more often"
+        )
+    return best
+
+
+def unmodelled_forces(
+    records: Sequence[AxisRecord], parameters: MassAndFriction, is_fit: bool
+) -> list[AxisTerm]:
+    """Return forces that a record shows beyond a model, those over four standard deviations.
+
+    Parameters
+    ----------
+    records : sequence of AxisRecord
+    parameters : MassAndFriction -- of the model
+    is_fit : bool -- whether it was fitted to these records, so that its own terms leave nothing
+    """
+    even = [_on_grid(record, parameters.delay, None) for record in records]
+    longest = max(_longest_run(own.is_moving) for own in even)
+    width = int(min(max(_NARROWEST, _SHARE * longest), _MAX_SHARE * longest)) | 1
+    equations = [_of_terms(own, parameters, width, is_fit) for own in even]
+    left = np.concatenate([e for e, _ in equations])
+    names = tuple(equations[0][1])
+    X = np.concatenate([np.stack([own[name] for name in names], axis=1) for _, own in equations])
+    size = np.linalg.norm(X, axis=0)
+    kept = size > 0.0
+    X, names = (
+        X[:, kept] / size[kept],
+        tuple(name for name, is_kept in zip(names, kept, strict=True) if is_kept),
+    )
+    if len(left) < _MIN_EQUATIONS + len(names):
+        return []
+    inverse = np.linalg.pinv(X.T @ X, rcond=1e-8, hermitian=True)
+    found = inverse @ (X.T @ left)
+    noise = left - X @ found
+    variance = float(noise @ noise) / max(len(noise) - len(found), 1)
+    spread = inverse @ (variance * score_covariance(X, autoregression(noise))) @ inverse
+    z = found / np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    rms = np.abs(found) / math.sqrt(len(left))
+    terms = [AxisTerm(name, float(f), float(k)) for name, f, k in zip(names, rms, z, strict=True)]
+    least = _MATTERS * math.sqrt(float(np.mean(np.square(np.concatenate([own.force for own in even])))))
+    return [
+        term
+        for term in terms
+        if abs(term.z) > _SEEN and term.force > least and not (is_fit and term.name in _OWN)
+    ]
+
+
+def _of_terms(
+    own: _Even, parameters: MassAndFriction, width: int, is_fit: bool
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return what the windows leave of the force, and what each force that a model may lack would add."""
+    h = own.period_s
+    is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
+    places = np.arange(0, len(is_whole), max(1, width // _SPACING))
+    places = places[is_whole[places]]
+    columns = _columns(own.positions, own.direction, h, width, WITH_DIFFERENCE)[places]
+    model = columns @ np.array([getattr(parameters, name) for name in WITH_DIFFERENCE])
+    left = _windowed(own.force, 0, h, width)[places] - model
+    smooth = np.ones(width) / width
+    velocity = fftconvolve(np.gradient(own.positions, h), smooth, "same")
+    fast = float(np.sqrt(np.mean(np.square(velocity[own.is_moving]))))
+    x = own.positions - float(np.mean(own.positions[own.is_moving]))
+    signals = {
+        "slow motion": own.direction * np.exp(-np.abs(velocity) / (_SLOW * fast)),
+        "the square of the speed": velocity * np.abs(velocity) / fast,
+        "the position": x,
+        "the square of the position": np.square(x),
+    }
+    terms = {name: _windowed(signal, 0, h, width)[places] for name, signal in signals.items()}
+    return left, dict(zip(_OWN, columns.T, strict=True)) | terms
+
+
+def _on_grid(record: AxisRecord, delay_s: float, motion: FloatArray | None) -> _Even:
+    t = record.times_s
+    period = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1] + 0.5 * period, period)
+    nearest = np.clip(np.searchsorted(t, even - 0.5 * period), 0, len(t) - 1)
+    known = np.abs(t[nearest] - even) <= 0.75 * period
+    moving = known & ~record.is_rest[nearest]
+    for gap in record.drive.gaps:
+        moving &= ~((even - delay_s > gap.start_s - period) & (even - delay_s < gap.end_s + period))
+    moving &= even - delay_s - 0.5 * period >= record.start_s
+    once = record.force.antiderivative()
+    ends = np.clip(
+        np.concatenate([even - 0.5 * period, [even[-1] + 0.5 * period]]) - delay_s,
+        once.knots[0],
+        once.knots[-1],
+    )
+    area = once(ends)
+    force = np.diff(area) / period
+    velocity = np.interp(even, t, record.velocities)
+    own = motion if motion is not None else record.positions
+    instrument = np.interp(even, t, own)
+    speed = velocity if motion is None else np.gradient(instrument, period)
+    return _Even(
+        period,
+        np.interp(even, t, record.positions),
+        force,
+        _direction(velocity),
+        moving & np.isfinite(instrument),
+        np.where(np.isfinite(instrument), instrument, 0.0),
+        _direction(np.where(np.isfinite(speed), speed, 0.0)),
+    )
+
+
+def _direction(velocity: FloatArray) -> FloatArray:
+    """Return the mean of the velocity's sign over every step, its zeros between samples counted."""
+    halfway = 0.5 * (velocity[1:] + velocity[:-1])
+    ends = np.concatenate([[velocity[0]], halfway, [velocity[-1]]])
+    result = np.sign(velocity)
+    a, b = ends[:-1], ends[1:]
+    turns = a * b < 0.0
+    a, b = a[turns], b[turns]
+    result[turns] = (np.abs(b) - np.abs(a)) / (np.abs(a) + np.abs(b)) * np.sign(b)
+    return np.asarray(result)
+
+
+def _longest_run(flags: BoolArray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def _solved(
+    even: Sequence[_Even], width: int, names: Sequence[str], delay_s: float
+) -> InverseDynamicsFit | None:
+    """Return the estimate with windows of ``width`` samples, None where there are too few of them."""
+    columns, instruments, forces = [], [], []
+    for own in even:
+        is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
+        places = np.arange(0, len(is_whole), max(1, width // _SPACING))
+        places = places[is_whole[places]]
+        h, plain = own.period_s, [name for name in names if name != "delay"]
+        X = _columns(own.positions, own.direction, h, width, plain)[places]
+        Z = _columns(own.instrument, own.instrument_direction, h, width, plain)[places]
+        f = _windowed(own.force, 0, h, width)[places]
+        if "delay" in names:
+            # f(t - T) = f - T f': the force's slope is a column, and that of the force which the motion needs, by the
+            # first four terms as least squares know them, is its instrument.
+            rough = np.linalg.lstsq(X[:, :4], f, rcond=None)[0] if len(f) >= _MIN_EQUATIONS else np.zeros(4)
+            slope = -_windowed(own.force, 1, h, width)[places]
+            X = np.column_stack([X, slope])
+            Z = np.column_stack([Z, _slope_of_force(own, rough, width)[places]])
+        columns.append(X)
+        instruments.append(Z)
+        forces.append(f)
+    X, Z, f = np.concatenate(columns), np.concatenate(instruments), np.concatenate(forces)
+    names = [*(name for name in names if name != "delay"), *(["delay"] if "delay" in names else [])]
+    if len(f) < _MIN_EQUATIONS:
+        return None
+    scale = np.linalg.norm(X, axis=0)
+    size = np.linalg.norm(Z, axis=0)
+    if not (np.all(scale > 0.0) and np.all(size > 0.0)):
+        return None
+    X, Z = X / scale, Z / size
+    product = Z.T @ X
+    if np.linalg.cond(product) > 1e10:
+        return None
+    theta = np.linalg.solve(product, Z.T @ f)
+    left = f - X @ theta
+    variance = float(left @ left) / max(len(f) - len(theta), 1)
+    inverse = np.linalg.inv(product)
+    covariance = inverse @ (variance * score_covariance(Z, autoregression(left))) @ inverse.T
+    values = dict(zip(names, map(float, theta / scale), strict=True))
+    values["delay"] = delay_s + values.get("delay", 0.0)
+    return InverseDynamicsFit(
+        MassAndFriction(**values),
+        tuple(names),
+        covariance / np.outer(scale, scale),
+        width * even[0].period_s,
+        left,
+    )
+
+
+def _slope_of_force(own: _Even, parameters: FloatArray, width: int) -> FloatArray:
+    """Return the windowed slope of the force that the instruments' motion needs."""
+    h, x = own.period_s, own.instrument - float(np.mean(own.instrument))
+    mass, viscous, coulomb, _ = parameters
+    turned = -coulomb * _windowed(own.instrument_direction, 1, h, width)
+    return np.asarray(-mass * _windowed(x, 3, h, width) + viscous * _windowed(x, 2, h, width) + turned)
+
+
+def _columns(
+    positions: FloatArray, direction: FloatArray, period: float, width: int, names: Sequence[str]
+) -> FloatArray:
+    """Return what the windows make of the terms of the equation, shape (n_windows, n_terms)."""
+    # A constant in x has no part in any window's derivatives but by rounding.
+    x = positions - float(np.mean(positions))
+    speed = -_windowed(x, 1, period, width)
+    terms = {
+        "mass": _windowed(x, 2, period, width),
+        "viscous": speed,
+        "coulomb": _windowed(direction, 0, period, width),
+        "offset": np.ones(len(speed)),
+        "viscous_difference": np.zeros(0),
+    }
+    if "viscous_difference" in names:
+        # (c + d/2) x' forward, (c - d/2) x' backward: d |x'| / 2.
+        velocity = np.gradient(x, period)
+        terms["viscous_difference"] = 0.5 * _windowed(direction * velocity, 0, period, width)
+    return np.stack([terms[name] for name in names], axis=1)
+
+
+def _windowed(values: FloatArray, derivative: int, period: float, width: int) -> FloatArray:
+    """Return the means of a signal under a window, or under one of its derivatives, at every place."""
+    s = np.linspace(-1.0, 1.0, width + 2)[1:-1]
+    reach = 0.5 * (width + 1) * period
+    u = 1.0 - s**2
+    window = u**_POWER
+    area = float(np.sum(window))
+    if derivative == 1:
+        window = -2.0 * _POWER * s * u ** (_POWER - 1) / reach
+    elif derivative == 2:
+        window = (
+            -2.0 * _POWER * u ** (_POWER - 1) + 4.0 * _POWER * (_POWER - 1) * s**2 * u ** (_POWER - 2)
+        ) / reach**2
+    elif derivative == 3:
+        n = _POWER * (_POWER - 1)
+        window = (
+            12.0 * n * s * u ** (_POWER - 2) - 8.0 * n * (_POWER - 2) * s**3 * u ** (_POWER - 3)
+        ) / reach**3
+    return np.asarray(fftconvolve(values, window[::-1] / area, "valid"))

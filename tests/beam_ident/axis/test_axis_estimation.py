@@ -1,0 +1,163 @@
+"""Mass and friction of axes that other code has stepped: found, with intervals that hold, or refused in words."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, check_axis, identify_axis
+from benchmarks.ident.driven_axis import DrivenAxis, filtered_least_squares
+
+SHORT = DrivenAxis(duration_s=8.0)
+
+
+def scores(axis: DrivenAxis, seed: int = 0, **options) -> np.ndarray:
+    """Errors of the first four estimates over their standard deviations."""
+    found = identify_axis(axis.record(seed), force="force", **options)
+    return (found.estimates[:4] - axis.truth) / found.standard_deviations[:4]
+
+
+def test_a_closed_loop_gives_mass_and_friction_without_the_bias_of_filtered_derivatives() -> None:
+    record = SHORT.record(3)
+    found = identify_axis(record, force="force")
+    errors = found.estimates / SHORT.truth - 1.0
+    assert found.method == "output_error"
+    assert np.max(np.abs(errors)) < 1e-4
+    assert np.max(np.abs(errors * SHORT.truth / found.standard_deviations)) < 4.0
+    assert abs(filtered_least_squares(record)[1] / SHORT.truth[1] - 1.0) > 0.05
+    assert found.check.is_white
+
+
+def test_intervals_hold_over_many_closed_loops() -> None:
+    short = DrivenAxis(duration_s=4.0, period_s=2e-3, noise=2e-5, speed=0.3)
+    all_scores = np.array([scores(short, seed, delay_s=0.0) for seed in range(20)])
+    # Of 80 scores, correlated by fours: rms 1 +- 0.13, and a mean of 0 +- 0.25 each.
+    assert np.sqrt(np.mean(np.square(all_scores))) == pytest.approx(1.0, abs=0.35)
+    assert np.max(np.abs(np.mean(all_scores, axis=0))) < 0.8
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        DrivenAxis(
+            mass=0.05, viscous=(0.4, 0.4), coulomb=(0.02, 0.02), offset=0.01, stroke=0.05, duration_s=6.0
+        ),
+        DrivenAxis(mass=20.0, viscous=(5.0, 5.0), coulomb=(9.0, 9.0), offset=0.0, stroke=2.0, speed=2.0),
+        DrivenAxis(duration_s=10.0, period_s=0.02, is_closed_loop=False),
+        DrivenAxis(duration_s=8.0, offset=120.0, noise=2e-5),
+        DrivenAxis(duration_s=8.0, noise=1e-6, quantum=1e-5),
+        DrivenAxis(duration_s=8.0, max_force=60.0),
+        DrivenAxis(duration_s=8.0, static=15.0),
+        DrivenAxis(duration_s=8.0, viscous=(0.0, 0.0), coulomb=(0.0, 0.0), offset=0.0, is_closed_loop=True),
+    ],
+    ids=[
+        "tiny",
+        "fast and far",
+        "50 Hz",
+        "heavy offset",
+        "coarse encoder",
+        "saturated",
+        "stiction",
+        "frictionless",
+    ],
+)
+def test_axes_unlike_each_other_are_found(axis: DrivenAxis) -> None:
+    assert np.max(np.abs(scores(dataclasses.replace(axis, duration_s=min(axis.duration_s, 10.0))))) < 4.5
+
+
+def test_friction_that_differs_by_direction_and_a_delay_are_seen_in_the_data() -> None:
+    axis = DrivenAxis(
+        viscous=(150.0, 250.0), coulomb=(30.0, 15.0), offset=0.0, delay_steps=3, duration_s=8.0, noise=2e-6
+    )
+    found = identify_axis(axis.record(1), force="force", offset=0.0)
+    truth = {"viscous_difference": -100.0, "coulomb_difference": 15.0, "delay": 3e-3}
+    for name, value in truth.items():
+        assert abs(found.value(name) - value) < 4.5 * found.sd(name)
+    assert found.resistance_forward == pytest.approx(30.0, rel=1e-3)
+    assert found.resistance_backward == pytest.approx(15.0, rel=1e-3)
+
+
+def test_a_known_mass_turns_a_current_into_newtons() -> None:
+    record = SHORT.record(5)
+    current = InputSignal("current", "A", (0.0, SHORT.period_s), record.inputs[0].values / 7.5)
+    found = identify_axis(TimeRecord((current,), record.outputs), mass=SHORT.mass, mass_sd=0.1)
+    assert found.units[:3] == ("N/A", "N s/m", "N")
+    assert abs(found.value("force_constant") - 7.5) < 4.0 * found.sd("force_constant")
+    # The mass is known to 0.1 %, and so is everything else in newtons.
+    assert found.sd("coulomb") == pytest.approx(0.1 / SHORT.mass * SHORT.truth[2], rel=0.05)
+    alone = identify_axis(TimeRecord((current,), record.outputs))
+    assert alone.units[0] == "A s^2/m"
+    assert alone.value("mass") == pytest.approx(SHORT.mass / 7.5, rel=1e-3)
+
+
+def test_forces_that_nobody_measured_are_left_to_inverse_dynamics() -> None:
+    axis = DrivenAxis(disturbance=2.0, duration_s=12.0)
+    found = identify_axis(axis.record(2), force="force", reference="reference")
+    assert found.method == "instrumental_variables"
+    assert np.max(np.abs((found.estimates[:4] - axis.truth) / found.standard_deviations[:4])) < 4.0
+    assert any("nobody measured" in warning for warning in found.warnings)
+
+
+def test_gaps_in_force_and_position_and_several_records_are_one_fit() -> None:
+    records = []
+    for seed in range(2):
+        whole = SHORT.record(seed)
+        force = whole.inputs[0].values.copy()
+        force[2000:2040] = np.nan
+        position = whole.outputs[0].values.copy()
+        position[4000:4300] = np.nan
+        records.append(
+            TimeRecord(
+                (InputSignal("force", "N", (0.0, 1e-3), force),),
+                (OutputSignal("position", "m", (0.0, 1e-3), position),),
+            )
+        )
+    found = identify_axis(records)
+    assert np.max(np.abs((found.estimates[:4] - SHORT.truth) / found.standard_deviations[:4])) < 4.0
+    assert found.method == "output_error"
+
+
+def test_another_record_confirms_the_axis_and_names_what_has_changed() -> None:
+    found = identify_axis(SHORT.record(0), force="force")
+    same = check_axis(found, SHORT.record(1))
+    assert same.is_white
+    assert same.fit_percent > 99.9
+    assert not same.terms
+    stickier = dataclasses.replace(SHORT, coulomb=(24.0, 24.0))
+    changed = check_axis(found, stickier.record(1))
+    assert not changed.is_white
+    assert "the direction" in [term.name for term in changed.terms]
+    assert "the direction" in changed.verdict
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"duration_s": 2.0, "stroke": 1e-9}, "never moved"),
+        ({"duration_s": 1.0, "speed": 0.05}, "never moved backward"),
+        ({"duration_s": 0.02}, "record longer"),
+    ],
+)
+def test_an_axis_that_shows_too_little_is_refused_with_what_to_record(change, words) -> None:
+    with pytest.raises(EstimationError, match=words):
+        identify_axis(dataclasses.replace(SHORT, **change).record(1), force="force")
+
+
+def test_arguments_out_of_place_are_refused() -> None:
+    record = SHORT.record(0)
+    for options, words in (
+        ({}, "has the inputs force, reference"),
+        ({"force": "force", "mass": -1.0}, "mass is -1.0 kg"),
+        ({"force": "force", "mass": 1.0, "mass_sd": -1.0}, "mass_sd"),
+        ({"force": "force", "delay_s": np.inf}, "delay_s is inf"),
+        ({"force": "force", "position": "angle"}, "angle"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            identify_axis(record, **options)
+    angle = TimeRecord(
+        record.inputs[:1], (OutputSignal("angle", "rad", (0.0, 1e-3), record.outputs[0].values),)
+    )
+    with pytest.raises(EstimationError, match="expected m"):
+        identify_axis(angle)
