@@ -6,6 +6,9 @@ from beam_ident.axis.axis_estimation import check_axis as check_axis
 from beam_ident.axis.axis_estimation import identify_axis as identify_axis
 from beam_ident.axis.axis_result import AxisCheck as AxisCheck
 from beam_ident.axis.axis_result import AxisResult as AxisResult
+from beam_ident.best_linear.approximation import best_linear_approximation as best_linear_approximation
+from beam_ident.best_linear.result import BestLinearApproximation as BestLinearApproximation
+from beam_ident.best_linear.result import LineVariances as LineVariances
 from beam_ident.data.batches import map_records as map_records
 from beam_ident.data.frequency_record import FrequencyRecord as FrequencyRecord
 from beam_ident.data.prior import Prior as Prior

@@ -7,6 +7,7 @@ from typing import Any
 
 from beam_ident.amplitude.curves import AmplitudeCurves
 from beam_ident.axis.axis_result import AxisResult
+from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import ModelFormatError
 from beam_ident.excitation.recipe import Recipe
@@ -24,6 +25,7 @@ Stored = (
     | SubspaceModel
     | AmplitudeCurves
     | AxisResult
+    | BestLinearApproximation
     | FreeDecay
     | ModalAnalysis
     | FrequencyRecord
@@ -37,6 +39,7 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Stored]] = {
     "subspace_model": SubspaceModel.from_dict,
     "amplitude_curves": AmplitudeCurves.from_dict,
     "axis": AxisResult.from_dict,
+    "best_linear_approximation": BestLinearApproximation.from_dict,
     "free_decay": FreeDecay.from_dict,
     "modal_analysis": ModalAnalysis.from_dict,
     "frequency_record": FrequencyRecord.from_dict,

@@ -95,7 +95,7 @@ def split_at_gaps(records: Sequence[TimeRecord], least: int) -> tuple[list[TimeR
     pieces: list[TimeRecord] = []
     said: list[str] = []
     for record in records:
-        poor = [gap for drive in record.inputs for gap in _poor_gaps(drive)]
+        poor = [gap for drive in record.inputs for gap in poor_gaps(drive)]
         for drive in record.inputs:
             anew = [gap for gap in drive.gaps if gap in poor]
             said += [describe_gaps(drive.name, drive.gaps, drive.unit, anew)] if drive.gaps else []
@@ -114,7 +114,7 @@ def split_at_gaps(records: Sequence[TimeRecord], least: int) -> tuple[list[TimeR
     return pieces, tuple(said)
 
 
-def _poor_gaps(drive: InputSignal) -> list[InputGap]:
+def poor_gaps(drive: InputSignal) -> list[InputGap]:
     """Return the gaps of an input that are not bridged well."""
     return [gap for gap in drive.gaps if not gap.sigma < POOR_BRIDGE * float(np.std(drive.values))]
 
@@ -289,7 +289,7 @@ def require_excitation(records: Sequence[TimeRecord], name: str) -> None:
 def require_moving_input(drive: InputSignal) -> None:
     """Raise EstimationError for an input that is constant, of an absurd size, or not known for a while."""
     require_size(f"input {drive.name!r}", drive.values)
-    if poor := _poor_gaps(drive):
+    if poor := poor_gaps(drive):
         raise EstimationError(
             f"a frequency response needs an input without gaps. {describe_gaps(drive.name, poor, drive.unit)} That "
             "is not sure enough: take a stretch between them (record.between), or identify(), which takes all of them"

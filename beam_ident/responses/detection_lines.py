@@ -14,6 +14,7 @@ lines stands on the excited ones too, where it biases the response.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,7 +41,7 @@ class DistortionLevel:
     ----------
     output_name : str
     parity : {"even", "odd"}
-    n_lines : int -- detection lines
+    n_lines : int -- detection lines, of all realisations together
     level_db : float -- distortion's power over the excited lines', line by line on average; -inf for none
     largest_db : float -- 95 % upper bound of the same
     noise_db : float -- power of the averaged noise over the excited lines'
@@ -77,20 +78,22 @@ class NonlinearDistortion:
     verdict: str
 
 
-def nonlinear_distortion(found: PeriodicResponse, significance: float = 0.01) -> NonlinearDistortion:
+def nonlinear_distortion(
+    found: PeriodicResponse | Sequence[PeriodicResponse], significance: float = 0.01
+) -> NonlinearDistortion:
     """Judge from the detection lines whether a structure is linear.
 
     Parameters
     ----------
-    found : PeriodicResponse
-        Of a multisine with lines left out, in steady state.
+    found : PeriodicResponse or sequence of PeriodicResponse
+        Of a multisine with lines left out, in steady state; of several realisations, judged together.
     significance : float
         Chance of calling a linear structure nonlinear, shared by all outputs and both parities.
 
     Raises
     ------
     EstimationError
-        A level outside (0, 1), or an excitation without detection lines.
+        A level outside (0, 1), an excitation without detection lines, or realisations of other outputs.
 
     Notes
     -----
@@ -98,55 +101,78 @@ def nonlinear_distortion(found: PeriodicResponse, significance: float = 0.01) ->
     response, interpolated from the neighbouring excited lines.  A transient that has not died
     out answers on all lines too: ``PeriodicResponse.drift`` far above 1 says so.
     """
-    if not isinstance(found, PeriodicResponse):
-        raise EstimationError(f"found is a {type(found).__name__}; expected what periodic_response() returns")
+    all_found: list[PeriodicResponse] = list(found) if isinstance(found, Sequence) else [found]
+    for one in all_found:
+        if not isinstance(one, PeriodicResponse):
+            raise EstimationError(
+                f"found is a {type(one).__name__}; expected what periodic_response() returns"
+            )
+    if not all_found or any(
+        one.response.output_names != all_found[0].response.output_names for one in all_found
+    ):
+        raise EstimationError(
+            f"{len(all_found)} periodic responses, not all of the same outputs; expected one or several of the same"
+        )
     if not 0.0 < significance < 1.0:
         raise EstimationError(f"significance is {significance}; expected a number between 0 and 1")
-    excited = np.flatnonzero(found.is_excited)
-    inside = np.arange(excited[0], excited[-1] + 1)
-    detection = inside[~found.is_excited[inside]]
-    sets: list[tuple[Parity, IndexArray]] = [
-        ("even", detection[found.bins[detection] % 2 == 0]),
-        ("odd", detection[found.bins[detection] % 2 == 1]),
+    parities: tuple[tuple[Parity, int], ...] = (("even", 0), ("odd", 1))
+    rests = [detection_lines(one) for one in all_found]
+    sets = [
+        (parity, [lines[one.bins[lines] % 2 == rest] for one, lines in zip(all_found, rests, strict=True)])
+        for parity, rest in parities
     ]
-    sets = [(parity, lines) for parity, lines in sets if len(lines)]
+    sets = [(parity, lines) for parity, lines in sets if sum(map(len, lines))]
     if not sets:
         raise EstimationError(
             "every line between the first and the last is excited, so that none can show distortion; excite odd "
             "lines only and leave some of them out (a random-odd multisine)"
         )
-    width = max(1, int(np.ceil(_SMOOTHING / (found.n_periods - 1))))
-    names = found.response.output_names
+    names = all_found[0].response.output_names
     own = significance / (len(sets) * len(names))
     levels = []
     for j, name in enumerate(names):
-        spectrum = _without_input(found, j, detection)
-        variance = found.spectrum_variance[:, j]
-        smooth = np.maximum(_smoothed(variance, width), 1e-300)
-        reference = float(
-            np.mean(np.abs(found.spectrum[excited, j]) ** 2 - variance[excited] / found.n_periods)
-        )
         for parity, lines in sets:
-            power = np.abs(spectrum[lines]) ** 2
-            levels.append(
-                _level(name, parity, power, variance[lines], smooth[lines], found.n_periods, reference, own)
-            )
+            levels.append(_level(name, j, parity, all_found, lines, own))
     is_nonlinear = any(level.is_detected for level in levels)
     return NonlinearDistortion(
-        tuple(levels), significance, is_nonlinear, _verdict(levels, found, significance)
+        tuple(levels), significance, is_nonlinear, _verdict(levels, all_found, significance)
     )
 
 
-def _without_input(found: PeriodicResponse, j: int, detection: IndexArray) -> ComplexArray:
-    spectrum = np.array(found.spectrum[:, j])
-    drive = found.input_spectrum
-    loud = detection[np.abs(drive[detection]) > _SILENT * np.max(np.abs(drive))]
-    excited = np.flatnonzero(found.is_excited & (np.abs(drive) > 0.0))
-    if len(loud) and len(excited):
-        response = found.spectrum[excited, j] / drive[excited]
-        for line in loud:
-            spectrum[line] -= _between(line, excited, response) * drive[line]
-    return spectrum
+def detection_lines(found: PeriodicResponse) -> IndexArray:
+    """Return the places in ``found.bins`` of lines that are not excited, between the first and the last that is."""
+    excited = np.flatnonzero(found.is_excited)
+    inside = np.arange(excited[0], excited[-1] + 1)
+    return np.asarray(inside[~found.is_excited[inside]])
+
+
+def periods_without_input(found: PeriodicResponse, j: int, lines: IndexArray) -> ComplexArray:
+    """Return amplitudes of output ``j`` at detection lines less what the input itself has there, period by period.
+
+    Parameters
+    ----------
+    found : PeriodicResponse
+    j : int -- which output
+    lines : ndarray of int -- places in ``found.bins``
+
+    Returns
+    -------
+    complex ndarray, shape (n_periods, n_lines)
+
+    Notes
+    -----
+    Of a loop, noise and distortion come back through the input. Taken away period by period, what is left scatters as
+    it would without the loop.
+    """
+    amplitudes = np.asarray(2.0 * found.bin_outputs[j][:, lines])
+    drives = 2.0 * found.bin_inputs
+    size = np.sqrt(np.mean(np.abs(drives) ** 2, axis=0))
+    excited = np.flatnonzero(found.is_excited & (np.abs(found.input_spectrum) > 0.0))
+    if len(excited):
+        response = found.spectrum[excited, j] / found.input_spectrum[excited]
+        for k in np.flatnonzero(size[lines] > _SILENT * np.max(size)):
+            amplitudes[:, k] -= _between(lines[k], excited, response) * drives[:, lines[k]]
+    return amplitudes
 
 
 def _between(line: int, excited: IndexArray, response: ComplexArray) -> complex:
@@ -169,29 +195,41 @@ def _smoothed(values: FloatArray, width: int) -> FloatArray:
 
 def _level(
     name: str,
+    j: int,
     parity: Parity,
-    power: FloatArray,
-    variance: FloatArray,
-    smooth: FloatArray,
-    n_periods: int,
-    reference: float,
+    found: Sequence[PeriodicResponse],
+    lines: Sequence[IndexArray],
     significance: float,
 ) -> DistortionLevel:
-    n = len(power)
-    top, bottom = float(np.sum(n_periods * power / smooth)), float(np.sum(variance / smooth))
-    statistic = top / max(bottom, 1e-300)
-    freedom = (2 * n, 2 * n * (n_periods - 1))
-    p_value = float(f_sf(*freedom, statistic))
-    noise = float(np.mean(variance)) / n_periods
-    excess = max(float(np.mean(power)) - noise, 0.0)
+    top = bottom = freedom = power = noise = reference = 0.0
+    n = 0
+    for one, own in zip(found, lines, strict=True):
+        more = one.n_periods - 1
+        amplitudes = periods_without_input(one, j, own)
+        mean = np.mean(amplitudes, axis=0)
+        at_rest = np.sum(np.abs(amplitudes - mean) ** 2, axis=0) / more
+        variance = one.spectrum_variance[:, j]
+        smooth = np.maximum(_smoothed(variance, max(1, int(np.ceil(_SMOOTHING / more)))), 1e-300)[own]
+        own_power = np.abs(mean) ** 2
+        top += float(np.sum(one.n_periods * own_power / smooth))
+        bottom += more * float(np.sum(at_rest / smooth))
+        freedom += 2.0 * len(own) * more
+        n += len(own)
+        power += float(np.sum(own_power))
+        noise += float(np.sum(at_rest)) / one.n_periods
+        excited = np.abs(one.spectrum[one.is_excited, j]) ** 2
+        reference += float(np.mean(excited - variance[one.is_excited] / one.n_periods)) / len(found)
+    statistic = top / n / max(2.0 * bottom / freedom, 1e-300)
+    power, noise = power / n, noise / n
     # A distortion of excess E makes the statistic (1 + E / noise) times an F variate.
-    largest = max(statistic / float(f_ppf(*freedom, 0.05)) - 1.0, 0.0) * noise
+    largest = max(statistic / float(f_ppf(2.0 * n, freedom, 0.05)) - 1.0, 0.0) * noise
     floor = max(reference, 1e-300)
+    p_value = float(f_sf(2.0 * n, freedom, statistic))
     return DistortionLevel(
         output_name=name,
         parity=parity,
         n_lines=n,
-        level_db=_decibel(excess / floor),
+        level_db=_decibel(max(power - noise, 0.0) / floor),
         largest_db=_decibel(largest / floor),
         noise_db=_decibel(noise / floor),
         statistic=statistic,
@@ -204,7 +242,7 @@ def _decibel(ratio: float) -> float:
     return 10.0 * float(np.log10(ratio)) if ratio > 0.0 else -np.inf
 
 
-def _verdict(levels: list[DistortionLevel], found: PeriodicResponse, significance: float) -> str:
+def _verdict(levels: list[DistortionLevel], found: Sequence[PeriodicResponse], significance: float) -> str:
     detected = [level for level in levels if level.is_detected]
     if not detected:
         bound = max(level.largest_db for level in levels)
@@ -219,7 +257,7 @@ def _verdict(levels: list[DistortionLevel], found: PeriodicResponse, significanc
             f"nonlinear, with {kinds} distortion: up to {worst.level_db:.0f} dB ({worst.parity}, "
             f"{worst.output_name}) of the excited lines, where noise alone is {worst.noise_db:.0f} dB"
         )
-    drift = float(np.nanmax(found.drift, initial=0.0))
+    drift = max(float(np.nanmax(one.drift, initial=0.0)) for one in found)
     if drift > 2.0:
         words += (
             f"; the periods still change ({drift:.1f} times the noise), so that a transient may add to this"

@@ -6,7 +6,7 @@ any stamps.  A fit needs no whole number of periods and no regular grid, and its
 residuals give the variance of every line.
 
 The input's amplitude is that of its continuous signal: what a hold does to a sampled sine
-(``responses.periodic_averaging.hold_gain``) and what an exposure takes from an output are accounted for.
+(``responses.periods.hold_gain``) and what an exposure takes from an output are accounted for.
 Images of a held input are orthogonal to the sine over a segment and stay in the residuals.
 """
 
@@ -30,7 +30,7 @@ from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.doubts import with_doubts
-from beam_ident.responses.periodic_averaging import exposure_gain, hold_gain
+from beam_ident.responses.periods import exposure_gain, hold_gain
 
 _ITERATIONS = 30
 _MIN_SAMPLES = 8

@@ -9,6 +9,7 @@ import numpy as np
 
 from beam_ident import (
     ESTIMATORS,
+    BestLinearApproximation,
     EstimatorSettings,
     FrequencyRecord,
     InputSignal,
@@ -17,6 +18,7 @@ from beam_ident import (
     TimeRecord,
     TransferFunctionModel,
     analyse_modes,
+    best_linear_approximation,
     estimate_common_poles,
     estimate_in_closed_loop,
     estimate_transfer_function,
@@ -60,6 +62,18 @@ def decay() -> OutputSignal:
 def lines() -> FrequencyRecord:
     """Return the same record's response, line by line."""
     return periodic_response(record(6).select(("y",)), 2.56, start_s=5.12).response
+
+
+def best_linear() -> BestLinearApproximation:
+    """Return the best linear approximation of the same plant under three periodic inputs."""
+    realisations = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        drive = InputSignal("u", "N", (0.0, PERIOD_S), np.tile(rng.standard_normal(64), 6), "zoh")
+        stamps = PERIOD_S * np.arange(64, 384)
+        clean = PLANT.simulate(drive, stamps) + 1e-3 * rng.standard_normal(len(stamps))
+        realisations.append(TimeRecord((drive,), (OutputSignal("y", "m", stamps, clean),)))
+    return best_linear_approximation(realisations, 64 * PERIOD_S, np.arange(1, 20) / (64 * PERIOD_S))
 
 
 def looped() -> TimeRecord:

@@ -36,6 +36,7 @@ def stored() -> dict[str, Any]:
         "free_decay": result_cases.result("fit_free_decay"),
         "amplitude_curves": amplitude_curves(result_cases.decay()),
         "axis": identify_axis(DrivenAxis(duration_s=4.0, speed=0.3, period_s=2e-3).record(0), force="force"),
+        "best_linear_approximation": result_cases.best_linear(),
         "modal_analysis": result_cases.result("analyse_modes"),
         "modal_model": result_cases.result("identify").model,
         "transfer_function": result_cases.result("estimate_transfer_function").model,
@@ -49,7 +50,15 @@ def stored() -> dict[str, Any]:
 
 NAMES = tuple(stored())
 ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"}
-OWN = ("subspace_model", "amplitude_curves", "axis", "free_decay", "modal_analysis", "frequency_record")
+OWN = (
+    "subspace_model",
+    "amplitude_curves",
+    "axis",
+    "best_linear_approximation",
+    "free_decay",
+    "modal_analysis",
+    "frequency_record",
+)
 
 
 def assert_same(first: Any, second: Any, where: str = "") -> None:
@@ -121,8 +130,13 @@ def test_entries_of_another_kind_are_refused(name):
 def test_shapes_that_do_not_agree_are_refused(name):
     value = stored()[name]
     data = value.to_dict()
-    entries = {"subspace_model": "denominator", "frequency_record": "omegas", "axis": "estimates"}
-    entry = entries.get(name, "damping_ratios")
+    own = {
+        "subspace_model": "denominator",
+        "frequency_record": "omegas",
+        "axis": "estimates",
+        "best_linear_approximation": "omegas",
+    }
+    entry = own.get(name, "damping_ratios")
     with pytest.raises(ModelFormatError, match=r"shape|lines"):
         type(value).from_dict({**data, entry: data[entry][:-1]})
 

@@ -148,7 +148,7 @@ def test_an_order_that_is_no_whole_number_is_refused(asked, value):
         (lambda r: validate(3, r), "model is a int"),
         (lambda r: compare_models(MODES, PLANT), "a TransferFunctionModel is to be compared"),
         (lambda r: welch_response(r, segment_s=float("nan")), "segment_s is nan"),
-        (lambda r: periodic_response(r, float("nan")), "expected a whole number"),
+        (lambda r: periodic_response(r, float("nan")), "expected at least 4"),
         (lambda r: local_polynomial_response(r, degree=40), "0 to 10"),
     ],
 )

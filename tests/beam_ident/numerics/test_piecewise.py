@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from beam_ident.numerics import piecewise
 from beam_ident.numerics.piecewise import BAND_LIMITED_DEGREE, PiecewisePolynomial, regular_period
-from beam_ident.responses.periodic_averaging import hold_gain
+from beam_ident.responses.periods import hold_gain
 
 PERIOD_S = 1e-3
 
