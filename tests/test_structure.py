@@ -110,6 +110,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
     ("beam_ros/offline", "tracked_film whole_beam", "offline/test_video_into_bag"),
     ("beam_ros/rig", "film_points", "offline/test_film_rendering"),
+    ("beam_ros/calibration", "pictures", "calibration/test_from_flats"),
     ("beam_ros/cli/offline", "render", "offline/test_film_rendering"),
     ("beam_ros/vision/rendering", "imaging", "offline/test_film_rendering"),
     ("beam_ros/offline", "seen_data", "offline/test_foreign_bags"),

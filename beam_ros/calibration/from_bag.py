@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ def calibrate_from_bags(
     reference: str = HUB_ENCODER,
     reference_sd_m: float | None = None,
     frames: int | None = None,
-    date: str = "",
+    circumstances: Mapping[str, Any] | None = None,
 ) -> tuple[CalibrationFit, Rig]:
     """Fit a calibration to what bags hold.
 
@@ -135,7 +135,7 @@ def calibrate_from_bags(
     reference_sd_m : float, optional -- standard deviation of the reference [m]; None: the encoder's resolution over
         sqrt(12), and to be given for any other reference
     frames : int, optional -- frames averaged at the end of each rest; None: ``tracker.averaged_frames`` of the rig
-    date : str -- for the provenance
+    circumstances : mapping, optional -- date, temperature: for the provenance
 
     Returns
     -------
@@ -189,7 +189,7 @@ def calibrate_from_bags(
         raise UsageError("no bag to calibrate from: name at least one")
     fit = procedure.fit(
         {
-            "date": date,
+            **(circumstances or {}),
             "bags": used,
             "reference": sensor.name,
             "reference_sd_m": sensor.sd_m,
@@ -268,7 +268,7 @@ def _capture(
 ) -> tuple[int, list[float]]:
     """Capture a point of every rest that has frames; returns their number, and how rests that swing do [px]."""
     count, swings = 0, []
-    u = seen.u_px if lens is None else lens.undistort(seen.u_px, seen.v_px)[0]
+    u, v = (seen.u_px, seen.v_px) if lens is None else lens.undistort(seen.u_px, seen.v_px)
     whole = np.all(np.isfinite(u), axis=1)
     for rest in rests:
         chosen = np.flatnonzero((seen.stamps_ns >= rest.start_ns) & (seen.stamps_ns <= rest.end_ns) & whole)[
@@ -288,7 +288,11 @@ def _capture(
         )
         position = float(np.mean(sensor.positions[window])) if np.any(window) else rest.position_m
         procedure.capture_point(
-            u[chosen], np.broadcast_to(np.maximum(noise, 1e-4), u[chosen].shape), position, sensor.sd_m
+            u[chosen],
+            np.broadcast_to(np.maximum(noise, 1e-4), u[chosen].shape),
+            position,
+            sensor.sd_m,
+            v[chosen],
         )
         count += 1
     return count, swings

@@ -1,28 +1,20 @@
-"""Calibrations from pictures of a checkerboard: one in the beam's plane for the scale, tilted ones for the lens."""
+"""Calibrations from pictures of a board: one in the beam's plane for the scale, tilted ones for the lens."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import cv2
-import numpy as np
+from typing import Any
 
 from beam_ros.arrays import ImageArray
+from beam_ros.calibration.pictures import some_frames
 from beam_ros.rig.rig import Rig
-from beam_ros.vision.calibration.checkerboard import (
-    MIN_PICTURES,
-    Checkerboard,
-    LensFit,
-    ScaleFit,
-    fit_lens,
-    fit_scale,
-)
+from beam_ros.vision.calibration.board_fits import MIN_PICTURES, LensFit, ScaleFit, fit_lens, fit_scale
+from beam_ros.vision.calibration.boards import Board
 from beam_ros.vision.calibration.lens import Lens, lens_to_dict
 from beam_ros.vision.calibration.linear import LinearCalibration
-from beam_ros.vision.camera.video import VideoFile
-from beam_ros.vision.errors import CalibrationError, VideoError
+from beam_ros.vision.errors import CalibrationError
 
 FRAMES_OF_A_VIDEO = 25
 """So many frames of a video are looked at, evenly over its length."""
@@ -51,7 +43,11 @@ class BoardCalibration:
 
 
 def calibrate_from_board(
-    plane: Path, tilted: Sequence[Path], board: Checkerboard, rig: Rig, date: str = ""
+    plane: Path,
+    tilted: Sequence[Path],
+    board: Board,
+    rig: Rig,
+    circumstances: Mapping[str, Any] | None = None,
 ) -> BoardCalibration:
     """Calibrate a rig's camera by pictures of a board.
 
@@ -59,9 +55,9 @@ def calibrate_from_board(
     ----------
     plane : Path -- picture, or video, of the board held in the beam's plane
     tilted : sequence of Path -- pictures or videos of it in other places, tilted: the lens is fitted to them
-    board : Checkerboard
+    board : Board
     rig : Rig -- whose camera it is
-    date : str -- for the provenance
+    circumstances : mapping, optional -- date, temperature: for the provenance
 
     Returns
     -------
@@ -75,24 +71,25 @@ def calibrate_from_board(
         A file is neither a picture nor a video.
     """
     camera = rig.camera_parameters()
-    pictures = _pictures(plane)
-    for path, picture in [(plane, pictures[0]), *((path, _pictures(path)[0]) for path in tilted)]:
-        if picture.shape != (camera.height, camera.width):
+    shown = {path: some_frames(path, FRAMES_OF_A_VIDEO) for path in dict.fromkeys((plane, *tilted))}
+    for path, pictures in shown.items():
+        height, width = pictures[0].shape
+        if (width, height) != (camera.width, camera.height):
             raise CalibrationError(
-                f"{path}: is {picture.shape[1]} x {picture.shape[0]}; expected {camera.width} x {camera.height}, the "
-                "rig's camera: take pictures with it, or give its rig file with --rig-file"
+                f"{path}: is {width} x {height}; expected {camera.width} x {camera.height}, the rig's camera: take "
+                "pictures with it, or give its rig file with --rig-file"
             )
     lens_fit: LensFit | None = None
     lens: Lens | None = None
     warnings = []
     if tilted:
-        lens_fit = fit_lens([picture for path in (plane, *tilted) for picture in _pictures(path)], board)
+        lens_fit = fit_lens([picture for path in (plane, *tilted) for picture in shown[path]], board)
         lens = lens_fit.lens
     else:
         warnings.append(
             f"no tilted pictures: the lens is taken for perfect; {MIN_PICTURES} or more give its distortion"
         )
-    scale = _scale(pictures, board, lens, plane)
+    scale = _scale(shown[plane], board, lens, plane)
     if scale.tilt > _LARGE_TILT:
         warnings.append(
             f"the scale changes by {100 * scale.tilt:.1f} % over the board: hold it parallel to the image"
@@ -120,8 +117,8 @@ def calibrate_from_board(
         camera_name=camera.name,
         focus=camera.focus,
         provenance={
-            "method": "checkerboard in the beam's plane",
-            "date": date,
+            "method": f"{board.pattern} in the beam's plane",
+            **(circumstances or {}),
             "pictures": [str(plane), *(str(path) for path in tilted)],
             "board": [board.columns, board.rows],
             "square_m": board.square_m,
@@ -130,12 +127,22 @@ def calibrate_from_board(
             "tilt": scale.tilt,
             "markers": list(rig.markers.names),
             "lens": lens_to_dict(lens),
+            **({} if lens_fit is None else {"lens_sd": _lens_sd(lens_fit)}),
         },
     )
     return BoardCalibration(calibration, scale, lens_fit, tuple(warnings))
 
 
-def _scale(pictures: list[ImageArray], board: Checkerboard, lens: Lens | None, path: Path) -> ScaleFit:
+def _lens_sd(fit: LensFit) -> dict[str, list[float]]:
+    """Standard deviations of a lens, under the names that it has in the file."""
+    return {
+        "focal_px": list(fit.focal_sd_px),
+        "centre_px": list(fit.centre_sd_px),
+        "distortion": list(fit.distortion_sd),
+    }
+
+
+def _scale(pictures: list[ImageArray], board: Board, lens: Lens | None, path: Path) -> ScaleFit:
     """Scale of the picture, or of the frame of a video, in which the corners fit best."""
     fits = []
     fault: CalibrationError | None = None
@@ -147,15 +154,3 @@ def _scale(pictures: list[ImageArray], board: Checkerboard, lens: Lens | None, p
     if not fits:
         raise CalibrationError(f"{path}: {fault}") from fault
     return min(fits, key=lambda fit: fit.residual_rms_px)
-
-
-def _pictures(path: Path) -> list[ImageArray]:
-    """A picture, or frames of a video."""
-    if not path.is_file():
-        raise VideoError(f"{path}: no such picture or video; check the path")
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is not None:
-        return [np.asarray(picture)]
-    video = VideoFile(path, rate_hz=1.0)
-    step = max(1, video.n_frames // FRAMES_OF_A_VIDEO)
-    return [image for k, (_, image) in enumerate(video.frames()) if k % step == 0]

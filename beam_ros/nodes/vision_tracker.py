@@ -179,7 +179,9 @@ class VisionTracker(RigNode):
     async def _capture_point(self) -> str:
         frames = await self._averaging.next_frames()
         position_m = self._hub_position_now()
-        self._procedure.capture_point(frames.columns, frames.sigmas, position_m, self._encoder_sd_m)
+        self._procedure.capture_point(
+            frames.columns, frames.sigmas, position_m, self._encoder_sd_m, frames.across
+        )
         return f"point {len(self._procedure.points)} at {position_m:.6f} m"
 
     def _hub_position_now(self) -> float:
@@ -213,7 +215,7 @@ class VisionTracker(RigNode):
             "heights_m": self._heights.tolist(),
             "lens": lens_to_dict(self._chain.lens),
         }
-        fit = self._procedure.fit(provenance)
+        fit = self._procedure.fit(provenance, self._chain.calibration.angle)
         path = self.rig.tracker.save_calibration
         if path:
             save_calibration(fit.calibration, Path(path))
@@ -225,7 +227,9 @@ class VisionTracker(RigNode):
                 fit.calibration.pixels_per_metre, fit.calibration.covariance, strict=True
             )
         )
-        return "; ".join([f"{scales} px/m", *fit.warnings])
+        found = fit.calibration
+        angle = f"travel at {found.angle * 1e3:+.2f} +- {found.angle_sd * 1e3:.2g} mrad to the image's rows"
+        return "; ".join([f"{scales} px/m", angle, *fit.warnings])
 
     # -- health --------------------------------------------------------------------------------------------
 

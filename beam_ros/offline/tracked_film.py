@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from beam_ros.rig.beam_line import marker_shape_fitter
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.calibration.storage import load_calibration
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
@@ -87,7 +89,7 @@ def track_video(
     ----------
     video : VideoFile
     rig : Rig -- its camera and markers
-    calibration : LinearCalibration, optional -- None: the rig's nominal scale
+    calibration : LinearCalibration, optional -- None: the one that the rig names, else its nominal scale
     progress : callable -- told the share done
     is_whole : bool -- follow the strip at every ``row_step`` rows, not the markers
 
@@ -100,7 +102,8 @@ def track_video(
     VideoError
         The video has another size than the rig's camera, or shows none of the low marker or the strip.
     CalibrationError
-        The calibration was made for another camera, image size or number of markers.
+        The calibration was made for another camera, image size or number of markers; or the one that the rig names
+        cannot be read.
     VisionParameterError
         The exposure is longer than a frame.
     """
@@ -117,6 +120,8 @@ def track_video(
             raise VisionParameterError(
                 f"{video.path}: at {video.rate_hz:g} frames/s, {err} (-p camera.exposure:=..)"
             ) from err
+    if calibration is None and rig.tracker.calibration:
+        calibration = load_calibration(Path(rig.tracker.calibration))
     if is_whole:
         tracked = follow_strip(
             video, camera, rig.beam.length, calibration, rig.markers.heights, row_step, progress

@@ -123,7 +123,8 @@ def track_into_bag(
     rig : Rig, optional -- None: as the bag says
     rate_hz : float, optional -- frames per second; None: as the file says
     times_path : Path, optional -- file with the time of every frame; comes before any rate
-    calibration : LinearCalibration, optional -- None: the rig's nominal scale
+    calibration : LinearCalibration, optional -- None: the one that the rig names (``tracker.calibration``), else its
+        nominal scale
     has_exact_rate : bool -- do not fit the rate of the camera's clock
     replaces : bool -- leave out displacements that the bag has already, instead of refusing it
     is_whole : bool -- follow the strip at every ``row_step`` rows, not the markers

@@ -130,13 +130,13 @@ def follow_strip(
             "where the rig file puts it: check beam.length, beam.thickness, camera.origin_u and origin_v, "
             "camera.pixels_per_metre and camera.contrast, light the strip's edge, or give more rows a point"
         )
-    corrected = columns
+    perfect_u, perfect_v = columns, np.broadcast_to(rows, columns.shape)
     if lens is not None:
-        down = np.broadcast_to(rows, columns.shape)
-        left, corrected, right = lens.undistort(
-            columns + np.array([-0.5, 0.0, 0.5])[:, None, None], np.stack([down] * 3)
-        )[0]
+        (left, perfect_u, right), (_, perfect_v, _) = lens.undistort(
+            columns + np.array([-0.5, 0.0, 0.5])[:, None, None], np.stack([perfect_v] * 3)
+        )
         spread = spread * np.abs(right - left)
+    corrected, _ = scale.travel_axes(perfect_u, perfect_v)
     found = [scale.displacement(at, sd) for at, sd in zip(corrected, spread, strict=True)]
     x, sd = np.array([one.x_m for one in found]), np.array([one.sigma_m for one in found])
     stamps = np.array([[timing.row_middle(0, float(row)) for row in rows]], dtype=np.int64)

@@ -23,8 +23,9 @@ class FrameAverage:
 
     Attributes
     ----------
-    columns, sigmas : list of list of float -- a row per frame, a column per marker: position without the lens's
-        distortion and its standard deviation; NaN where a marker was not seen [px]
+    columns, sigmas, across : list of list of float -- a row per frame, a column per marker: position along the hub's
+        travel without the lens's distortion, its standard deviation, and position across the travel; NaN where a
+        marker was not seen [px]
     """
 
     deadline: float
@@ -32,6 +33,7 @@ class FrameAverage:
     to_skip: int = WAITING_FRAMES
     columns: list[list[float]] = field(default_factory=list)
     sigmas: list[list[float]] = field(default_factory=list)
+    across: list[list[float]] = field(default_factory=list)
 
 
 class FrameAveraging:
@@ -84,6 +86,7 @@ class FrameAveraging:
                 continue
             average.columns.append(measurement.corrected_px.tolist())
             average.sigmas.append(measurement.sigma_px.tolist())
+            average.across.append(measurement.across_px.tolist())
             if len(average.columns) >= wanted:
                 self._end(average)
 

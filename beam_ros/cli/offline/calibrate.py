@@ -1,11 +1,14 @@
-"""Pixels to metres, with their uncertainty: from recorded bags, or from a checkerboard; or the camera's noise.
+"""Pixels to metres, with their uncertainty: from recorded bags, or from a printed board; or the camera's noise.
 
 From bags: the hub stops at twenty or more positions in both directions for a second or two each while beam/markers
-is recorded; every rest is a point of a straight line per marker. The reference is the hub's own encoder, or another
+is recorded; every rest is a point of a straight line per marker, and together they tell the angle between the image's
+rows and the hub's travel. The reference is the hub's own encoder, or another
 sensor on a JointState topic (--reference TOPIC:NAME --reference-sd M).
 
 From a board: the first picture or video shows the board in the beam's plane and gives the scale; further ones, of
-the board tilted in other places, give the lens. `beam track --calibration` and tracker.calibration read the result.
+the board tilted in other places, give the lens. --board counts the inner corners of a checkerboard or, with
+--pattern charuco, of a ChArUco board, which need not be in view as a whole; with --pattern aruco it counts markers.
+`beam track --calibration` and tracker.calibration read the result.
 
 The camera's noise: `beam calibrate camera-noise SERIES... [--dark SERIES]`, where each series is a video, a folder of
 pictures or a bag that shows an even scene at rest, two or more of them in different light. --save writes a parameter
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
 
 _NOISE = "camera-noise"
+_COLDEST, _HOTTEST = -60.0, 150.0  # [degrees Celsius] at which cameras work
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,10 +59,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="frames averaged at the end of each rest (default: tracker.averaged_frames)",
     )
-    parser.add_argument("--board", metavar="COLUMNSxROWS", help="inner corners of a checkerboard, as 8x6")
-    parser.add_argument("--square", type=float, metavar="M", help="edge of its squares in m")
+    parser.add_argument(
+        "--board",
+        metavar="COLUMNSxROWS",
+        help="inner corners of a board, as 8x6; of --pattern aruco: markers",
+    )
+    parser.add_argument(
+        "--square", type=float, metavar="M", help="edge of its squares, or from marker to marker, in m"
+    )
     parser.add_argument(
         "--square-sd", type=float, default=0.0, metavar="M", help="standard deviation of that edge in m"
+    )
+    parser.add_argument(
+        "--pattern",
+        choices=("checkerboard", "charuco", "aruco"),
+        default="checkerboard",
+        help="what is printed on the board (default: checkerboard)",
+    )
+    parser.add_argument("--marker", type=float, metavar="M", help="edge of the markers on the board in m")
+    parser.add_argument(
+        "--dictionary", metavar="NAME", help="of the markers on the board, as 5x5_100 or apriltag_36h11"
+    )
+    parser.add_argument(
+        "--temperature", type=float, metavar="CELSIUS", help="in the room, kept with the calibration"
     )
     parser.add_argument(
         "--dark", type=Path, metavar="SERIES", help="with camera-noise: frames taken with the lens covered"
@@ -70,13 +93,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     quiet_opencv()
-    date = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    circumstances: dict[str, Any] = {"date": datetime.now(timezone.utc).isoformat(timespec="seconds")}
+    if arguments.temperature is not None:
+        if not _COLDEST <= arguments.temperature <= _HOTTEST:
+            raise UsageError(
+                f"--temperature is {arguments.temperature:g}: expected degrees Celsius, from {_COLDEST:g} to "
+                f"{_HOTTEST:g}"
+            )
+        circumstances["temperature_celsius"] = arguments.temperature
     if str(arguments.sources[0]) == _NOISE:
-        result = _camera_noise(arguments, date)
+        result = _camera_noise(arguments, circumstances)
     elif arguments.dark is not None:
         raise UsageError(f"--dark goes with `beam calibrate {_NOISE} SERIES...`")
     else:
-        result = _from_board(arguments, date) if arguments.board else _from_bags(arguments, date)
+        result = (
+            _from_board(arguments, circumstances) if arguments.board else _from_bags(arguments, circumstances)
+        )
     if arguments.json:
         print(strict_json(result, indent=2))
     else:
@@ -93,12 +125,13 @@ def _save(calibration: Any, path: Path | None) -> None:
         save_calibration(calibration, path)
 
 
-def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+def _from_bags(arguments: argparse.Namespace, circumstances: dict[str, Any]) -> dict[str, Any]:
     from beam_ros.calibration.from_bag import calibrate_from_bags
     from beam_ros.offline.video_into_bag import bag_rig
 
-    if arguments.square is not None:
-        raise UsageError("--square goes with --board COLUMNSxROWS")
+    for option in ("square", "marker", "dictionary"):
+        if getattr(arguments, option) is not None:
+            raise UsageError(f"--{option} goes with --board COLUMNSxROWS")
     if arguments.frames is not None and arguments.frames < 10:
         raise UsageError(f"--frames is {arguments.frames}: expected at least 10 for each rest")
     rig = None
@@ -113,7 +146,7 @@ def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
             reference=arguments.reference,
             reference_sd_m=arguments.reference_sd,
             frames=arguments.frames,
-            date=date,
+            circumstances=circumstances,
         )
         stage.finish(f"{fit.calibration.provenance['n_points']} positions")
     _save(fit.calibration, arguments.save)
@@ -125,7 +158,7 @@ def _from_bags(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
     }
 
 
-def _camera_noise(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+def _camera_noise(arguments: argparse.Namespace, circumstances: dict[str, Any]) -> dict[str, Any]:
     from beam_ros.calibration.from_flats import noise_from_flats, save_parameters
 
     sources = arguments.sources[1:]
@@ -137,7 +170,7 @@ def _camera_noise(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
         noise = noise_from_flats(sources, arguments.dark)
         stage.finish(f"{sum(noise.n_frames)} frames")
     if arguments.save is not None:
-        save_parameters(noise, arguments.save, date)
+        save_parameters(noise, arguments.save, circumstances)
     table = [
         f"variance     {noise.variance:.4g} +- {noise.variance_sd:.2g} grey levels^2 at level 0, and "
         f"{noise.per_grey:.4g} +- {noise.per_grey_sd:.2g} more for each grey level",
@@ -182,7 +215,9 @@ def _tests(fit: CalibrationFit, names: tuple[str, ...]) -> dict[str, dict[str, A
 
 
 def _table(fit: CalibrationFit, names: tuple[str, ...]) -> list[str]:
+    calibration = fit.calibration
     lines = [
+        f"travel    at {calibration.angle * 1e3:+.3f} +- {calibration.angle_sd * 1e3:.2g} mrad to the image's rows",
         "marker          scale [px/m]             zero [px]       residual   hysteresis [px]      curvature "
         "[px/m^2]   chi^2/dof",
     ]
@@ -197,19 +232,34 @@ def _table(fit: CalibrationFit, names: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def _from_board(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
+def _from_board(arguments: argparse.Namespace, circumstances: dict[str, Any]) -> dict[str, Any]:
     from beam_ros.calibration.from_board import calibrate_from_board
-    from beam_ros.vision.calibration.checkerboard import Checkerboard
+    from beam_ros.vision.calibration.board_fits import COEFFICIENTS
+    from beam_ros.vision.calibration.boards import Board
 
     columns, separator, rows = arguments.board.lower().partition("x")
     if not (separator and columns.isdigit() and rows.isdigit()):
-        raise UsageError(f"--board is {arguments.board!r}: expected its inner corners, as 8x6")
+        raise UsageError(
+            f"--board is {arguments.board!r}: expected its inner corners, or markers of --pattern aruco, as 8x6"
+        )
     if arguments.square is None:
         raise UsageError("--board needs --square, the edge of its squares in m")
-    board = Checkerboard(int(columns), int(rows), arguments.square, arguments.square_sd)
+    if arguments.pattern == "checkerboard" and (
+        arguments.marker is not None or arguments.dictionary is not None
+    ):
+        raise UsageError("--marker and --dictionary go with --pattern charuco or aruco")
+    board = Board(
+        int(columns),
+        int(rows),
+        arguments.square,
+        arguments.square_sd,
+        arguments.pattern,
+        arguments.marker or 0.0,
+        arguments.dictionary or "",
+    )
     plane, *tilted = arguments.sources
     with Progress("calibrate", 1.0) as stage:
-        found = calibrate_from_board(plane, tilted, board, read_rig(arguments), date)
+        found = calibrate_from_board(plane, tilted, board, read_rig(arguments), circumstances)
         stage.finish(f"board found in {plane}")
     _save(found.calibration, arguments.save)
     table = [
@@ -217,11 +267,16 @@ def _from_board(arguments: argparse.Namespace, date: str) -> dict[str, Any]:
         f"{found.scale.residual_rms_px:.3f} px (RMS), scale over the board even to {100 * found.scale.tilt:.2f} %"
     ]
     if found.lens is not None:
-        lens = found.lens.lens
+        fit, lens = found.lens, found.lens.lens
+        bends = [
+            f"{name} {value:+.4f} +- {sd:.2g}"
+            for name, value, sd in zip(COEFFICIENTS, lens.distortion, fit.distortion_sd, strict=True)
+            if name in fit.coefficients
+        ]
         table.append(
-            f"lens     {found.lens.n_pictures} pictures, corners off by {found.lens.residual_rms_px:.3f} px (RMS), "
-            f"focal length {lens.focal_px[0]:.1f} px, distortion "
-            + ", ".join(f"{value:+.4f}" for value in lens.distortion)
+            f"lens     {fit.n_pictures} pictures, corners off by {fit.residual_rms_px:.3f} px (RMS), "
+            f"focal length {lens.focal_px[0]:.1f} +- {fit.focal_sd_px[0]:.2g} px, distortion "
+            + (", ".join(bends) or "none that the pictures show")
         )
     return {
         "calibration": found.calibration.to_dict(),

@@ -50,7 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the frame times run as the hub's do: fit the offset alone, not the rate of the camera's clock",
     )
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="pixels to metres (default: camera.pixels_per_metre)"
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="pixels to metres (default: the rig's tracker.calibration, else camera.pixels_per_metre)",
     )
     parser.add_argument(
         "--replace", action="store_true", help="leave out displacements that the bag has already"

@@ -1,7 +1,8 @@
 """From pixels to metres, with the uncertainty that this costs.
 
-The image of a marker at position x is u = zero + d s x, with the scale s [px/m], the marker's zero [px] and
-the direction d (-1 for a camera that looks from behind). ``LinearCalibration`` inverts that and carries the
+The image of a marker at position x is c = zero + d s x, with the scale s [px/m], the marker's zero [px] and
+the direction d (-1 for a camera that looks from behind), where c = u cos(a) + v sin(a) is the place along the hub's
+travel, which the camera sees at the angle a to its rows. ``LinearCalibration`` inverts that and carries the
 uncertainty of scale and zero into every displacement. It comes from the rig's nominal scale, from a board held in
 the beam's plane, or from ``vision.calibration.procedure``, and it holds for one camera at one focus.
 """
@@ -21,10 +22,13 @@ from beam_ros.arrays import FloatArray
 from beam_ros.vision.errors import CalibrationError
 from beam_ros.vision.parameters import CameraParameters
 
-SCHEMA = 2
+SCHEMA = 3
 """Number of the dictionary's layout."""
+_SCHEMA_WITHOUT_ANGLE = 2
 
 
+_LARGEST_ANGLE = math.pi / 4
+"""Beyond this the hub moves across the rows more than along them."""
 _NAMED_BY = {"camera": "camera.name", "focus": "camera.focus"}
 """Parameters of the rig that say what is in use."""
 
@@ -45,18 +49,20 @@ class MarkerDisplacements:
 
 @dataclass(frozen=True)
 class LinearCalibration:
-    """A straight line per marker: u = zero + direction * scale * x.
+    """A straight line per marker: c = zero + direction * scale * x, with c = u cos(angle) + v sin(angle).
 
     Attributes
     ----------
     pixels_per_metre : tuple of float -- scale of each marker, positive [px/m]
-    zero_px : tuple of float -- column u of each marker at x = 0 [px]
+    zero_px : tuple of float -- place c of each marker at x = 0 [px]
     flip : bool -- True when +x points to the left in the image
     covariance : tuple of 2x2 tuples -- of (scale [px/m], zero [px]) for each marker
     image_size : (int, int) -- width and height of the images that it holds for [px]
     camera_name : str -- camera that it holds for; "" leaves it open
     focus : str -- setting of the lens that it holds for; "" leaves it open
     provenance : mapping of str to JSON value -- where the numbers come from: method, date, points, tests
+    angle, angle_sd : float -- between the image's rows and the hub's travel, positive where +u goes down (+v), and
+        its standard deviation; 0, 0 where it was not measured [rad]
     """
 
     pixels_per_metre: tuple[float, ...]
@@ -67,6 +73,8 @@ class LinearCalibration:
     camera_name: str
     focus: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    angle: float = 0.0
+    angle_sd: float = 0.0
 
     def __post_init__(self) -> None:
         n_markers = len(self.pixels_per_metre)
@@ -99,6 +107,11 @@ class LinearCalibration:
         width, height = self.image_size
         if width < 1 or height < 1:
             raise CalibrationError(f"image size of the calibration is {self.image_size}; expected pixels")
+        if not (abs(self.angle) < _LARGEST_ANGLE and self.angle_sd >= 0):
+            raise CalibrationError(
+                f"angle between rows and travel is {self.angle!r} +- {self.angle_sd!r} rad; expected less than "
+                f"{_LARGEST_ANGLE:.2g} rad either way: turn the camera so that the hub moves along the rows"
+            )
 
     @classmethod
     def from_camera(
@@ -144,12 +157,23 @@ class LinearCalibration:
         """Sign of du/dx."""
         return -1 if self.flip else 1
 
+    def travel_axes(self, u_px: npt.ArrayLike, v_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Turn places in the image, any shape [px], to places along and across the hub's travel [px].
+
+        A beam that bends also sinks: across the travel, which a turned camera would take for motion along it.
+        """
+        u, v = np.asarray(u_px, dtype=np.float64), np.asarray(v_px, dtype=np.float64)
+        if self.angle == 0:
+            return u, v
+        cosine, sine = math.cos(self.angle), math.sin(self.angle)
+        return np.asarray(cosine * u + sine * v), np.asarray(cosine * v - sine * u)
+
     def displacement(self, u_px: npt.ArrayLike, sigma_px: npt.ArrayLike) -> MarkerDisplacements:
         """Displacements of all markers.
 
         Parameters
         ----------
-        u_px : array_like, shape (n_markers,) -- image columns; NaN where a marker was not seen [px]
+        u_px : array_like, shape (n_markers,) -- places along the travel; NaN where a marker was not seen [px]
         sigma_px : array_like, shape (n_markers,) -- their standard deviations [px]
 
         Returns
@@ -189,7 +213,7 @@ class LinearCalibration:
 
         Parameters
         ----------
-        u_px : array_like, shape (n_frames, n_markers) -- image columns at rest; NaN where not seen [px]
+        u_px : array_like, shape (n_frames, n_markers) -- places along the travel at rest; NaN where not seen [px]
         sigma_px : array_like, same shape -- their standard deviations [px]
 
         Returns
@@ -272,6 +296,8 @@ class LinearCalibration:
             "zero_px": [float(value) for value in self.zero_px],
             "covariance": [[[float(c) for c in row] for row in matrix] for matrix in self.covariance],
             "provenance": dict(self.provenance),
+            "angle": float(self.angle),
+            "angle_sd": float(self.angle_sd),
         }
 
     @classmethod
@@ -294,6 +320,8 @@ class LinearCalibration:
             "zero_px",
             "covariance",
             "provenance",
+            "angle",
+            "angle_sd",
         }
         if not isinstance(data, Mapping) or data.get("kind") != "linear_calibration":
             raise CalibrationError(
@@ -302,6 +330,8 @@ class LinearCalibration:
                 if isinstance(data, Mapping)
                 else f"calibration is a {type(data).__name__}; expected a mapping written by `beam calibrate`"
             )
+        if data.get("schema") == _SCHEMA_WITHOUT_ANGLE:
+            data = {**data, "schema": SCHEMA, "angle": 0.0, "angle_sd": 0.0}
         if data.get("schema") != SCHEMA:
             raise CalibrationError(
                 f"calibration has schema {data.get('schema')!r}; expected {SCHEMA}: calibrate again"
@@ -319,6 +349,8 @@ class LinearCalibration:
                 camera_name=str(data["camera_name"]),
                 focus=str(data["focus"]),
                 provenance=dict(data["provenance"]),
+                angle=float(data["angle"]),
+                angle_sd=float(data["angle_sd"]),
             )
         except (TypeError, ValueError, IndexError) as err:
             if isinstance(err, CalibrationError):

@@ -2,14 +2,15 @@
 
 Positions of the image against positions of the reference, captured at rest, both with standard deviations, and a
 straight line through them that respects both (Deming's line, York's equations), with the tests that a straight line
-deserves: residuals, hysteresis, curvature.
+deserves: residuals, hysteresis, curvature. Where the markers' rows are given, too, they tell the angle at which the
+hub travels, and the line counts along that.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class CalibrationPoint:
     reference_m, reference_sd_m : float -- position by the reference sensor and its standard deviation [m]
     u_px, u_sd_px : float -- mean column in the image and the standard deviation of that mean [px]
     n_frames : int -- frames averaged
+    across_px : float -- mean place across the line on which ``u_px`` counts [px]; NaN where it was not given
     """
 
     reference_m: float
@@ -44,6 +46,7 @@ class CalibrationPoint:
     u_px: float
     u_sd_px: float
     n_frames: int
+    across_px: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,52 @@ def _curvature(t: FloatArray, y: FloatArray, weight: FloatArray, unit: float) ->
     return float(estimate[2]) / unit**2, math.sqrt(float(inverse[2, 2]) * inflation) / unit**2
 
 
+def fit_angle(markers: Sequence[Sequence[CalibrationPoint]]) -> tuple[float, float]:
+    """Angle between the line on which ``u_px`` counts and the markers' way, and its standard deviation [rad].
+
+    Parameters
+    ----------
+    markers : sequence of sequences of CalibrationPoint -- the points of every marker
+
+    Returns
+    -------
+    angle, sd : float -- 0, 0 where the points do not say where they lie across
+
+    Notes
+    -----
+    Both places follow the reference on a straight line, and the angle's tangent is the slopes' ratio. All markers
+    move alike: their weighted mean counts, its standard deviation enlarged where they scatter more than they should.
+    """
+    angles, weights = [], []
+    for points in markers:
+        x = np.array([point.reference_m for point in points])
+        u, v, sd = np.array([(point.u_px, point.across_px, point.u_sd_px) for point in points]).T
+        x = x - np.mean(x)
+        power = float(np.sum(x**2))
+        if not np.all(np.isfinite(v)) or power == 0:
+            return 0.0, 0.0
+        slope_u, slope_v = float(np.sum(x * u)) / power, float(np.sum(x * v)) / power
+        if slope_u == 0:
+            return 0.0, 0.0  # the line's own fit says so better
+        left = v - np.mean(v) - slope_v * x
+        scatter = float(np.sum(left**2)) / (len(x) - 2)
+        variance = max(scatter, float(np.mean(sd**2))) / power / slope_u**2
+        angles.append(math.atan(slope_v / slope_u))
+        weights.append(1.0 / max(variance, 1e-18))
+    mean = float(np.average(angles, weights=weights))
+    excess = float(np.sum(np.array(weights) * (np.array(angles) - mean) ** 2)) / max(1, len(angles) - 1)
+    return mean, math.sqrt(max(1.0, excess) / float(np.sum(weights)))
+
+
+def _turned(point: CalibrationPoint, angle: float) -> CalibrationPoint:
+    """Return the point with its place along a line that is turned by an angle."""
+    if angle == 0:
+        return point
+    along = math.cos(angle) * point.u_px + math.sin(angle) * point.across_px
+    across = math.cos(angle) * point.across_px - math.sin(angle) * point.u_px
+    return replace(point, u_px=along, across_px=across)
+
+
 @dataclass(frozen=True)
 class CalibrationFit:
     """A fitted calibration and, per marker, the line it comes from.
@@ -259,6 +308,7 @@ class CalibrationProcedure:
         sigma_px: npt.ArrayLike,
         reference_m: float,
         reference_sd_m: float,
+        across_px: npt.ArrayLike | None = None,
     ) -> tuple[CalibrationPoint, ...]:
         """Average frames at one position of the reference.
 
@@ -267,6 +317,8 @@ class CalibrationProcedure:
         u_px : array_like, shape (n_frames, n_markers) -- image columns; NaN where a marker was not seen [px]
         sigma_px : array_like, same shape -- their standard deviations [px]
         reference_m, reference_sd_m : float -- position by the reference sensor and its sd [m]
+        across_px : array_like, shape (n_frames, n_markers), optional -- image rows: with them the angle of the hub's
+            travel is fitted, too [px]
 
         Returns
         -------
@@ -278,6 +330,7 @@ class CalibrationProcedure:
         """
         positions = np.atleast_2d(np.asarray(u_px, dtype=np.float64))
         sigmas = np.atleast_2d(np.asarray(sigma_px, dtype=np.float64))
+        rows = None if across_px is None else np.atleast_2d(np.asarray(across_px, dtype=np.float64))
         if positions.shape != sigmas.shape or positions.shape[1] != self.n_markers:
             raise CalibrationError(
                 f"positions have shape {positions.shape}, standard deviations {sigmas.shape}; expected "
@@ -300,16 +353,20 @@ class CalibrationProcedure:
                     f"{what}: it moves by {scatter:.3g} px (sd) where the noise is {stated:.3g} px; expected "
                     "a beam at rest: wait until it has come to rest and capture again"
                 )
-            captured.append(CalibrationPoint(float(reference_m), float(reference_sd_m), mean, sd, count))
+            across = math.nan if rows is None else float(np.mean(rows[seen, k]))
+            captured.append(
+                CalibrationPoint(float(reference_m), float(reference_sd_m), mean, sd, count, across)
+            )
         self._points.append(tuple(captured))
         return self._points[-1]
 
-    def fit(self, provenance: Mapping[str, Any] | None = None) -> CalibrationFit:
-        """Fit all markers.
+    def fit(self, provenance: Mapping[str, Any] | None = None, angle: float = 0.0) -> CalibrationFit:
+        """Fit all markers, and the angle of the hub's travel where the points say how it runs.
 
         Parameters
         ----------
         provenance : mapping or None -- what to keep beside the numbers: date, reference sensor, bag
+        angle : float -- of the line on which the points' ``u_px`` counts, to the image's rows [rad]
 
         Returns
         -------
@@ -325,7 +382,10 @@ class CalibrationProcedure:
                 f"calibration has {len(self._points)} points; expected at least {MIN_POINTS}, better "
                 f"{RECOMMENDED_POINTS} in both directions: capture more positions"
             )
-        lines = tuple(fit_line([point[k] for point in self._points]) for k in range(self.n_markers))
+        by_marker = tuple(tuple(point[k] for point in self._points) for k in range(self.n_markers))
+        turn, turn_sd = fit_angle(by_marker)
+        by_marker = tuple(tuple(_turned(point, turn) for point in points) for points in by_marker)
+        lines = tuple(fit_line(points) for points in by_marker)
         signs = {math.copysign(1.0, line.slope) for line in lines}
         if len(signs) != 1:
             raise CalibrationError(
@@ -334,12 +394,12 @@ class CalibrationProcedure:
             )
         flip = signs == {-1.0}
         direction = -1.0 if flip else 1.0
-        turn = np.diag([direction, 1.0])
+        sign = np.diag([direction, 1.0])
         calibration = LinearCalibration(
             pixels_per_metre=tuple(abs(line.slope) for line in lines),
             zero_px=tuple(line.intercept for line in lines),
             flip=flip,
-            covariance=tuple(matrix_of_two((turn @ line.covariance @ turn).tolist()) for line in lines),
+            covariance=tuple(matrix_of_two((sign @ line.covariance @ sign).tolist()) for line in lines),
             image_size=(self._camera.width, self._camera.height),
             camera_name=self._camera.name,
             focus=self._camera.focus,
@@ -353,8 +413,9 @@ class CalibrationProcedure:
                 "is_curved": [line.is_curved for line in lines],
                 "has_hysteresis": [line.has_hysteresis for line in lines],
             },
+            angle=angle + turn,
+            angle_sd=turn_sd,
         )
-        by_marker = tuple(tuple(point[k] for point in self._points) for k in range(self.n_markers))
         return CalibrationFit(calibration, lines, by_marker, tuple(self._warnings(lines)))
 
     def _warnings(self, lines: Sequence[LineFit]) -> list[str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
+import io
 from pathlib import Path
 
 from ruamel.yaml import YAML
 
+from beam_ident.report.page import write_whole
 from beam_ros.errors import ParameterFileError
 from beam_ros.interfaces.parameter_files import read_yaml
 from beam_ros.vision.calibration.linear import LinearCalibration
@@ -62,15 +62,11 @@ def save_calibration(calibration: LinearCalibration, path: Path) -> None:
     CalibrationError
         The file cannot be written.
     """
-    yaml = YAML(typ="safe", pure=True)
-    partial = path.with_name(path.name + ".partial")
+    text = io.StringIO()
+    YAML(typ="safe", pure=True).dump(calibration.to_dict(), text)
     try:
-        with partial.open("w", encoding="utf-8") as stream:
-            yaml.dump(calibration.to_dict(), stream)
-        os.replace(partial, path)
+        write_whole(path, text.getvalue())
     except OSError as err:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise CalibrationError(
             f"{path}: cannot be written ({err.strerror}); give a path of a file that can (--save, or "
             "tracker.save_calibration)"

@@ -39,8 +39,9 @@ class Measurement:
     stamp_ns : int -- stamp of the frame [ns]
     stamps_ns : tuple of int -- middle of the exposure of each marker's row [ns]
     u_px, v_px : ndarray, shape (n_markers,) -- where the markers are in the image; NaN where not seen [px]
-    corrected_px, sigma_px : ndarray, shape (n_markers,) -- column without the lens's distortion and its standard
-        deviation, which is what calibrations are made from [px]
+    corrected_px, sigma_px : ndarray, shape (n_markers,) -- place along the hub's travel, without the lens's
+        distortion, and its standard deviation, which is what calibrations are made from [px]
+    across_px : ndarray, shape (n_markers,) -- place across the travel, likewise [px]
     displacement : MarkerDisplacements -- in metres; NaN where not seen, and where there is no valid calibration
     reasons : tuple of str -- "ok", or why a marker is not valid
     frame : FrameResult or None -- the tracker's own result; None for a frame that could not be read
@@ -52,6 +53,7 @@ class Measurement:
     v_px: FloatArray
     corrected_px: FloatArray
     sigma_px: FloatArray
+    across_px: FloatArray
     displacement: MarkerDisplacements
     reasons: tuple[str, ...]
     frame: FrameResult | None
@@ -211,13 +213,13 @@ class MeasuringChain:
         u = np.array([marker.u_px for marker in markers])
         v = np.array([marker.v_px for marker in markers])
         sigma = np.array([marker.sigma_px for marker in markers])
-        corrected = u
+        perfect_u, perfect_v = u, v
         if self._lens is not None:
             # The lens also stretches: its slope along u carries the standard deviation over.
-            left, corrected, right = self._lens.undistort(
-                u + np.array([[-0.5], [0.0], [0.5]]), np.tile(v, (3, 1))
-            )[0]
+            columns, rows = self._lens.undistort(u + np.array([[-0.5], [0.0], [0.5]]), np.tile(v, (3, 1)))
+            (left, perfect_u, right), perfect_v = columns, rows[1]
             sigma = sigma * np.abs(right - left)
+        corrected, across = self._calibration.travel_axes(perfect_u, perfect_v)
         return Measurement(
             stamp_ns,
             tuple(marker.stamp_ns for marker in markers),
@@ -225,6 +227,7 @@ class MeasuringChain:
             v,
             corrected,
             sigma,
+            across,
             self._nowhere() if self._calibration_fault else self._calibration.displacement(corrected, sigma),
             tuple(marker.reason for marker in markers),
             result,
@@ -236,6 +239,7 @@ class MeasuringChain:
         return Measurement(
             stamp_ns,
             tuple(self._timing.row_middle(stamp_ns, float(row)) for row in self._rows),
+            nowhere.x_m,
             nowhere.x_m,
             nowhere.x_m,
             nowhere.x_m,

@@ -18,6 +18,7 @@ from beam_ros.errors import UsageError
 from beam_ros.hub.contract import SampleBatch
 from beam_ros.messages import BagTypes
 from beam_ros.rig.rig import Rig
+from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.calibration.storage import load_calibration
 from beam_ros.vision.errors import CalibrationError
 
@@ -31,10 +32,19 @@ THERE_AND_BACK = np.concatenate([np.linspace(-0.03, 0.03, 8), np.linspace(0.03, 
 
 
 def record(
-    path: Path, stops=THERE_AND_BACK, *, play_px=0.0, bend_px_m2=0.0, laser_m=None, swing_px=0.0, swings=()
+    path: Path,
+    stops=THERE_AND_BACK,
+    *,
+    play_px=0.0,
+    bend_px_m2=0.0,
+    laser_m=None,
+    swing_px=0.0,
+    swings=(),
+    angle=0.0,
 ) -> Path:
     """A bag in which the hub stops at positions; `play_px` is where moves in +x end up ahead of others.
 
+    The camera sees the hub travel at `angle` to its rows.
     At the stops numbered `swings` the upper markers swing at 4.4 Hz with the amplitude `swing_px`.
     """
     rng = np.random.default_rng(3)
@@ -65,7 +75,9 @@ def record(
             if stop[k] in swings:
                 u = u + swing_px * np.sin(2 * np.pi * 4.4 * times[k]) * np.array([0.0, 0.7, 1.0])
             rows = np.zeros(3, dtype=messages.MARKER_DTYPE)
-            rows["u"], rows["v"] = u + NOISE_PX * rng.standard_normal(3), 400.0
+            way = u - ZEROS
+            rows["u"] = ZEROS + way * np.cos(angle) + NOISE_PX * rng.standard_normal(3)
+            rows["v"] = 400.0 + way * np.sin(angle) + (NOISE_PX * rng.standard_normal(3) if angle else 0.0)
             rows["id"], rows["valid"] = np.arange(3), 1
             bag.write_message(
                 "beam/markers", stamp_ns, messages.marker_cloud(types, messages.MarkerCloud(stamp_ns, rows))
@@ -89,7 +101,7 @@ def test_the_command_finds_the_truth_and_saves_it(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "calibration.yaml"
-    assert main(["calibrate", str(bag), "--save", str(file)]) == 0
+    assert main(["calibrate", str(bag), "--save", str(file), "--temperature", "21.5"]) == 0
     shown = capsys.readouterr().out
     assert "scale [px/m]" in shown
     assert "z225" in shown
@@ -103,6 +115,7 @@ def test_the_command_finds_the_truth_and_saves_it(
     assert (calibration.camera_name, calibration.focus) == ("lab", "0.6 m")
     provenance = calibration.provenance
     assert provenance["bags"] == [str(bag)]
+    assert provenance["temperature_celsius"] == 21.5
     assert provenance["reference"] == "hub/measured"
     assert provenance["n_points"] == len(THERE_AND_BACK)
     assert provenance["reference_m"] == pytest.approx(THERE_AND_BACK, abs=1e-6)
@@ -120,6 +133,21 @@ def test_play_and_curvature_are_seen_and_told(tmp_path: Path, capsys: pytest.Cap
     assert all(marker["is_curved"] for marker in result["markers"].values())
     assert result["markers"]["z010"]["curvature_px_m2"] == pytest.approx(20.0, rel=0.1)
     assert any("distortion" in warning for warning in result["warnings"])
+
+
+@pytest.mark.parametrize("angle", [0.03, -0.2])
+def test_the_angle_between_rows_and_travel_is_found_and_taken_out(tmp_path: Path, angle: float) -> None:
+    fit, _ = calibrate_from_bags([record(tmp_path / "turned", angle=angle)])
+    found = fit.calibration
+    assert abs(found.angle - angle) < 4 * found.angle_sd
+    # As the scale: 0.0007 px at each of 14 positions some 20 mm from the middle, three markers, over 1500 px/m.
+    assert found.angle_sd < 1e-5
+    deviations = np.sqrt([matrix[0][0] for matrix in found.covariance])
+    assert np.all(np.abs(np.array(found.pixels_per_metre) - SCALES) < 4 * deviations)
+    # A marker that sinks by 10 px across the travel has not moved along it.
+    along, _ = found.travel_axes(ZEROS - 10.0 * np.sin(angle), 400.0 + 10.0 * np.cos(angle))
+    assert found.displacement(along, np.zeros(3)).x_m == pytest.approx(np.zeros(3), abs=2e-6)
+    assert LinearCalibration.from_dict(found.to_dict()) == found
 
 
 def test_positions_where_the_beam_still_swings_are_left_out_and_told(tmp_path: Path) -> None:
@@ -176,7 +204,8 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line(
         ([str(bag), "--rig-file", str(two)], "has 3 markers; expected 2"),
         ([str(bag), "--frames", "3"], "expected at least 10"),
         ([str(bag), "--square", "0.01"], "--square goes with --board"),
-        ([str(bag), "--save", str(tmp_path / "no" / "file.yaml")], "cannot be written"),
+        ([str(bag), "--temperature", "300"], "expected degrees Celsius"),
+        ([str(bag), "--save", str(two / "file.yaml")], "cannot be written"),
     ):
         status = main(["calibrate", *words])
         error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("beam calibrate:")]

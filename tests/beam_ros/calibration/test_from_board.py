@@ -14,7 +14,7 @@ import numpy as np  # noqa: E402
 from beam_ros.cli.main import main  # noqa: E402
 from beam_ros.vision.calibration.lens import Lens  # noqa: E402
 from beam_ros.vision.calibration.storage import load_calibration  # noqa: E402
-from tests.beam_ros.vision.calibration.test_checkerboard import POSES, picture  # noqa: E402
+from tests.beam_ros.vision.calibration.test_board_fits import POSES, picture  # noqa: E402
 
 PERFECT = Lens((900.0, 900.0), (320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0))
 BENT = Lens((900.0, 900.0), (322.0, 238.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
@@ -54,6 +54,36 @@ def test_tilted_pictures_give_the_lens_too(tmp_path: Path, capsys: pytest.Captur
     lens = result["calibration"]["provenance"]["lens"]
     assert lens["focal_px"] == pytest.approx([900.0, 900.0], rel=3e-3)
     assert lens["distortion"][0] == pytest.approx(-0.21, abs=0.02)
+
+
+def test_a_folder_of_a_charuco_board_gives_scale_and_lens_with_their_deviations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    boards = pytest.importorskip("tests.beam_ros.vision.calibration.test_boards")
+    sheet = boards.printed(boards.CHARUCO)
+    (tmp_path / "tilted").mkdir()
+    for k, pose in enumerate(boards.POSES):
+        place = tmp_path / ("tilted" if k else "") / f"{k}.png"
+        write(place, boards.picture(sheet, boards.CHARUCO, *pose, boards.BENT, seed=k))
+    words = [
+        "calibrate",
+        str(tmp_path / "0.png"),
+        str(tmp_path / "tilted"),
+        "--board",
+        "7x5",
+        "--square",
+        "0.03",
+    ]
+    marked = [*words, "--pattern", "charuco", "--marker", "0.022", "--dictionary", "5x5_100"]
+    assert main([*marked, "--save", str(tmp_path / "c.yaml")]) == 0
+    assert "distortion k1 -0.2" in capsys.readouterr().out
+    calibration = load_calibration(tmp_path / "c.yaml")
+    assert calibration.pixels_per_metre[0] == pytest.approx(900 / 0.40, rel=3e-3)
+    assert calibration.provenance["lens_sd"]["focal_px"][0] > 0
+    assert main([*words, "--marker", "0.022"]) == 2
+    assert "go with --pattern" in capsys.readouterr().err
+    assert main([*marked[:-1], "5x5_101"]) == 2
+    assert "there is no dictionary" in capsys.readouterr().err
 
 
 def test_a_video_of_the_board_will_do(tmp_path: Path) -> None:

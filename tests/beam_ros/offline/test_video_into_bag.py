@@ -216,7 +216,8 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     document.update(pixels_per_metre=[700.0] * 3, camera_name="", focus="")
     save_calibration(LinearCalibration.from_dict(document), path)
     command = ["track", str(VIDEO), "--into", str(bag), *wrong, *rows, "-p", "camera.origin_u:=47.3"]
-    assert main([*command, "--calibration", str(path), "-p", "camera.focus:=f8"]) == 0
+    # The rig's own calibration file counts as the one that is given.
+    assert main([*command, "-p", f"tracker.calibration:={path}", "-p", "camera.focus:=f8"]) == 0
     shown = capsys.readouterr().out
     assert "times as far as the hub: the scale is not right" in shown
     assert "does not say for which camera and focus it was made: expected the rig's focus ('f8')" in shown
@@ -285,6 +286,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         ),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "other.yaml")], "expected 640 x 480"),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "two.yaml")], "holds for 2 markers"),
+        (VIDEO, [*rig, "-p", f"tracker.calibration:={tmp_path / 'none.yaml'}"], "none.yaml: no such file"),
         (VIDEO, [*rig, "--calibration", str(tmp_path / "focused.yaml")], "names no focus; expected 'f8'"),
     ):
         status = main(["track", str(video), "--into", str(bag), *options])

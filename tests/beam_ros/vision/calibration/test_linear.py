@@ -147,7 +147,7 @@ def test_a_calibration_survives_its_dictionary_exactly():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": 1}, "schema 1; expected 2"),
+        ({"schema": 1}, "schema 1; expected 3"),
         ({"kind": "other"}, "no linear calibration"),
         ({"extra": 1}, "unknown keys"),
         ({"pixels_per_metre": [0.0, 1.0, 1.0]}, "scale of marker 0"),

@@ -22,7 +22,8 @@ def test_what_is_saved_is_read_back_exactly(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
-    for path in (tmp_path / "folder", tmp_path / "absent" / "calibration.yaml"):
+    (tmp_path / "folder" / "file").touch()
+    for path in (tmp_path / "folder", tmp_path / "folder" / "file" / "calibration.yaml"):
         with pytest.raises(CalibrationError, match="cannot be written"):
             save_calibration(CALIBRATION, path)
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]

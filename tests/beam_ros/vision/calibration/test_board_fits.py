@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision.calibration import checkerboard
-from beam_ros.vision.calibration.checkerboard import Checkerboard, find_corners, fit_lens, fit_scale
+from beam_ros.vision.calibration import board_fits
+from beam_ros.vision.calibration.board_fits import fit_lens, fit_scale
+from beam_ros.vision.calibration.boards import Board, BoardView
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.errors import CalibrationError
 
-BOARD = Checkerboard(8, 6, 0.02)
+BOARD = Board(8, 6, 0.02)
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
 
 
@@ -93,22 +94,22 @@ def test_undistortion_comes_before_the_scale():
 
 def test_the_ruler_limits_the_scale():
     plain = Lens((900.0, 900.0), (320.0, 240.0))
-    board = Checkerboard(8, 6, 0.02, 0.00002)
+    board = Board(8, 6, 0.02, 0.00002)
     fit = fit_scale(picture([0.0, 0.0, 0.0], [-0.07, -0.05, 0.36], plain), board)
     assert fit.sd == pytest.approx(2500.0 * 0.001, rel=0.05)
 
 
 def test_what_is_no_board_is_refused():
     with pytest.raises(CalibrationError, match="no checkerboard of 8 x 6"):
-        find_corners(np.full((480, 640), 128, np.uint8), BOARD)
+        board_fits.find_board(np.full((480, 640), 128, np.uint8), BOARD)
     with pytest.raises(CalibrationError, match="0 of 2 pictures"):
         fit_lens([np.zeros((480, 640), np.uint8)] * 2, BOARD)
     with pytest.raises(CalibrationError, match="one size"):
         fit_lens([np.zeros((480, 640), np.uint8), np.zeros((40, 64), np.uint8)], BOARD)
     with pytest.raises(CalibrationError, match="2 x 6 inner corners"):
-        Checkerboard(2, 6, 0.02)
+        Board(2, 6, 0.02)
     with pytest.raises(CalibrationError, match="metres > 0"):
-        Checkerboard(8, 6, 0.0)
+        Board(8, 6, 0.0)
 
 
 def test_the_standard_deviation_of_a_scale_is_that_of_the_corners_noise(monkeypatch):
@@ -120,7 +121,8 @@ def test_the_standard_deviation_of_a_scale_is_that_of_the_corners_noise(monkeypa
     found = []
     for _ in range(300):
         corners = turned + noise * rng.standard_normal(turned.shape)
-        monkeypatch.setattr(checkerboard, "find_corners", lambda image, board, corners=corners: corners)
+        view = BoardView(place, corners)
+        monkeypatch.setattr(board_fits, "find_board", lambda image, board, view=view: view)
         found.append(fit_scale(np.zeros((480, 640), np.uint8), BOARD))
     true = noise / np.sqrt(np.sum((place - np.mean(place, axis=0)) ** 2))
     # 300 estimates of a variance with 92 degrees of freedom: 0.9 %; 300 scales: 4 % of their scatter.
@@ -130,6 +132,38 @@ def test_the_standard_deviation_of_a_scale_is_that_of_the_corners_noise(monkeypa
 
 
 def test_the_smallest_board_has_three_by_three_corners():
-    assert (Checkerboard(3, 3, 0.02).columns, Checkerboard(3, 3, 0.02).rows) == (3, 3)
+    assert (Board(3, 3, 0.02).columns, Board(3, 3, 0.02).rows) == (3, 3)
     with pytest.raises(CalibrationError, match="6 x 2 inner corners"):
-        Checkerboard(6, 2, 0.02)
+        Board(6, 2, 0.02)
+
+
+@pytest.mark.parametrize("truth", [(), ("k1",), ("k1", "p1", "p2")])
+def test_the_coefficients_that_corners_support_are_chosen_and_scatter_as_stated(truth):
+    rng = np.random.default_rng([7, len(truth)])
+    values = {"k1": -0.2, "p1": 0.004, "p2": -0.003}
+    distortion = np.array(
+        [values.get(name, 0.0) if name in truth else 0.0 for name in board_fits.COEFFICIENTS]
+    )
+    matrix = np.array([[900.0, 0.0, 322.0], [0.0, 905.0, 238.0], [0.0, 0.0, 1.0]])
+    place = np.hstack([BOARD.corners(), np.zeros((48, 1))])
+    deviations = []
+    for _ in range(4):
+        views = []
+        for _ in range(6):
+            shift = np.array([-0.07, -0.05, 0.36]) + rng.uniform(-0.03, 0.03, 3)
+            seen, _ = cv2.projectPoints(place, rng.uniform(-0.4, 0.4, 3), shift, matrix, distortion)
+            corners = seen.reshape(-1, 2) + 0.05 * rng.standard_normal((48, 2))
+            views.append(BoardView(BOARD.corners(), corners))
+        fit = board_fits.fit_lens_to_views(views, (640, 480))
+        assert fit.coefficients == truth
+        deviations += [
+            (found - true) / sd
+            for found, true, sd in zip(
+                (*fit.lens.focal_px, *fit.lens.centre_px),
+                (900.0, 905.0, 322.0, 238.0),
+                (*fit.focal_sd_px, *fit.centre_sd_px),
+                strict=True,
+            )
+        ]
+    # Sixteen numbers, of which fx and fy go together.
+    assert 0.5 < np.sqrt(np.mean(np.square(deviations))) < 1.6
