@@ -52,6 +52,7 @@ from beam_ident.excitation import Prbs as Prbs
 from beam_ident.excitation import Pulse as Pulse
 from beam_ident.excitation import Recipe as Recipe
 from beam_ident.excitation import SampledExcitation as SampledExcitation
+from beam_ident.excitation import ShapedMultisine as ShapedMultisine
 from beam_ident.excitation import Sine as Sine
 from beam_ident.excitation import Step as Step
 from beam_ident.excitation import SteppedSine as SteppedSine

@@ -16,6 +16,7 @@ from beam_ident.excitation.moves import PointToPoint as PointToPoint
 from beam_ident.excitation.moves import Step as Step
 from beam_ident.excitation.multisine import PHASES as PHASES
 from beam_ident.excitation.multisine import Multisine as Multisine
+from beam_ident.excitation.multisine import ShapedMultisine as ShapedMultisine
 from beam_ident.excitation.noise import BandLimitedNoise as BandLimitedNoise
 from beam_ident.excitation.recipe import RECIPES as RECIPES
 from beam_ident.excitation.recipe import Recipe as Recipe

@@ -1,7 +1,8 @@
-"""Multisines: chosen lines of a period, all at once.
+"""Multisines: chosen lines all at once, of a period or wherever a design wants them.
 
 Averaging over periods separates noise from response, and lines that are left out show
-nonlinear distortion: even lines the even one, left-out odd lines the odd one.
+nonlinear distortion: even lines the even one, left-out odd lines the odd one. Where only poles are wanted, each line
+has an amplitude of its own (``design.experiment`` finds them).
 """
 
 from __future__ import annotations
@@ -184,3 +185,72 @@ class Multisine(Recipe):
         if self.phases == "schroeder":
             return schroeder_phases(self._acceleration_amplitudes())
         return seeds.phases(self.seed, len(self.lines_hz))
+
+
+@dataclass(frozen=True)
+class ShapedMultisine(Recipe):
+    """Sines of any frequencies, amplitudes and phases, all at once.
+
+    Parameters
+    ----------
+    frequencies : tuple of float -- increasing [Hz]
+    amplitudes : tuple of float
+        Of the acceleration of each line, against each other; ``acceleration`` gives the level.
+    line_phases : tuple of float -- of the displacement's sines [rad]
+    acceleration : float -- root mean square of the acceleration [m/s^2]
+    duration : float -- length of the sines, ramps included [s]
+    fade : float -- smooth ramps at both ends [s]
+    still : float -- stretch at rest afterwards [s]
+
+    Notes
+    -----
+    The displacement is ``w(t) sum_k A_k / (2 pi f_k)^2 sin(2 pi f_k t + phi_k)`` with
+    ``A_k = acceleration a_k sqrt(2 / sum_l a_l^2)`` and the window w of the two ramps.
+    """
+
+    kind: ClassVar[str] = "shaped_multisine"
+
+    frequencies: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    amplitudes: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
+    line_phases: tuple[float, ...] = (0.0, 1.0, 3.0, 6.0)
+    acceleration: float = 0.2
+    duration: float = 20.0
+    fade: float = 0.5
+    still: float = 10.0
+
+    def _check(self) -> None:
+        lines = np.asarray(self.frequencies)
+        is_row = len(lines) >= 1 and lines[0] > 0.0 and bool(np.all(np.diff(lines) > 0.0))
+        self._require(is_row, "frequencies", self.frequencies, "at least one, all > 0 and increasing")
+        for name in ("amplitudes", "line_phases"):
+            own = getattr(self, name)
+            self._require(
+                len(own) == len(lines), name, f"{len(own)} numbers", f"{len(lines)}, one for each frequency"
+            )
+        self._require(min(self.amplitudes) > 0.0, "amplitudes", self.amplitudes, "numbers > 0")
+        self._positive("acceleration", "duration", "fade")
+        self._not_negative("still")
+        self._require(self.fade <= self.duration / 2, "fade", self.fade, "at most half of duration")
+
+    @property
+    def total_s(self) -> float:
+        """Length [s], the still stretch included."""
+        return self.duration + self.still
+
+    def line_spacing_hz(self, near_hz: float) -> float:
+        """Return the gap between the lines around a frequency [Hz]; outside of them the way to the nearest."""
+        lines = np.asarray(self.frequencies)
+        place = int(np.searchsorted(lines, near_hz))
+        if place in (0, len(lines)):
+            return float(np.min(np.abs(lines - near_hz)))
+        return float(lines[place] - lines[place - 1])
+
+    def displacement(self, times_s: FloatArray) -> FloatArray:
+        """Return the displacement [m] at any times [s]."""
+        share = np.asarray(self.amplitudes)
+        level = self.acceleration * math.sqrt(2.0 / float(np.sum(np.square(share))))
+        total = np.zeros(np.shape(times_s))
+        for frequency, own, phase in zip(self.frequencies, share, self.line_phases, strict=True):
+            omega = 2.0 * np.pi * frequency
+            total += level * own / omega**2 * np.sin(omega * times_s + phase)
+        return np.asarray(window(times_s, self.duration, self.fade, self.fade) * total)

@@ -21,6 +21,7 @@ from beam_ident.excitation import (
     Prbs,
     Pulse,
     Recipe,
+    ShapedMultisine,
     Sine,
     Step,
     SteppedSine,
@@ -114,6 +115,7 @@ KINDS: dict[str, ExcitationKind] = {
         ExcitationKind(PointToPoint),
         ExcitationKind(Sine, _fade_cycles),
         ExcitationKind(SteppedSine),
+        ExcitationKind(ShapedMultisine, _fade),
     )
 }
 """The kinds of excitation by their name."""

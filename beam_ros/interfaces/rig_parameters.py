@@ -322,7 +322,11 @@ class ExcitationSettings:
     high_pass: float = live("prbs: content taken out below this", "Hz", 0.0, 1e3)
     width: float = live("of pulse and doublet", "s", 0.0001, 60.0)
     gap: float = live("between pulses and doublets of a train", "s", 0.0, 60.0)
-    frequencies: tuple[float, ...] = live("of the stepped sine, in turn", "Hz", 0.001, 1e4)
+    frequencies: tuple[float, ...] = live(
+        "of the stepped sine, in turn; of the shaped multisine, increasing", "Hz", 0.001, 1e4
+    )
+    amplitudes: tuple[float, ...] = live("of the shaped multisine's lines, against each other", "", 1e-9, 1e9)
+    line_phases: tuple[float, ...] = live("of the shaped multisine's lines", "rad", -1e3, 1e3)
     settle_cycles: float = live("of the stepped sine", "1", 0.0, 1e5)
     measure_cycles: int = live("of the stepped sine", "", 1, 100_000)
     waypoints: tuple[float, ...] = live(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import BandLimitedNoise, Multisine
+from beam_ident import BandLimitedNoise, ExcitationError, Multisine, ShapedMultisine
 from beam_ident.excitation.crest_optimisation import crest_factor, optimised_phases, schroeder_phases
 
 
@@ -127,3 +127,44 @@ def test_the_noises_displacement_ceiling_holds_low_frequencies_down():
 def test_band_limited_noise_has_the_lines_of_its_band_and_no_other():
     recipe = BandLimitedNoise(start_frequency=1.0, end_frequency=20.0, duration=4.0)
     np.testing.assert_array_equal(recipe._line_numbers(), np.arange(4, 81))
+
+
+def test_a_shaped_multisine_has_the_stated_level_and_its_amplitudes_on_its_lines():
+    recipe = ShapedMultisine(
+        frequencies=(3.0, 5.5, 20.0),
+        amplitudes=(1.0, 4.0, 2.0),
+        line_phases=(0.1, 2.0, -1.0),
+        acceleration=0.7,
+        duration=12.0,
+        fade=1.0,
+        still=0.0,
+    )
+    steady = recipe.sample().accelerations[1001:11001]  # 10 s, whole cycles of all lines
+    spectrum = 2.0 * np.fft.rfft(steady) / len(steady)
+    lines = spectrum[np.round(np.array(recipe.frequencies) * 10.0).astype(int)]
+    # Differences over half a tick weaken 20 Hz by 0.13 %.
+    assert np.sqrt(np.mean(steady**2)) == pytest.approx(0.7, rel=2e-3)
+    np.testing.assert_allclose(np.abs(lines) / np.abs(lines[0]), [1.0, 4.0, 2.0], rtol=2e-3)
+    # The acceleration of sin(w t + phi) is -sin: its cosine's phase is phi + pi/2, after 1.001 s of delay.
+    late = 2.0 * np.pi * np.array(recipe.frequencies) * 1.001
+    expected = np.exp(1j * (np.array(recipe.line_phases) + 0.5 * np.pi + late))
+    np.testing.assert_allclose(lines / np.abs(lines), expected, atol=0.02)
+    assert recipe.line_spacing_hz(4.0) == 2.5
+    assert recipe.line_spacing_hz(21.5) == 1.5
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"frequencies": (3.0, 3.0)}, "increasing"),
+        ({"frequencies": ()}, "at least one"),
+        ({"amplitudes": (1.0,)}, "2, one for each frequency"),
+        ({"line_phases": (0.0, 1.0, 2.0)}, "2, one for each frequency"),
+        ({"amplitudes": (1.0, 0.0)}, "numbers > 0"),
+        ({"fade": 11.0}, "at most half"),
+    ],
+)
+def test_lines_that_do_not_go_together_are_refused(wrong, said):
+    right = {"frequencies": (2.0, 3.0), "amplitudes": (1.0, 1.0), "line_phases": (0.0, 0.0)}
+    with pytest.raises(ExcitationError, match=said):
+        ShapedMultisine(**{**right, **wrong})
