@@ -1,7 +1,7 @@
 """Frames a second that the node `tracker` takes from a topic, and how late its displacements are.
 
     python -m benchmarks.vision_node [--seconds S] [--sizes vga hd] [--rates HZ ...] [--transports shared small udp]
-                                     [--best-effort] [--json FILE]
+                                     [--best-effort] [--busy] [--json FILE]
 
 Three real processes on a domain of their own that does not leave the machine: the tracker on one processor core, and
 on the other a camera, which publishes rendered frames as ready-made CDR, and this process, which counts what comes
@@ -13,6 +13,10 @@ as it hands the frame to DDS, to the moment at which the tracker hands its displ
 those that the kernel counts for a process with all its threads: the process that is busy for all of the time is the
 limit, and frames over the tracker's processor time is what one core to itself would take. On a machine with other
 work only the latter means something.
+
+"waits" is the share of the time in which the tracker's thread was ready to run and its core was held by others, and
+"stolen" the share that the machine below a virtual one took from that core: where their sum with the tracker's own
+share comes near 100 %, the core is what frames are lost for. `--busy` keeps both cores busy with other programs.
 
 Every row is measured once more with a process in the tracker's place that does nothing but subscribe to the frames as
 bytes and answer each with its stamp: what this machine, its transport and the publishing side allow at all. The last
@@ -31,8 +35,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -79,6 +83,7 @@ LOOPBACK_UDP = """<?xml version="1.0" encoding="UTF-8"?>
   </participant>
 </profiles>
 """
+_CORES = tuple(sorted(os.sched_getaffinity(0)))
 DISTINCT_FRAMES = 40
 DEPTH = 5
 
@@ -95,6 +100,8 @@ class Throughput:
     tracker_load, camera_load : float -- processor time per time, 1 is a core
     tracker_ms : float -- processor time of the tracker per frame that it answered [ms]
     core_hz : float -- frames a second that this makes on a core of its own
+    waits, stolen : float -- share of the time in which the tracker was ready and others had its core, and in which a
+        hypervisor did
     """
 
     size: str
@@ -109,6 +116,8 @@ class Throughput:
     camera_load: float
     tracker_ms: float
     core_hz: float
+    waits: float
+    stolen: float
     is_bare: bool = False
 
 
@@ -228,10 +237,36 @@ def processor_seconds(pid: int) -> float:
     return time.clock_gettime((~pid << 3) | 2)  # what clock_getcpuclockid(3) returns on Linux
 
 
+def _waited_seconds(pid: int) -> float:
+    """Time in which a process's main thread was ready and did not run, as the kernel's scheduler counts it."""
+    return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[1]) * 1e-9
+
+
+def _stolen_seconds(number: int) -> float:
+    """Time that a hypervisor took from a core."""
+    name = f"cpu{_CORES[number % len(_CORES)]} "
+    row = next(line for line in Path("/proc/stat").read_text().splitlines() if line.startswith(name))
+    return int(row.split()[8]) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def busy_cores(*, are_busy: bool) -> Iterator[None]:
+    """Keep both cores busy with a program each that does nothing else."""
+    programs = [
+        subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"], preexec_fn=_core(number))
+        for number in (range(2) if are_busy else ())
+    ]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+
+
 def _core(number: int) -> Any:
     """Function for a child before exec that keeps it on one processor core."""
-    cores = sorted(os.sched_getaffinity(0))
-    return lambda: os.sched_setaffinity(0, {cores[number % len(cores)]})
+    return lambda: os.sched_setaffinity(0, {_CORES[number % len(_CORES)]})
 
 
 class Answers:
@@ -319,9 +354,13 @@ def measure(
         camera.stdin.flush()
         answers.spin(0.6)
         before, begun = processor_seconds(tracker.pid), time.monotonic()
+        waited, stolen = _waited_seconds(tracker.pid), _stolen_seconds(0)
         while camera.poll() is None and time.monotonic() - begun < seconds:
             answers.spin(0.05)
-        spent = (processor_seconds(tracker.pid) - before) / (time.monotonic() - begun)
+        elapsed = time.monotonic() - begun
+        spent = (processor_seconds(tracker.pid) - before) / elapsed
+        waited = (_waited_seconds(tracker.pid) - waited) / elapsed
+        stolen = (_stolen_seconds(0) - stolen) / elapsed
         while camera.poll() is None and time.monotonic() < limit:
             answers.spin(0.1)
         assert camera.stdout is not None
@@ -346,6 +385,8 @@ def measure(
         report["load"],
         1e3 * spent / rate_answered,
         rate_answered / spent,
+        waited,
+        stolen,
         is_bare,
     )
 
@@ -362,6 +403,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--rates", nargs="+", type=float, help="frames a second; 0: as many as go")
     parser.add_argument("--transports", nargs="+", default=["shared"], choices=TRANSPORTS)
     parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--busy", action="store_true", help="keep both cores busy with other programs")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args(argv)
     if options.camera:
@@ -374,7 +416,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     results = []
     print(
         "size transport   asked     sent  answered  lost  latency ms: median    p99    max  tracker  camera"
-        "  ms/frame  a core  rate, latency over bare"
+        "  waits  stolen  ms/frame  a core  rate, latency over bare"
     )
     domain = PrivateDomain()
     for transport in options.transports:
@@ -389,23 +431,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             _core(1)()
             for size in options.sizes:
                 for rate in options.rates or RATES[size]:
-                    r, bare = (
-                        measure(
-                            answers,
-                            size,
-                            transport,
-                            rate,
-                            options.seconds,
-                            is_reliable=not options.best_effort,
-                            is_bare=is_bare,
+                    with busy_cores(are_busy=options.busy):
+                        r, bare = (
+                            measure(
+                                answers,
+                                size,
+                                transport,
+                                rate,
+                                options.seconds,
+                                is_reliable=not options.best_effort,
+                                is_bare=is_bare,
+                            )
+                            for is_bare in (False, True)
                         )
-                        for is_bare in (False, True)
-                    )
                     results += [r, bare]
                     print(
                         f"{r.size:4} {r.transport:9} {r.asked_hz:7.0f}  {r.sent_hz:7.1f}  {r.answered_hz:8.1f}"
                         f"  {r.lost:4d}              {r.latency_ms[0]:6.2f} {r.latency_ms[1]:6.2f}"
-                        f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}  {r.tracker_ms:8.2f}"
+                        f" {r.latency_ms[2]:6.2f}  {r.tracker_load:6.0%}  {r.camera_load:6.0%}"
+                        f"  {r.waits:5.0%}  {r.stolen:6.0%}  {r.tracker_ms:8.2f}"
                         f"  {r.core_hz:6.0f}  {r.answered_hz / bare.answered_hz:5.2f}"
                         f" {r.latency_ms[0] / bare.latency_ms[0]:5.2f}",
                         flush=True,

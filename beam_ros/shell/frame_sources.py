@@ -81,7 +81,9 @@ class CameraTopics(FrameSource):
         self.silence = (
             f"no frames on {node.resolve_topic_name(images.name)}: start a camera, or set tracker.source"
         )
-        self._images = MatchedSubscription(node, images, self._on_image, depth=WAITING_FRAMES, raw=True)
+        self._images = MatchedSubscription(
+            node, images, self._on_image, depth=WAITING_FRAMES, raw=True, takes_all=True
+        )
         self._infos = MatchedSubscription(node, infos, self._on_info, depth=1)
         node.create_timer(_LOOK_ROUND_S, self._look_round)
 

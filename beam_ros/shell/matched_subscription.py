@@ -28,6 +28,8 @@ class MatchedSubscription:
     depth : int -- messages that may wait
     raw : bool -- hand over the wire's bytes
     is_early : bool -- subscribe before there is a publisher, as the table says, to miss nothing of its beginning
+    takes_all : bool -- hand over all that waits at once: rclpy puts together anew, for every single message, all that
+        the node waits for, which for a quick camera costs as much as its frames do
 
     Attributes
     ----------
@@ -43,10 +45,12 @@ class MatchedSubscription:
         depth: int,
         raw: bool = False,
         is_early: bool = False,
+        takes_all: bool = False,
     ) -> None:
         self._node = node
         self._topic = topic
-        self._callback = callback
+        self._callback = self._take_all if takes_all else callback
+        self._take = callback
         self._raw = raw
         self._qos = replace(topic.qos, depth=depth)
         self._known: frozenset[bytes] = frozenset()
@@ -57,6 +61,19 @@ class MatchedSubscription:
 
     def _subscribe(self) -> None:
         self._subscription = self._node.listen(self._topic.name, self._callback, self._qos, raw=self._raw)
+
+    def _take_all(self, message: Any) -> None:
+        """Hand over a message and those that wait behind it, at most as many as can wait."""
+        self._take(message)
+        for _ in range(self._qos.depth - 1):
+            subscription = self._subscription
+            if subscription is None:
+                return  # given up by who took the last message
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                return
+            self._take(taken[0])
 
     def close(self) -> None:
         """Give the subscription up."""
