@@ -6,7 +6,7 @@ except over single missing samples.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +22,12 @@ from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import Instants, regular_period
 from beam_ident.responses.doubts import with_doubts
+from beam_ident.responses.periods import hold_gain
 from beam_ident.responses.steady_periods import changing_warnings
 
 _MAX_MISSING = 0.02
+_SEEN = 3.0  # standard deviations
+_LINES = 0.1  # of all: what noise alone never reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,4 +127,29 @@ def for_every_output(
         name=record.name,
         shared_lines=max(one.shared_lines for one in found),
     )
+    made = replace(made, warnings=_hold_warning(made, drive, outputs))
     return with_doubts(made, outputs, drive, changes)
+
+
+def _hold_warning(
+    made: FrequencyRecord, drive: InputSignal, outputs: Sequence[OutputSignal]
+) -> tuple[str, ...]:
+    """Return what a held input does to responses that take it where it was sampled, if it shows.
+
+    Notes
+    -----
+    A zero-order hold delays the input by half a sample, ``gain - 1`` of (F.3).  Under an exposure the input is
+    averaged as it is held.
+    """
+    step = drive.period_s
+    if drive.hold != "zoh" or step is None or made.variance is None or any(o.exposure_s for o in outputs):
+        return ()
+    wrong = np.abs(hold_gain("zoh", made.omegas, step) - 1.0)[:, None, None] * np.abs(made.response)
+    share = float(np.mean(wrong > _SEEN * np.sqrt(made.variance)))
+    if share < _LINES:
+        return ()
+    return (
+        f"the input {drive.name!r} is held between its samples, which delays it by {0.5e3 * step:.3g} ms: at "
+        f"{share:.0%} of the lines the response lags by more than {_SEEN:g} standard deviations, and modes fitted to "
+        "it are biased. Fit the samples, identify(), or take whole periods, periodic_response(): both know the hold",
+    )

@@ -35,7 +35,23 @@ def noise_for_outputs(seed: int) -> TimeRecord:
 def test_outputs_of_noise_are_named_and_sound_ones_are_not(way):
     named = sum("no more than chance" in " ".join(WAYS[way](noise_for_outputs(k)).warnings) for k in range(5))
     assert named == 5
-    assert not WAYS[way](result_cases.record(5)).warnings
+    said = WAYS[way](result_cases.record(5)).warnings
+    assert not [own for own in said if "held between its samples" not in own]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("rate", [1, 10])
+def test_a_hold_that_bends_the_response_is_named_and_one_that_does_not_is_not(way, rate):
+    """The record's input is held for a tenth of a cycle of its mode, or for a hundredth."""
+    record = result_cases.record(5)
+    drive, output = record.inputs[0], record.outputs[0]
+    finer = replace(drive, times_s=np.arange(rate * len(drive.values)) * drive.period_s / rate,
+                    values=np.repeat(drive.values, rate))  # fmt: skip
+    own = WAYS[way](TimeRecord((finer,), (output,)))
+    said = [said for said in own.warnings if "held between its samples" in said]
+    assert bool(said) == (rate == 1 and way != "periods")
+    if said:
+        assert "which delays it by 5 ms" in said[0]
 
 
 def test_a_fit_passes_on_what_its_response_says():
