@@ -46,6 +46,8 @@ _POSITIONS_PER_STEP = 2
 _RIM = 2.5
 _GROUND_PX = 2.0
 """The fit ends this far beyond so many standard deviations of the rim's blur outside of the radius [px]."""
+_OUTSIDE = 0.003
+"""Pixels with less than this share of the disc are background."""
 _LIGHT_STEPS = (0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
 """Ratios beta / alpha for which weights are tabulated."""
 _MODES_OF_RIM = ((2, np.sin), (3, np.cos), (3, np.sin), (4, np.cos), (4, np.sin))
@@ -62,6 +64,8 @@ _OWN = 7
 """Columns of the model; first dT/du, dT/dv, T and 1."""
 _SLOPES, _BEND, _MODES = (4, 5), 6, 7
 """Rows of weights after those of u, v, A and B."""
+_UNLIKELY = 5.0
+"""Waves of the rim are a disturbance beyond so many times their usual mean square: once in 5000 frames by chance."""
 _SLOW_FRAMES = 64
 """Frames over which noise and expectations are averaged."""
 _CONSTANT_FRAMES = 512
@@ -92,6 +96,7 @@ class DiscTable(NamedTuple):
     bent : tuple of 2 float -- change of A times the bend with the slopes
     variances : two lists of 12 float -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
+    beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
     """
 
     left: int
@@ -106,6 +111,7 @@ class DiscTable(NamedTuple):
     bent: tuple[float, float]
     variances: tuple[list[float], list[float]]
     noise: FloatArray
+    beyond: Float32Array
 
 
 @lru_cache(maxsize=1024)
@@ -179,6 +185,7 @@ def _tabulated(
         (float(bend_weights @ outside), float(bend_weights @ inside)),
         (squared.sum(axis=1).tolist(), (squared @ disc).tolist()),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
+        np.where(disc > _OUTSIDE, math.inf, 0.0).astype(np.float32),
     )
 
 
@@ -190,12 +197,15 @@ class DiscFit(NamedTuple):
     u, v : float -- centre: the mean position over the exposure [px]
     sigma_u : float -- standard deviation of u [px]
     contrast : float -- height of the disc above its background [grey levels]
+    wave : float -- by how much the rim is out of its usual round in this frame, beyond its noise; 0 where it is not
+        [px]
     """
 
     u: float
     v: float
     sigma_u: float
     contrast: float
+    wave: float
 
 
 class Habit:
@@ -283,7 +293,7 @@ class DiscModel:
         edge: float,
         smear: float,
         least: float,
-        floor: float,
+        ground: tuple[float, float],
     ) -> DiscFit | None:
         """Find the disc near a point.
 
@@ -294,8 +304,8 @@ class DiscModel:
         radius, edge : float -- what is expected of it, until enough frames have shown it [px]
         smear : float -- length of its motion during the exposure, along u [px]
         least : float -- contrast below which it is none; negative for dark discs [grey levels]
-        floor : float -- what is darker (brighter, for dark discs) by more than the slope explains counts as this
-            [grey levels]
+        ground : (float, float) -- the background's grey levels: what lies outside of them, by more than the slope
+            explains and away from the disc's side of them or beyond its rim, counts as the nearer one [grey levels]
 
         Returns
         -------
@@ -320,7 +330,11 @@ class DiscModel:
                 return None
             grey = image[top:bottom, left:right].ravel().astype(np.float32)
             dip = abs(self._slopes[0].mean * least) * table.width
-            grey = np.maximum(grey, floor - dip) if least > 0.0 else np.minimum(grey, floor + dip)
+            low, high = ground[0] - dip, ground[1] + dip
+            if least > 0.0:
+                grey = np.minimum(np.maximum(grey, low), table.beyond + np.float32(high))
+            else:
+                grey = np.maximum(np.minimum(grey, high), np.float32(low) - table.beyond)
             sums = table.weights.dot(grey).tolist()
             contrast = sums[2]
             if contrast < least if least > 0.0 else contrast > least:
@@ -358,8 +372,8 @@ class DiscModel:
             )
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
-        self._learn_rim(table, sums)
-        return DiscFit(u, v, math.sqrt(variance), contrast)
+        wave = self._learn_rim(table, sums)
+        return DiscFit(u, v, max(math.sqrt(variance), wave), contrast, wave)
 
     def _look_closely(self, table: DiscTable, grey: Float32Array, light: int) -> None:
         """Take alpha and beta from the residuals, and radius and blur from the whole fit."""
@@ -384,27 +398,47 @@ class DiscModel:
         if self._noise_frames >= _PRIOR_FRAMES:
             self.disc = disc_steps(self._radius, self._edge, self.disc)
 
-    def _learn_rim(self, table: DiscTable, sums: list[float]) -> None:
-        """Compare how the modes of the rim vary with what the noise makes of them."""
+    def _learn_rim(self, table: DiscTable, sums: list[float]) -> float:
+        """Compare how the modes of the rim vary with what the noise makes of them.
+
+        Returns
+        -------
+        float -- amplitude of the waves of a rim that is disturbed [px]; 0 where it is not
+
+        Notes
+        -----
+        What lies beside the disc or covers a part of it excites all waves about alike, among them the one that is a
+        move of the centre. Where n normal values of one variance are squared and summed, the sum over n - 2 is what
+        makes the mean square of another such value over it 1.
+        """
         unit, lit = table.variances
-        share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
-        modes = sums[_MODES:]
+        contrast = sums[2]
+        modes = [mode / contrast for mode in sums[_MODES:]]
         if not self._last:
             self._last, self._modes = modes, list(modes)
-        found, changed = [0.0, 0.0], 0.0
+        share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
+        squares, likely, changed, waves = [0.0, 0.0], [0.0, 0.0], 0.0, 0.0
         for k, mode in enumerate(modes):
             away = mode - self._modes[k]
-            self._modes[k] += share * away
-            away *= 1.0 - share
-            variance = self.alpha * unit[_MODES + k] + self.beta * lit[_MODES + k]
-            found[k >= _LONG_MODES] += away * away / variance
+            variance = (self.alpha * unit[_MODES + k] + self.beta * lit[_MODES + k]) / (contrast * contrast)
+            square = (1.0 - share) * away * away / variance
+            is_short = k >= _LONG_MODES
+            squares[is_short] += square
+            likely[is_short] += min(square, _UNLIKELY * self.rim)
             changed += (mode - self._last[k]) ** 2 / variance
+            waves += away * away
         self._last = modes
+        is_disturbed = sum(squares) > _UNLIKELY * self.rim * len(modes)
+        if not is_disturbed:
+            self._modes = [
+                mean + share * (mode - mean) for mean, mode in zip(self._modes, modes, strict=True)
+            ]
         # A frame that was seen before has no noise of its own.
         seen = self._frames - _NOISE_EVERY_FRAMES
         if seen > 0 and changed > _SAME:
             # About a mean of few frames they vary more than about the true one.
             pace = max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES)
             for k, count in enumerate((_LONG_MODES, len(modes) - _LONG_MODES)):
-                self._roughness[k] += pace * (found[k] / (count * (1.0 - share)) - self._roughness[k])
+                self._roughness[k] += pace * (likely[k] / count - self._roughness[k])
             self.rim = max(self._roughness)
+        return math.sqrt(waves / (len(modes) - 2)) if is_disturbed else 0.0

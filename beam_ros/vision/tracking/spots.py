@@ -61,8 +61,8 @@ _CLEAR_PX = 3
 _SIGNIFICANT = 5.0
 """Standard deviations of the image noise that a gate leaves room for."""
 _DIP = 2.5
-"""Whatever is further than so many noise standard deviations beyond the background, away from the markers, counts as
-no more than that to the disc model."""
+"""Whatever is further than so many noise standard deviations from the background, away from the markers or beyond
+their rim, counts as no more than that to the disc model."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -225,12 +225,13 @@ class SpotMeter:
 
     def centre(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
-    ) -> tuple[float, float, float] | None:
+    ) -> tuple[float, float, float] | Reason:
         """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
 
         Returns
         -------
-        u, v, sigma_u : float -- [px]; or None where the edge of the image cuts the aperture
+        u, v, sigma_u : float -- [px]; or "border" where the edge of the image cuts the aperture, "hidden" where it is
+            empty
         """
         excess = spot.variance_u - appearance.variance_v
         smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
@@ -238,13 +239,13 @@ class SpotMeter:
         left, top = column + aperture.left, row + aperture.top
         right, bottom = left + aperture.width, top + aperture.height
         if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
-            return None
+            return "border"
         grey = beyond(image[top:bottom, left:right], light.floor, is_dark=self._is_dark)
         mass, first_u, first_v = aperture.weights.dot(grey.ravel().astype(np.float32)).tolist()
         base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
         mass -= base * sum_w
         if mass < self._least_area * light.contrast:
-            return None
+            return "hidden"
         floor = self.parameters.sigma_floor_px
         return (
             u + (first_u - base * sum_u) / (mass * aperture.gain_u),
@@ -254,12 +255,13 @@ class SpotMeter:
 
     def refine(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
-    ) -> tuple[float, float, float] | None:
+    ) -> tuple[float, float, float] | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
 
         Returns
         -------
-        u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or None as there
+        u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or a reason as there, or "shape"
+            where the rim is disturbed by more than the tolerance of the shape
         """
         excess = spot.variance_u - appearance.variance_v
         smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
@@ -273,18 +275,20 @@ class SpotMeter:
             edge=appearance.edge,
             smear=smear,
             least=least,
-            floor=light.background + (_DIP if self._is_dark else -_DIP) * light.noise,
+            ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
         )
         if found is None:
             return self.centre(image, spot, light, appearance)
+        if found.wave > self.parameters.shape_tolerance * self.radius:
+            return "shape"
         if self.parameters.refinement == "radial_symmetry":
-            found = self._crossing(image, spot, light, appearance.model, smear) or found
+            found = self._crossing(image, spot, light, appearance.model, smear, found)
         return found.u, found.v, math.hypot(found.sigma_u, floor)
 
     def _crossing(
-        self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float
-    ) -> DiscFit | None:
-        """Centre of a spot's gradients, with the noise that the disc model has found; None where there is none."""
+        self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float, found: DiscFit
+    ) -> DiscFit:
+        """Centre of a spot's gradients, with the noise that the disc model has found; the model's where it fails."""
         reach = self.radius + _REFINED_PX
         left = max(math.floor(spot.u - reach - smear / 2), spot.region[0])
         right = min(math.ceil(spot.u + reach + smear / 2) + 1, spot.region[2])
@@ -295,8 +299,9 @@ class SpotMeter:
         variance = model.rim * (model.alpha + model.beta * np.clip(brightness, 0.0, 1.0))
         crossing = radial_symmetry_centre(region, spot.u - left, spot.v - top, reach + smear / 2, variance)
         if crossing is None:
-            return None
-        return DiscFit(left + crossing[0], top + crossing[1], crossing[2], light.contrast)
+            return found
+        sigma = max(crossing[2], found.wave)
+        return found._replace(u=left + crossing[0], v=top + crossing[1], sigma_u=sigma)
 
     # -- gates ---------------------------------------------------------------------------------------------
 

@@ -267,9 +267,9 @@ class MarkerTracker:
             marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
         refined = meter.centre if self.parameters.refinement == "none" else meter.refine
         centre = refined(image, spot, light, appearance)
-        if centre is None:
+        if isinstance(centre, str):
             self._note_loss(k)
-            return self._invalid(marker, "border", stamp_ns, spot.area)
+            return self._invalid(marker, centre, stamp_ns, spot.area)
         marker.remember(spot.u, spot.v, is_fresh=is_fresh)
         appearance.row = spot.v
         if not appearance.is_settled:

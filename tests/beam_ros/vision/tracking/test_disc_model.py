@@ -101,7 +101,7 @@ class Film:
                 edge=EDGE + 0.1,
                 smear=self.smear,
                 least=(-90.0 if is_dark else 90.0) * scale,
-                floor=255.0 if is_dark else 0.0,
+                ground=(0.0, 65535.0),
             )
             errors.append(found.u - u)
             stated.append(found.sigma_u)
@@ -196,10 +196,52 @@ def test_an_edge_of_the_image_and_an_empty_place_give_nothing():
     film = Film(12.0, even(0.0))
     image = film.frame(0, 0.0, 0.0, 0.0).astype(np.uint8)
     u, v = film.half + film.places[0]
-    given = {"radius": 6.0, "edge": EDGE, "smear": 0.0, "least": 90.0, "floor": 0.0}
+    given = {"radius": 6.0, "edge": EDGE, "smear": 0.0, "least": 90.0, "ground": (0.0, 255.0)}
     assert film.model.fit(image, u, v, **given) is not None
     assert film.model.fit(image[:, 5:], u - 5, v, **given) is None
     assert film.model.fit(np.full_like(image, 30), u, v, **given) is None
+
+
+def seen_once(film: Film, spoil, noise: float = 2.0):
+    """Error of one frame that was spoilt after forty which were not, and what the model says of it and the next."""
+    film.errors(noise, n_frames=40)
+    u, v = film.half + film.places[0]
+    given = {"radius": film.radius, "edge": EDGE, "smear": 0.0, "least": 90.0}
+    ground = (BACKGROUND - 2.5 * noise, BACKGROUND + 2.5 * noise)
+    image = film.frame(0, noise, 0.0, 0.0)
+    spoilt = spoil(image.copy(), u, v)
+    found, after = (
+        film.model.fit(np.clip(np.rint(picture), 0, 255).astype(np.uint8), u, v, ground=ground, **given)
+        for picture in (spoilt, image)
+    )
+    return found.u - u, found, after
+
+
+@pytest.mark.parametrize("aside", [9.2, -9.2])
+def test_a_bright_bar_beyond_the_rim_does_not_pull(aside):
+    def bar(image, u, _):
+        columns = np.arange(image.shape[1])
+        image[:, columns >= u + aside if aside > 0 else columns <= u + aside] = 210.0
+        return image
+
+    error, found, _ = seen_once(Film(12.0, even(0.0)), bar)
+    # Taken for a slope of the background, it would pull by 0.1 px.
+    assert abs(error) < 4 * found.sigma_u < 0.04
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.6, 1.2])
+def test_a_rim_that_is_covered_in_part_is_stated_in_the_same_frame_and_forgotten_in_the_next(depth):
+    def cover(image, u, _):
+        edge = u - 6.0 + depth + 0.5
+        share = np.clip(edge + 0.5 - np.arange(image.shape[1]), 0.0, 1.0)
+        return image + share * (BACKGROUND - image)
+
+    error, found, after = seen_once(Film(12.0, even(0.0)), cover)
+    assert abs(error) > 0.015
+    assert found.wave > 0.0
+    assert abs(error) < 3 * found.sigma_u
+    assert after.wave == 0.0
+    assert after.sigma_u < 0.006
 
 
 def test_what_is_always_there_is_expected_and_what_never_was_is_not():
