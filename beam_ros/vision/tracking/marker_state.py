@@ -47,6 +47,8 @@ class MarkerState:
     lost_at : int -- number of the frame in which it last was not where it should have been
     lost_u : float -- where it had been seen before that [px]
     company_u : tuple of float -- where all markers had been seen then [px]
+    shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
+    company_contrast : tuple of float -- the same of all markers in the frame before that [grey levels]
     is_doubtful : bool -- since that frame a spot in its row may be another one
     alone_frames : int -- frames in a row in which, while it was lost, one spot of its kind was in its row
     acquired_at : int -- number of the frame in which it was acquired
@@ -71,6 +73,8 @@ class MarkerState:
     lost_at: int = NEVER
     lost_u: float = math.nan
     company_u: tuple[float, ...] = ()
+    shown: float = math.nan
+    company_contrast: tuple[float, ...] = ()
     is_doubtful: bool = False
     alone_frames: int = 0
     acquired_at: int = NEVER

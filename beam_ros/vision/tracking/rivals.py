@@ -71,3 +71,29 @@ def present(tracks: list[Track], frame: int, left: float, right: float, reach: f
         if track.frame == frame
         or (left + reach < track.u < right - reach and frame - track.frame <= FORGET_AFTER_FRAMES)
     ]
+
+
+def unseen(tracks: list[Track], frame: int) -> list[Track]:
+    """Tracks that were lost before the last frame, and whose velocity therefore says little."""
+    return [track for track in tracks if track.frame < frame - 1]
+
+
+def recognised(
+    hidden: list[Track], spots: list[Spot], claimed: list[Spot], frame: int, reach: float
+) -> tuple[list[Track], list[Spot]]:
+    """Continue hidden tracks by the one spot in reach that nobody else claims; returns them and the other spots."""
+    free = list(spots)
+    tracks = []
+    for track in hidden:
+        possible = [spot for spot in free if abs(spot.u - track.u) <= reach]
+        if len(possible) == 1 and possible[0] not in claimed:
+            free.remove(possible[0])
+            tracks.append(Track(possible[0].u, 0.0, frame))
+        else:
+            tracks.append(track)
+    return tracks, free
+
+
+def may_be(tracks: list[Track], spot: Spot, frame: int, reach: float) -> bool:
+    """True when a spot is in reach of a track that is hidden in this frame."""
+    return any(track.frame < frame and abs(spot.u - track.u) <= reach for track in tracks)

@@ -31,7 +31,16 @@ from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.jumps import TOGETHER_FRAMES, is_common, moved_together
 from beam_ros.vision.tracking.marker_state import LONELY_FRAMES, SAME_PLACE_PX, MarkerState
-from beam_ros.vision.tracking.rivals import FORGET_AFTER_FRAMES, Track, associated, continued, present
+from beam_ros.vision.tracking.rivals import (
+    FORGET_AFTER_FRAMES,
+    Track,
+    associated,
+    continued,
+    may_be,
+    present,
+    recognised,
+    unseen,
+)
 from beam_ros.vision.tracking.spot_search import RowSpots, one_disc, spots_in_row
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
 
@@ -44,7 +53,7 @@ _CHORES_EVERY_FRAMES = 8
 _ROW_GROWTH_PX = 0.1
 """A lost marker's row is looked for in a band that grows so much a frame [px]."""
 _GAINS = 0.25, 4.0
-"""Least and largest change of the light from one frame to the next."""
+"""Least and largest change of the light while a marker is lost."""
 _STEPS = 3.0
 """A marker may have moved by so many of its usual steps with every frame since it was lost."""
 _LEVERAGE = 2.5
@@ -60,6 +69,8 @@ _EQUAL_SIZE = 0.1
 """Relative tolerance of the area of a marker against that of the others when it is acquired."""
 _EQUAL_LIGHT = 0.15
 """Relative tolerance of a marker's change of brightness against that of the others."""
+_PLATEAU_NOISE = 2.0
+"""Three standard deviations of the difference of two plateaus, each the mean of five pixels, over that of a pixel."""
 
 
 class MarkerMeasurement(NamedTuple):
@@ -211,6 +222,10 @@ class MarkerTracker:
         if lost:
             self._find(image, lost, spots, reasons)
         results = [self._result(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
+        for k, (marker, result) in enumerate(zip(self._markers, results, strict=True)):
+            marker.shown = math.nan
+            if result.is_valid and marker.light is not None:
+                marker.shown = abs(spots[k].plateau - marker.light.background)
         self._before = image
         return FrameResult(stamp_ns, tuple(results))
 
@@ -262,6 +277,9 @@ class MarkerTracker:
             row = self._in_row(image, k, own=spot.u)
             if is_new and self._has_company(marker, row):
                 marker.forget()
+                marker.rivals = [
+                    Track(u, 0.0, self._frame) for u in (spot.u, *(other.u for other, _ in row.alike))
+                ]
                 return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
             others = [other for other, _ in row.alike]
             marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
@@ -339,6 +357,7 @@ class MarkerTracker:
             return
         marker.lost_at, marker.lost_u = self._frame, marker.u
         marker.company_u = tuple(other.u for other in self._markers)
+        marker.company_contrast = tuple(other.shown for other in self._markers)
         if self._before is not None:
             beside = [spot for spot, _ in self._in_row(self._before, k, own=marker.u).alike]
             marker.rivals = continued(marker.rivals, beside, self._frame - 1, self.parameters.max_gate_px)
@@ -353,15 +372,15 @@ class MarkerTracker:
         for k in lost:
             self._note_loss(k)
         rows = {k: self._in_row(image, k, is_wide=True) for k in lost}
-        gain = self._common_gain(rows, spots, reasons)
+        contrasts = self._contrasts(image, rows, spots, reasons)
         elsewhere: dict[int, tuple[Spot, Light]] = {}
         for k, row in rows.items():
             marker = markers[k]
-            failed = reasons.get(k, "hidden")
+            failed, expected = reasons.get(k, "hidden"), self._expected_contrast(k, contrasts)
             lit = [
                 (spot, light)
                 for spot, light in row.alike
-                if abs(light.contrast / (gain * _contrast(marker)) - 1) <= parameters.brightness_tolerance
+                if abs(light.contrast / expected - 1) <= parameters.brightness_tolerance
                 and not self._is_taken(spot, k)
             ]
             spots.pop(k, None)
@@ -370,8 +389,9 @@ class MarkerTracker:
             farthest = self._farthest(marker, spots, reasons)
             # What lies nearer to where it was may be the marker, covered in part or beside a twin.
             unlike = [u for u, _ in row.others] + [spot.u for spot, _ in row.alike if spot not in dict(lit)]
-            farthest = min([farthest, *(abs(u - marker.u) + SAME_PLACE_PX for u in unlike)])
-            chosen = self._choose(marker, lit, farthest)
+            nearest_unlike = min((abs(u - marker.u) for u in unlike), default=math.inf)
+            farthest = min(farthest, nearest_unlike + SAME_PLACE_PX)
+            chosen = self._choose(marker, lit, farthest, nearest_unlike)
             if chosen is not None:
                 spots[k], marker.light = chosen
                 reasons[k] = "ok"
@@ -416,9 +436,12 @@ class MarkerTracker:
         return self.parameters.marker_diameter_px + own + _LEVERAGE * max(moves)
 
     def _choose(
-        self, marker: MarkerState, lit: list[tuple[Spot, Light]], farthest: float
+        self, marker: MarkerState, lit: list[tuple[Spot, Light]], farthest: float, nearest_unlike: float
     ) -> tuple[Spot, Light] | None:
-        """Choose the spot that is a lost marker, within a distance that grows with every frame."""
+        """Choose the spot that is a lost marker, within a distance that grows with every frame.
+
+        One that met a rival is what remains once all else has left that might be either, covered in part or touched.
+        """
         parameters = self.parameters
         gate = min(
             max(
@@ -438,46 +461,72 @@ class MarkerTracker:
             if abs(spot.u - marker.u) <= reach and abs(spot.v - marker.v) <= across
         }
         spots = list(light_of)
+        hidden = [] if marker.is_mixed else unseen(marker.rivals, self._frame)
         tracks, free = associated(
-            marker.rivals, spots, self._frame, gate if marker.is_mixed else parameters.max_jump_px
+            [track for track in marker.rivals if track not in hidden],
+            spots,
+            self._frame,
+            gate if marker.is_mixed else parameters.max_jump_px,
         )
         near = [spot for spot in free if abs(spot.u - marker.u) <= gate]
-        chosen = near[0] if len(near) == 1 and not marker.is_mixed else None
-        tracks += [Track(spot.u, 0.0, self._frame) for spot in free if spot is not chosen]
+        returned, free = recognised(hidden, free, near, self._frame, gate)
+        tracks += returned
+        near = [spot for spot in near if spot in free]
+        doubtful = [spot for spot in near if may_be(returned, spot, self._frame, gate)]
+        chosen = near[0] if len(near) == 1 and not doubtful and not marker.is_mixed else None
+        tracks += [
+            Track(spot.u, 0.0, self._frame) for spot in free if spot is not chosen and spot not in doubtful
+        ]
         marker.rivals = present(
             tracks, self._frame, marker.u - reach, marker.u + reach, parameters.max_jump_px
         )
         if marker.is_mixed:
-            if len(spots) == len(marker.rivals) == 1 and abs(spots[0].u - marker.u) <= parameters.max_gate_px:
-                # Whatever else was here has left: what remains is the marker.
+            if (
+                len(spots) == len(marker.rivals) == 1
+                and abs(spots[0].u - marker.u) <= parameters.max_gate_px < nearest_unlike
+            ):
                 marker.rivals, chosen = [], spots[0]
         else:
             marker.is_mixed = len(near) > 1
         return None if chosen is None else (chosen, light_of[chosen])
 
-    def _common_gain(
-        self, rows: dict[int, RowSpots], spots: dict[int, Spot], reasons: dict[int, Reason]
-    ) -> float:
-        """By how much the light of most of the markers has changed; 1 where it did not change in common.
-
-        One marker alone has changed with the light once that has lasted.
-        """
-        gains = []
+    def _contrasts(
+        self,
+        image: ImageArray,
+        rows: dict[int, RowSpots],
+        spots: dict[int, Spot],
+        reasons: dict[int, Reason],
+    ) -> dict[int, float]:
+        """Contrast that each marker shows in this frame; of one that is lost, what its nearest like shows."""
+        contrasts: dict[int, float] = {}
         for k, marker in enumerate(self._markers):
             if k in rows:
                 nearest = min(rows[k].alike, key=lambda seen: abs(seen[0].u - marker.u), default=None)
                 if nearest is not None:
-                    gains.append(nearest[1].contrast / _contrast(marker))
-            elif k in spots and reasons[k] == "ok" and marker.light is not None:
-                gains.append(abs(spots[k].plateau - marker.light.background) / marker.light.contrast)
+                    contrasts[k] = nearest[1].contrast
+            elif k in spots and reasons[k] == "ok":
+                sides = self._meter.sides(image, spots[k])
+                contrasts[k] = abs(spots[k].plateau - 0.5 * (sides.left + sides.right))
+        return contrasts
+
+    def _expected_contrast(self, k: int, contrasts: dict[int, float]) -> float:
+        """Contrast of a lost marker in the light that most markers have now, by what they had when it was last seen.
+
+        One marker alone has changed with the light once that has lasted.
+        """
+        marker = self._markers[k]
+        assert marker.light is not None
+        own = marker.company_contrast[k]
+        gains = [contrast / marker.company_contrast[other] for other, contrast in contrasts.items()]
         gains = [gain for gain in gains if _GAINS[0] <= gain <= _GAINS[1]]
         for gain in gains:
-            equal = [other for other in gains if abs(other / gain - 1) <= _EQUAL_LIGHT]
+            tolerance = _EQUAL_LIGHT + _PLATEAU_NOISE * marker.light.noise / (gain * own)
+            equal = [other for other in gains if abs(other / gain - 1) <= tolerance]
             if is_common(len(equal), self.n_markers):
-                return median(equal)
-        if self.n_markers == 1 and gains and self._markers[0].lost_frames >= _LASTING_FRAMES:
-            return gains[0]
-        return 1.0
+                return own * median(equal)
+        if self.n_markers == 1 and gains and marker.lost_frames >= _LASTING_FRAMES:
+            return own * gains[0]
+        return own
 
     def _is_common_loss(self, k: int) -> bool:
         """True when most of the markers were lost at about the same time as this one."""
@@ -560,7 +609,8 @@ class MarkerTracker:
                 for candidate in found
                 if is_near(candidate[0].u, candidate[0].v, row) and not self._is_taken(candidate[0], k)
             ]
-            if len(near) == 1:
+            self._follow_company(marker, [spot for spot, _ in near], at)
+            if len(near) == 1 and not marker.rivals:
                 beside = [other for other in others if is_near(*other, row)]
                 reasons[k] = self._doubt(marker, *near[0], beside)
                 if reasons[k] == "ok":
@@ -569,9 +619,24 @@ class MarkerTracker:
             else:
                 reasons[k] = "ambiguous" if near else "not_acquired"
                 marker.sighting = None
-                if len(near) > 1:
-                    marker.note_clutter([spot.u for spot, _ in near], self._frame)
         return chosen, reasons
+
+    def _follow_company(self, marker: MarkerState, spots: list[Spot], at: list[float]) -> None:
+        """Follow all spots of a marker's kind in its row, until one is left because the others have gone out of it.
+
+        One that disappears within the row may be the marker, covered.
+        """
+        parameters, frame = self.parameters, self._frame
+        if len(spots) < 2 and not marker.rivals:
+            return
+        tracks, free = associated(marker.rivals, spots, frame, parameters.max_jump_px)
+        assert self._shape is not None
+        left = max([0.0, *(u - parameters.max_bend_px for u in at)])
+        right = min([float(self._shape[1]), *(u + parameters.max_bend_px for u in at)])
+        tracks += [Track(spot.u, 0.0, frame) for spot in free]
+        marker.rivals = present(tracks, frame, left, right, parameters.max_jump_px)
+        if len(marker.rivals) == 1:
+            marker.rivals = []
 
     def _doubt(
         self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
@@ -633,9 +698,5 @@ class MarkerTracker:
         marker.light = light
         marker.appearance = self._meter.appearance(spot, light)
         marker.gates = self._meter.gates(light, marker.appearance)
-        marker.acquired_at = self._frame
+        marker.acquired_at, marker.shown = self._frame, light.contrast
         marker.place(spot.u, spot.v)
-
-
-def _contrast(marker: MarkerState) -> float:
-    return math.nan if marker.light is None else marker.light.contrast

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from beam_ros.vision.tracking.rivals import Track, associated, continued, present
+from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
+from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.rivals import Track, associated, continued, may_be, present, recognised, unseen
 from beam_ros.vision.tracking.spots import Spot
+from beam_ros.vision.tracking.tracker import MarkerTracker
+from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
 REACH = 10.0
 
@@ -70,3 +75,85 @@ def test_a_rival_last_seen_inside_is_remembered_for_a_hundred_frames():
     track = Track(100.0, 0.0, 3)
     assert present([track], 103, 0.0, 200.0, REACH) == [track]
     assert present([track], 104, 0.0, 200.0, REACH) == []
+
+
+def test_a_hidden_rival_is_continued_by_the_one_spot_that_only_it_can_be():
+    hidden, other, mine = Track(100.0, -4.0, 3), spot(95.0), spot(108.0)
+    assert unseen([hidden, Track(50.0, 0.0, 9)], 10) == [hidden]
+    assert recognised([hidden], [other, mine], [mine], 10, 7.0) == ([Track(95.0, 0.0, 10)], [mine])
+    # Both are in its reach, or the only one may be the marker: neither is known.
+    for spots in ([other, mine], [mine]):
+        tracks, free = recognised([hidden], spots, [mine], 10, 9.0)
+        assert (tracks, free) == ([hidden], spots)
+        assert may_be(tracks, mine, 10, 9.0)
+    assert not may_be([hidden], spot(110.0), 10, 9.0)
+
+
+HEIGHTS = (0.010, 0.225, 0.285)
+
+
+def followed(x_px, twin_px, cover_px, n_frames: int) -> list[float]:
+    """Errors of the middle marker where it is valid [px]; x, twin and cover's two edges are given by frame."""
+    camera = packaged_camera(noise_grey=1.0)
+    renderer, tracker = (
+        SceneRenderer(camera, HEIGHTS),
+        MarkerTracker(packaged_tracker(camera, HEIGHTS, max_bend_px=90.0), 3),
+    )
+    rng, row = np.random.default_rng(61), float(camera.rows(HEIGHTS[1]))
+    instants = np.polynomial.legendre.leggauss(renderer.sub_instants)[0]
+    errors = []
+    for k in range(n_frames):
+        at, cover = twin_px(k), cover_px(k)
+        disturbances = Disturbances(
+            spots=() if at is None else (SecondSpot(320.0 + at, row),),
+            occluders=()
+            if cover is None
+            else (Occluder(320.0 + cover[0], row - 30, 320.0 + cover[1], row + 30, 20.0),),
+        )
+        way = np.array([x_px(k + instant / 4) for instant in instants])  # half of the time between two frames
+        frame = renderer.render(np.repeat(way[:, None], 3, axis=1) / 1500, rng, disturbances=disturbances)
+        marker = tracker.process(frame, k).markers[1]
+        if marker.is_valid:
+            errors.append(marker.u_px - float(camera.columns(renderer.exposure_weights @ way / 1500)))
+    return errors
+
+
+def test_a_twin_beside_which_the_marker_is_found_is_not_taken_for_it_once_that_is_covered():
+    # The two rest beside each other for forty frames, and nobody can tell which is the marker: then one is covered.
+    errors = followed(lambda k: 0.0, lambda k: 21.7, lambda k: (-70.0, -6.2 + 0.5 * max(0, k - 40)), 70)
+    assert errors == []
+
+
+def test_a_twin_that_has_left_the_picture_leaves_the_marker_to_be_found_at_once():
+    errors = followed(lambda k: 0.0, lambda k: 40.0 + 5 * k, lambda k: None, 20)
+    # Farther than the beam bends from the other markers (90 px), or by a jump (24 px) less, it has gone.
+    assert len(errors) >= 8
+    assert np.abs(errors).max() < 0.05
+
+
+@pytest.mark.parametrize("apart", [15.7, 16.0, 16.3])
+def test_a_marker_that_met_a_twin_is_not_taken_for_what_remains_while_the_other_is_touched(apart):
+    # At this distance the twin is alone in its surroundings already, the marker's touch the twin.
+    x = [1.25, 2.65, 3.85, 6.15, 10.05, 13.75, apart + 0.25, 18.0, 20.5]
+    errors = followed(
+        lambda k: float(np.interp(k - 24, range(9), x)),
+        lambda k: 0.25 if k >= 26 else None,
+        lambda k: None,
+        36,
+    )
+    assert len(errors) >= 26
+    assert np.abs(errors).max() < 0.05
+
+
+def test_a_twin_that_was_covered_with_the_marker_and_comes_first_is_not_taken_for_it():
+    def x(k):
+        return 10.0 - 4.0 * max(0, k - 30) if k < 36 else -14.0 + 2.0 * (k - 36)
+
+    errors = followed(
+        x,
+        lambda k: x(k) - 30.0 if k >= 20 else None,
+        lambda k: (-80.0, 80.0) if 34 <= k < 46 else (x(46) - 14.0, 80.0) if 46 <= k < 54 else None,
+        60,
+    )
+    assert len(errors) >= 34
+    assert np.abs(errors).max() < 0.05

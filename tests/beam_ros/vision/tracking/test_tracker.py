@@ -483,6 +483,20 @@ def test_a_step_of_the_light_loses_no_marker(gain):
         assert columns(result) == pytest.approx(camera.columns(x), abs=0.1)
 
 
+@pytest.mark.parametrize("gain", [0.4, 1.25])
+def test_a_marker_that_was_hidden_while_the_light_changed_is_found_in_the_first_visible_frame(gain):
+    camera = packaged_camera(noise_grey=0.0, contrast=120.0)
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(58)
+    for k in range(50):
+        x = 0.003 * np.sin(0.28 * k + np.arange(3.0))
+        shown = np.where((np.arange(3) == 1) & (30 <= k < 40), np.nan, x)
+        flicker = gain * (1.0 + 0.2 * (-1) ** k) if k >= 32 else 1.0
+        lit = renderer.render(shown, rng) * flicker + 2.0 * rng.standard_normal((480, 640))
+        result = tracker.process(np.clip(np.rint(lit), 0, 255).astype(np.uint8), k)
+        assert [marker.is_valid for marker in result.markers] == np.isfinite(shown).tolist()
+
+
 def test_one_marker_in_another_light_than_the_others_is_not_believed():
     camera = packaged_camera()
     renderer, tracker = make(camera)
