@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -68,7 +69,10 @@ class _Parser(argparse.ArgumentParser):
         return super().format_help()
 
     def error(self, message: str) -> NoReturn:
-        self.exit(FAULT_OF_THE_USER, f"{self.prog}: {message}; `{self.prog} --help` shows what is expected\n")
+        remedy = f"`{self.prog} --help` shows what is expected"
+        if bare := re.match(r"unrecognized arguments: .*?(\S+:=\S*)", message):
+            remedy = f"a parameter is given as `-p {bare.group(1)}`; {remedy}"
+        self.exit(FAULT_OF_THE_USER, f"{self.prog}: {message}; {remedy}\n")
 
 
 def _verb_parser(verb: str) -> argparse.ArgumentParser:

@@ -43,6 +43,7 @@ def _write(folder: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("model", "beam.length:=0.2"), ("unrecognized", "given as `-p beam.length:=0.2`")),
         (("frobnicate",), ("unknown verb 'frobnicate'", "beam --help")),
         (("run", "frobnicator"), ("unknown node 'frobnicator'", "simulator")),
         (("run",), ("NODE", "--help")),
