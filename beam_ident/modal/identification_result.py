@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.bandwidth import Band
@@ -120,6 +120,20 @@ class IdentificationResult(OverOutputs):
         raise EstimationError(
             f"no output {name!r} in this result; available: {', '.join(self.model.output_names)}"
         )
+
+    def with_later_stamps(self, by_s: float) -> IdentificationResult:
+        """Return what the same samples give under stamps that are later by a known time [s]."""
+        model = replace(self.model, latency=self.model.latency + by_s * (1.0 + self.model.clock_rate))
+        outputs = tuple(
+            replace(
+                output,
+                times_s=output.times_s + by_s,
+                records=tuple(replace(own, times_s=own.times_s + by_s) for own in output.records),
+            )
+            for output in self.outputs
+        )
+        jumps = tuple(replace(jump, at_s=jump.at_s + by_s) for jump in self.clock_jumps)
+        return replace(self, model=model, outputs=outputs, clock_jumps=jumps)
 
 
 @dataclass(frozen=True, eq=False)

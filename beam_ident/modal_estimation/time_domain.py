@@ -35,7 +35,7 @@ from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult, OutputFit
 from beam_ident.modal.model import ModalModel
-from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.regression import MAX_LATENCY_S, ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
 from beam_ident.modal_estimation.clock_search import (
     OwnClocks,
@@ -90,6 +90,12 @@ _NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input w
 _VISIBLE_SHARE = 0.01  # of an output's noise variance: from here on it is reported
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
+_FAR_SD = 5.0  # standard deviations of a prior that are searched
+_AT_THE_END = 0.98  # of the latencies that are searched
+_TOO_LATE = (
+    "The latency ends at {:.4g} s, where the search does, which looks {:g} s to either side: the stamps may be "
+    "later, and the poles bent by that. Give what is known, as latency=Prior(0.5, 0.1)."
+)
 _OUTLIER_LOOKS = 3  # at records without the outliers seen so far
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
 _MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
@@ -181,6 +187,11 @@ def identify(
     checked_limit(n_modes, max_modes)
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
     own_latencies, latency = _own_priors("latency", latency, names)
+    if latency is not None and latency.mean and abs(latency.mean) + _FAR_SD * latency.sd > MAX_LATENCY_S:
+        # A clock is looked for about 0, as far as the input is continued beyond its ends.
+        near, about = [_earlier(one, latency.mean) for one in records], Prior(0.0, latency.sd)
+        own = identify(near, structure, n_modes, about, clock_rate, input_name, max_modes, progress)
+        return own.with_later_stamps(latency.mean)
     own_rates_known, clock_rate = _own_priors("clock_rate", clock_rate, names)
     if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
         terms = replace(terms, has_residual=False)
@@ -209,6 +220,8 @@ def identify(
     )
     result, said = without_clipped(records, names, task.result, _prediction)
     doubts = [said] if said else []
+    if latency.is_free and abs(result.model.latency) > _AT_THE_END * MAX_LATENCY_S:
+        doubts.append(_TOO_LATE.format(result.model.latency, MAX_LATENCY_S))
     doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
     return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
 
@@ -494,6 +507,11 @@ class _Task:
             return None  # a record that begins in motion may not fit at all
         clocks = self.latency, self.clock_rate
         return None if _begins_in_motion(regression, still, result.model, clocks) else result
+
+
+def _earlier(record: TimeRecord, by_s: float) -> TimeRecord:
+    """Return a record whose outputs' stamps are earlier by a time [s]."""
+    return replace(record, outputs=tuple(replace(o, times_s=o.times_s - by_s) for o in record.outputs))
 
 
 def _own_priors(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,6 +79,41 @@ def test_a_latency_of_the_stamps_is_estimated_and_does_not_move_the_poles():
     assert abs(late.latency - 3.1e-3) < 4.0 * late.latency_sd
     assert late.latency_sd < 20e-6
     assert np.max(np.abs(z_scores(late))) < 4.0
+
+
+@pytest.mark.parametrize("known", [Prior(0.62, 0.05), Prior(0.7, np.inf), Prior(-0.5, 0.1)])
+def test_a_latency_far_from_zero_that_is_roughly_known_is_found_there(known):
+    late = np.copysign(0.6031, known.mean) * (1.0 if known.mean > 0 else 0.8)
+    record = beam_record(2)
+    stamps = [replace(own, times_s=own.times_s + late) for own in record.outputs]
+    found = identify(replace(record, outputs=tuple(stamps)), n_modes=3, latency=known)
+    model = found.model
+    assert abs(model.latency - late) < 4.0 * model.latency_sd
+    assert model.latency_sd < 20e-6
+    assert np.max(np.abs(z_scores(model))) < 4.0
+    used, all_of_them = found.outputs[0].times_s, stamps[0].times_s
+    np.testing.assert_allclose(used, all_of_them[np.searchsorted(all_of_them, used - 1e-6)], atol=1e-9)
+
+
+def test_a_latency_that_ends_where_the_search_does_is_named():
+    """Stamps late by 0.3 s, of a mode of 1 Hz: half a cycle less late is a crest beyond the search as well."""
+    rng = np.random.default_rng(7)
+    force = rng.standard_normal(3000)
+    omega, zeta = 2 * np.pi, 0.05
+    damped = omega * np.sqrt(1.0 - zeta**2)
+    kernel = np.exp(-zeta * omega * 0.01 * np.arange(3000)) * np.sin(damped * 0.01 * np.arange(3000))
+    swing = np.convolve(force, kernel)[:3000]
+    noisy = swing + 0.02 * np.std(swing) * rng.standard_normal(3000)
+    record = TimeRecord(
+        (InputSignal("force", "N", (0.0, 0.01), force),),
+        (OutputSignal("x", "m", 0.3 + 0.01 * np.arange(3000), noisy),),
+    )
+    found = identify(record, "receptance", n_modes=1, latency=Prior(0.0, np.inf))
+    assert abs(found.model.latency) > 0.19
+    assert any("where the search does" in said for said in found.warnings)
+    known = identify(record, "receptance", n_modes=1, latency=Prior(0.35, 0.1))
+    assert known.model.frequencies_hz[0] == pytest.approx(1.0, abs=2e-4)
+    assert not any("where the search does" in said for said in known.warnings)
 
 
 def test_a_prior_on_the_clock_reaches_the_stated_uncertainty():
