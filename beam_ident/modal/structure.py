@@ -42,10 +42,11 @@ _DIFFERENTIATIONS: dict[str, int] = {
 _MOTIONS = (
     ("m", "mm", "um", "rad", "deg"),
     ("m/s", "mm/s", "rad/s", "deg/s"),
-    ("m/s^2", "mm/s^2", "rad/s^2"),
+    ("m/s^2", "mm/s^2", "g", "rad/s^2"),
 )
 """Units of a displacement, and of what it is differentiated once and twice."""
-_FORCES = ("N", "kN", "N m")
+_FORCES = ("N", "mN", "kN", "N m", "A", "mA", "V", "mV", "kV", "Pa", "kPa", "bar")
+"""Units of a force, and of what actuators make forces of."""
 _SPELLINGS = {
     "m/s2": "m/s^2",
     "m/s²": "m/s^2",

@@ -16,6 +16,7 @@ from beam_ident import (
     identify,
     validate,
 )
+from beam_ident.modal.structure import kinds_by_units
 from beam_ident.report.identification import identification_page
 from benchmarks.ident.forced_hub import FreeHubCase, SoftServoCase
 from benchmarks.ident.physical import PhysicalCase
@@ -216,3 +217,9 @@ def test_units_that_no_structure_joins_are_refused():
         EstimationError, match=r"no structure goes with inputs in 'm' and outputs in 'm/s\^2'"
     ):
         identify(TimeRecord((drive,), (accelerometer,)))
+
+
+@pytest.mark.parametrize(("drive", "sensor", "kind"), [("V", "um", "receptance"), ("A", "m/s", "mobility"),
+                                                       ("N", "g", "accelerance")])  # fmt: skip
+def test_what_drives_an_actuator_is_taken_for_a_force(drive, sensor, kind):
+    assert kind in kinds_by_units([drive], [sensor])
