@@ -23,7 +23,6 @@ from scipy.special import fdtrc as f_sf
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.best_linear.realisations import (
-    TESTABLE,
     Realisations,
     chosen_input_name,
     line_numbers,
@@ -33,6 +32,7 @@ from beam_ident.best_linear.realisations import (
     require_repetition,
     settled_responses,
     side_by_side,
+    unsteadiness,
 )
 from beam_ident.best_linear.result import BestLinearApproximation, LineVariances
 from beam_ident.data.frequency_record import Folding
@@ -51,6 +51,7 @@ _SIGNIFICANCE = 0.01  # chance that a linear system is called nonlinear
 _KNOWN = 1e-6  # of an input: what scatters less was not measured
 _SEEN = 2.0  # real degrees of freedom of a complex value
 _LEVELS = 1.5  # times the power: realisations that differ by more are not of one kind
+_FEW = 4  # realisations: with fewer the total variance is hardly known
 _SMOOTHING = 400.0  # degrees of freedom of the noise level that weighs lines in the test
 
 
@@ -266,21 +267,22 @@ def _verdict(
 ) -> str:
     """Return what the variances say in one sentence or two."""
     whole = np.sum(np.abs(response) ** 2 * power[:, None], axis=0)
-    shares = {
-        what: 10.0 * np.log10(np.maximum(np.sum(values * power[:, None], axis=0) / whole, 1e-300))
-        for what, values in (("distortion", excited.total - excited.noise), ("noise", excited.noise))
-    }
-    worst = int(np.argmax(shares["distortion"]))
-    if p_value < _SIGNIFICANCE:
-        said = (
-            f"nonlinear: distortion of {shares['distortion'][worst]:.0f} dB of the response, where the noise of a "
-            f"realisation is {shares['noise'][worst]:.0f} dB"
-        )
+    distortion, noise = (
+        np.sum(values * power[:, None], axis=0) / whole
+        for values in (excited.total - excited.noise, excited.noise)
+    )
+    worst = int(np.argmax(distortion))
+    of_noise = (
+        f"the noise of a realisation, {10.0 * np.log10(max(noise[worst], 1e-300)):.0f} dB of the response"
+    )
+    if p_value >= _SIGNIFICANCE and judged is not None and judged.is_nonlinear:
+        said = f"nonlinear by less than {of_noise}: only the lines that were not excited show it"
+    elif p_value >= _SIGNIFICANCE:
+        said = f"linear as far as {of_noise}, shows: realisations differ by no more than that"
+    elif distortion[worst] > 0.0:
+        said = f"nonlinear: distortion of {10.0 * np.log10(distortion[worst]):.0f} dB beside {of_noise}"
     else:
-        said = (
-            f"linear as far as the noise of {np.max(shares['noise']):.0f} dB of the response shows: realisations "
-            "differ by no more than that"
-        )
+        said = f"nonlinear at some lines, with distortion that is less over all than {of_noise}"
     return said if judged is None else f"{said}; on the detection lines {judged.verdict}"
 
 
@@ -295,7 +297,12 @@ def _warnings(
             f"the input {name!r} differs from period to period, so it was measured: if a loop closes through it, "
             "distortion comes back with it, and the response is biased. Give the command as reference_name"
         )
-    if len(data.found) < TESTABLE:
+    if drift := unsteadiness(data.found):
+        said.append(
+            f"the periods still change (drift {drift:.3g}; about 1 where they are steady): a transient that has not "
+            "died out counts as noise and hides distortion. Record more periods than the system takes to settle"
+        )
+    if len(data.found) < _FEW:
         said.append(
             f"{len(data.found)} realisations leave {2 * (len(data.found) - 1)} degrees of freedom to the total "
             "variance of a line: its bands are wide. Record seven or more"

@@ -13,11 +13,11 @@ from beam_ident.data.argument_checks import require_records, require_whole_numbe
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.responses.periodic_averaging import PeriodicResponse, periodic_response
+from beam_ident.responses.steady_periods import drift_of_periods
 
 _ALIKE = 0.9  # of the largest correlation that two multisines can have: they are one, begun at another time
 _ENOUGH_LINES = 8  # by which two multisines can be told from each other
-TESTABLE = 4
-"""Periods of which drift can be told from noise."""
+_TESTABLE = 3  # periods of which drift can be told from noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +117,24 @@ def settled_responses(
     fewest = min(one.n_periods for one in found)
     skip = int(fewest > 2)
     found = after(skip) if skip else found
-    while not all(one.is_steady for one in found) and fewest - skip > TESTABLE:
+    while unsteadiness(found) and fewest - skip > _TESTABLE:
         skip += 1
         found = after(skip)
     return skip, found
+
+
+def unsteadiness(found: Sequence[PeriodicResponse]) -> float:
+    """Return the drift of the periods of all realisations together, 0 where noise explains it.
+
+    Notes
+    -----
+    Transients of a lightly damped structure stand on few lines: those of one realisation prove little.
+    """
+    fewest = min(one.n_periods for one in found)
+    drift, is_unsteady = drift_of_periods(
+        np.concatenate([one.bin_outputs[:, -fewest:] for one in found], axis=2)
+    )
+    return float(np.max(drift[is_unsteady], initial=0.0))
 
 
 def require_repetition(found: Sequence[PeriodicResponse]) -> None:
@@ -144,15 +158,14 @@ def require_differences(found: Sequence[PeriodicResponse]) -> None:
     top = max(int(line_numbers(one)[-1]) for one in found)
     for one in found:
         row = np.zeros(top + 1, dtype=np.complex128)
-        row[line_numbers(one)] = np.mean(one.line_inputs, axis=0)
-        spectra.append(row / max(float(np.linalg.norm(row)), 1e-300))
+        # Phases alone: of a spectrum that falls, a line or two would be all of the correlation.
+        row[line_numbers(one)] = np.exp(1j * np.angle(np.mean(one.line_inputs, axis=0)))
+        spectra.append(row)
     for second in range(1, len(found)):
         for first in range(second):
             both = spectra[first] * np.conj(spectra[second])
-            if np.count_nonzero(both) < _ENOUGH_LINES:
-                continue
-            n = 8 * (top + 1)
-            if np.max(np.abs(np.fft.ifft(both, n))) * n > _ALIKE:
+            common, n = np.count_nonzero(both), 8 * (top + 1)
+            if common >= _ENOUGH_LINES and np.max(np.abs(np.fft.ifft(both, n))) * n > _ALIKE * common:
                 raise EstimationError(
                     f"realisations {first + 1} and {second + 1} ({found[second].response.name!r}) are the same "
                     "signal: distortion repeats with it and looks like response. Excite with random phases, and with "

@@ -21,6 +21,7 @@ from beam_ident.figures.modal_analysis import synthesis_figure as synthesis_figu
 from beam_ident.figures.modes import mode_shape_figure as mode_shape_figure
 from beam_ident.figures.modes import trend_figure as trend_figure
 from beam_ident.figures.poles import pole_zero_figure as pole_zero_figure
+from beam_ident.figures.responses import best_linear_figure as best_linear_figure
 from beam_ident.figures.responses import coherence_figure as coherence_figure
 from beam_ident.figures.responses import response_over_model_figure as response_over_model_figure
 from beam_ident.figures.validation import validation_figure as validation_figure

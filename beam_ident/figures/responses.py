@@ -10,12 +10,14 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.frequency_record import FrequencyRecord, ResponseSeries
 from beam_ident.errors import EstimationError
-from beam_ident.figures.canvas import COLOURS, stacked_axes
+from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, stacked_axes
 from beam_ident.modal.model import ModalModel
 from beam_ident.transfer_function.model import TransferFunctionModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from beam_ident.best_linear.result import BestLinearApproximation
 
 
 def coherence_figure(records: Sequence[FrequencyRecord]) -> Figure:
@@ -93,6 +95,48 @@ def response_over_model_figure(
     axes[0].legend(loc="best", fontsize=8, frameon=False, ncols=2)
     axes[1].set_ylabel("phase [deg]")
     axes[1].set_xlabel("frequency [Hz]")
+    return figure
+
+
+def best_linear_figure(found: BestLinearApproximation) -> Figure:
+    """Draw the response of every output with the deviations that noise and distortion make, each with its band.
+
+    Parameters
+    ----------
+    found : BestLinearApproximation
+    """
+    n_outputs = len(found.output_names)
+    figure, axes = stacked_axes(n_outputs, 1.2 + 2.6 * n_outputs)
+    hertz = found.frequencies_hz
+    for j, (axis, name) in enumerate(zip(axes, found.output_names, strict=True)):
+        size = np.abs(found.response[:, j])
+        axis.semilogy(hertz, size, ".-", color=COLOURS[0], markersize=3.0, linewidth=0.8, label="response")
+        floor = 1e-2 * np.sqrt(np.median(found.excited.noise[:, j]))
+        for what, values, band, colour in (
+            ("noise", found.excited.noise, found.excited.noise_band(), MEASURED),
+            ("distortion", found.excited.distortion, found.excited.distortion_band(), MODEL),
+        ):
+            low, high = np.maximum(np.sqrt(band[:, :, j]), floor)
+            axis.fill_between(hertz, low, high, color=colour, alpha=0.2, linewidth=0.0)
+            drawn = np.where(values[:, j] > 0.0, np.sqrt(values[:, j]), np.nan)
+            axis.semilogy(hertz, drawn, ".", color=colour, markersize=4.0, label=f"{what}, with 95 %")
+        for parity, lines, marker in (("even", found.even, "+"), ("odd", found.odd, "x")):
+            if lines is not None:
+                drawn = np.where(lines.distortion[:, j] > 0.0, np.sqrt(lines.distortion[:, j]), np.nan)
+                label = f"distortion on {parity} detection lines"
+                axis.semilogy(
+                    lines.frequencies_hz,
+                    drawn,
+                    marker,
+                    color=REFERENCE,
+                    markersize=4.0,
+                    alpha=0.6,
+                    label=label,
+                )
+        axis.set_ylim(bottom=floor)
+        axis.set_ylabel(f"{name} over {found.input_name}")
+    axes[0].legend(loc="best", fontsize=7, frameon=False, ncols=2)
+    axes[-1].set_xlabel("frequency [Hz]")
     return figure
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from beam_ident import figures
 from beam_ident.amplitude.curves import AmplitudeCurves
+from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.records import TimeRecord
 from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
@@ -31,7 +32,12 @@ from beam_ident.report.evidence import (
     mode_rows,
 )
 from beam_ident.report.gates import Gate
-from beam_ident.report.measurement import add_frequency_domain, add_records, add_stabilisation
+from beam_ident.report.measurement import (
+    add_best_linear,
+    add_frequency_domain,
+    add_records,
+    add_stabilisation,
+)
 from beam_ident.report.modes import add_modes, add_poles, add_shapes, add_theory
 from beam_ident.report.page import Page
 from beam_ident.report.quantities import nearest_mode
@@ -73,6 +79,7 @@ def identification_page(
     sources: ErrorSources | None = None,
     trials: Sequence[Trial] = (),
     curves: AmplitudeCurves | None = None,
+    best_linear: BestLinearApproximation | None = None,
     links: Sequence[tuple[str, str]] = (),
 ) -> Page:
     """Build the report of an identification.
@@ -93,6 +100,7 @@ def identification_page(
     sources : ErrorSources, optional -- what the scatter of the samples cannot show
     trials : sequence of Trial -- the records one by one, where there are several
     curves : AmplitudeCurves, optional -- of frequency and damping over amplitude
+    best_linear : BestLinearApproximation, optional -- noise and nonlinear distortion line by line
     links : sequence of (text, address) -- files beside the page
 
     Returns
@@ -142,6 +150,9 @@ def identification_page(
             "where its input moves most. The fit is that of all of it."
         )
     add_frequency_domain(page, shown, models, modes)
+    if best_linear is not None:
+        page.section("Noise and distortion")
+        add_best_linear(page, best_linear)
     page.section("Order")
     _add_orders(page, result)
     add_stabilisation(page, shown, models, modes)

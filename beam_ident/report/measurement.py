@@ -1,4 +1,4 @@
-"""What was measured: records with their gaps, spectra, responses under the model's, and poles that settle."""
+"""What was measured: records with their gaps, spectra, responses, their noise and distortion, poles that settle."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from beam_ident import figures
 from beam_ident.arrays import FloatArray
+from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.gaps import describe_gaps
 from beam_ident.data.records import OutputSignal, TimeRecord
@@ -127,6 +128,57 @@ def add_frequency_domain(
             "excited band it is an extrapolation: the bands take the structure of the model to be right there.",
             "magnitude and phase of the model's response, with bands",
             "model-response",
+        )
+
+
+def add_best_linear(page: Page, found: BestLinearApproximation) -> None:
+    """Add the best linear approximation with its levels, and the test on the detection lines."""
+    page.paragraph(f"{found.verdict[0].upper()}{found.verdict[1:]}.")
+    for warning in found.warnings:
+        page.warning(f"{warning}.", tone="doubt")
+    reference = f", correlated with {found.reference_name}" if found.reference_name else ""
+    periods = " + ".join(map(str, found.n_periods))
+    page.paragraph(
+        f"From {len(found.n_periods)} realisations of {periods} periods of {found.line_period_s:.6g} s{reference}; "
+        f"{found.skipped_periods} at the beginning of each were left out, while it settled."
+    )
+    page.figure(
+        figures.best_linear_figure(found),
+        "The response that all realisations have in common, and by what deviations one realisation differs from it: "
+        "noise, as the periods show it, and nonlinear distortion, which repeats with the period and is another one "
+        "with other phases. Where it stands above the noise, more periods of the same signal make the response no "
+        "truer, and a linear model holds for this level and spectrum of the excitation alone. A point is missing "
+        "where nothing is left beside the noise; the band then begins at zero.",
+        f"response, noise and distortion of {', '.join(found.output_names)} over frequency",
+        name="best-linear",
+    )
+    if found.distortion is not None:
+        page.table(
+            [
+                "output",
+                "lines",
+                "number",
+                "distortion [dB]",
+                "at most, 95 % [dB]",
+                "noise [dB]",
+                "p",
+                "verdict",
+            ],
+            [
+                [
+                    level.output_name,
+                    level.parity,
+                    str(level.n_lines),
+                    f"{level.level_db:.1f}",
+                    f"{level.largest_db:.1f}",
+                    f"{level.noise_db:.1f}",
+                    f"{level.p_value:.2g}",
+                    "distortion" if level.is_detected else "noise alone",
+                ]
+                for level in found.distortion.levels
+            ],
+            "Power on the lines that were not excited, against that of the excited ones: even lines show even "
+            "nonlinearities (an offset, slack to one side), odd ones odd nonlinearities (stiffening, friction).",
         )
 
 

@@ -64,9 +64,8 @@ class PeriodicResponse:
     is_excited : ndarray of bool, shape (n_bins,) -- whether an excited line, or its fold, stands there
     drift : ndarray, shape (n_outputs,)
         Power of the change from the first period to the last over what the noise between
-        other periods explains; about 1 when steady.  Where noise does not explain it, the response says so
-        in its ``warnings``, and every fit to it too.
-    is_steady : bool -- whether noise explains the drift of every output, and the input is the same in every period
+        other periods explains; about 1 when steady, NaN for fewer than three periods.  Where noise does
+        not explain it, the response says so in its ``warnings``, and every fit to it too.
     first_s : float -- when the first period begins [s]
     is_shared : ndarray of bool, shape (n_lines,) -- whether another excited line falls onto the same line
     line_outputs : complex ndarray, shape (n_outputs, n_periods, n_lines)
@@ -85,7 +84,6 @@ class PeriodicResponse:
     input_spectrum: ComplexArray
     is_excited: BoolArray
     drift: FloatArray
-    is_steady: bool
     first_s: float
     is_shared: BoolArray
     line_outputs: ComplexArray
@@ -214,7 +212,6 @@ def periodic_response(
         input_spectrum=2.0 * seen,
         is_excited=is_excited,
         drift=drift,
-        is_steady=not (has_input_changed or bool(np.any(is_unsteady))),
         first_s=steady.first_s,
         is_shared=lines.is_shared,
         line_outputs=measured,

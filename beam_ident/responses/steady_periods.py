@@ -46,7 +46,8 @@ def drift_of_periods(spectra: ComplexArray) -> tuple[FloatArray, BoolArray]:
     Returns
     -------
     drift : ndarray, shape (n_outputs,)
-        Power of the change over what the scatter of the other periods explains; NaN for fewer than four.
+        Power of the change over what the scatter of the other periods explains; of three periods, the larger of their
+        two changes over the smaller one; NaN for fewer.
     is_unsteady : ndarray of bool, shape (n_outputs,)
 
     Notes
@@ -55,22 +56,22 @@ def drift_of_periods(spectra: ComplexArray) -> tuple[FloatArray, BoolArray]:
     as lines that carry its power, ``(sum p)^2 / sum p^2``.
     """
     n_outputs, n_periods = spectra.shape[:2]
-    if n_periods < 4:
+    if n_periods < 3:
         return np.full(n_outputs, np.nan), np.zeros(n_outputs, dtype=bool)
-    change = _power(spectra[:, -1] - spectra[:, 0]) / 2.0
-    middle = spectra[:, 1:-1]
-    by_line = np.sum(np.abs(middle - np.mean(middle, axis=1)[:, None]) ** 2, axis=1) / (n_periods - 3)
-    scatter = np.maximum(np.sum(by_line, axis=1), 1e-300)
-    drift = np.asarray(change / scatter)
-    freedom = _freedom(by_line)
-    is_unexplained = (drift > _MUCH) & (f_sf(freedom, (n_periods - 3) * freedom, drift) < _UNSTEADY)
     # A slow decay scatters the middle too: the change over the first two periods against that over the last.
     pairs = np.abs(np.stack([spectra[:, 1] - spectra[:, 0], spectra[:, -1] - spectra[:, -2]])) ** 2 / 2.0
     sizes = np.sum(pairs, axis=2)
     quieter = np.take_along_axis(pairs, np.argmin(sizes, axis=0)[None, :, None], axis=0)[0]
     ratio = np.max(sizes, axis=0) / np.maximum(np.min(sizes, axis=0), 1e-300)
     freedom = _freedom(quieter)
-    is_unexplained |= (ratio > _MUCH) & (2.0 * f_sf(freedom, freedom, ratio) < _UNSTEADY)
+    drift, is_unexplained = ratio, (ratio > _MUCH) & (2.0 * f_sf(freedom, freedom, ratio) < _UNSTEADY)
+    if n_periods > 3:
+        change = _power(spectra[:, -1] - spectra[:, 0]) / 2.0
+        middle = spectra[:, 1:-1]
+        by_line = np.sum(np.abs(middle - np.mean(middle, axis=1)[:, None]) ** 2, axis=1) / (n_periods - 3)
+        drift = np.asarray(change / np.maximum(np.sum(by_line, axis=1), 1e-300))
+        freedom = _freedom(by_line)
+        is_unexplained |= (drift > _MUCH) & (f_sf(freedom, (n_periods - 3) * freedom, drift) < _UNSTEADY)
     harmless = _HARMLESS**2 * _power(np.mean(spectra, axis=1))
     return drift, np.asarray(is_unexplained & (np.max(sizes, axis=0) > harmless))
 

@@ -396,6 +396,9 @@ class IdentifierSettings:
     amplitude: bool = live(
         "also curves of frequency and damping over amplitude, from the decays at the bags' ends"
     )
+    best_linear: bool = live(
+        "also response, noise and nonlinear distortion line by line, from bags of one multisine with other seeds"
+    )
     input: str = live("TOPIC:FIELD of the input; empty: the hub")
     outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
     signals: str = live("YAML file of input and outputs")

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident import (
+    BestLinearApproximation,
     IdentificationError,
     IdentificationResult,
     InputSignal,
@@ -48,6 +49,7 @@ from beam_ros.bags.signals import OWN_STAMPS_GAP, Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
+from beam_ros.offline.best_linear import best_linear_of
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.seen_data import refuse_shared
 from beam_ros.process.folders import new_folder
@@ -561,6 +563,7 @@ class Identification:
         What the models were scored on, and how each of them did there.
     content : mapping -- the same in plain numbers: what ``identification/result`` carries and ``--json`` prints
     curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
+    best_linear : BestLinearApproximation or None -- noise and distortion by line, where they were asked for
     """
 
     experiments: tuple[Experiment, ...]
@@ -569,6 +572,7 @@ class Identification:
     unseen: tuple[tuple[Experiment, tuple[ValidationResult, ...]], ...]
     content: Mapping[str, Any]
     curves: AmplitudeCurves | None = None
+    best_linear: BestLinearApproximation | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -657,6 +661,8 @@ def identification_of_bags(
                 "of one kind of drive, or a structure that fits all with --structure"
             )
     refuse_shared([(one.path, one.record) for one in experiments], [(one.path, one.record) for one in unseen])
+    # Before the fit: bags that are no realisations are refused at once.
+    best_linear = best_linear_of(experiments) if options.best_linear else None
     settings = replace(
         options.settings(experiment.structure, experiment.clock_rate, experiment.latency), progress=progress
     )
@@ -679,7 +685,9 @@ def identification_of_bags(
         progress("curves over amplitude", 0.0)
         curves = amplitude_curves([free_decay_of(record) for record in records])
         content["amplitude"] = curves.to_dict()
-    return Identification(tuple(experiments), options, result, seen, content, curves)
+    if best_linear is not None:
+        content["best_linear"] = best_linear.to_dict()
+    return Identification(tuple(experiments), options, result, seen, content, curves, best_linear)
 
 
 def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:

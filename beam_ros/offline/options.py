@@ -41,6 +41,7 @@ class FitOptions:
     noise : str
     segments : tuple of (start, end) -- of each bag [s], from its first sample; empty: everything
     amplitude : bool -- also curves of frequency and damping over amplitude
+    best_linear : bool -- also the best linear approximation, from bags of one multisine with other seeds
     signals : Signals -- input and outputs that are not the rig's own
     """
 
@@ -56,6 +57,7 @@ class FitOptions:
     noise: NoiseChoice = "auto"
     segments: tuple[tuple[float, float], ...] = ()
     amplitude: bool = False
+    best_linear: bool = False
     signals: Signals = field(default_factory=Signals)
 
     @staticmethod
@@ -80,6 +82,7 @@ class FitOptions:
             noise=settings.noise,
             segments=tuple(_segments(settings.segments)),
             amplitude=settings.amplitude,
+            best_linear=settings.best_linear,
             signals=Signals.of(
                 settings.input,
                 listed(settings.outputs),

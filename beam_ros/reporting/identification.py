@@ -180,6 +180,7 @@ def report_identification(
         if len(found.experiments) > 1
         else (),
         curves=found.curves,
+        best_linear=found.best_linear,
         links=links,
     )
     report = page.write(folder / "report.html", overwrite)

@@ -156,6 +156,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{name}   FIT {score['fit_percent']:.3f} %{of_deflection}")
     if "amplitude" in result:
         print(result["amplitude"]["verdict"])
+    if "best_linear" in result:
+        print(result["best_linear"]["verdict"])
     if result.get("misfit"):
         print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
     for unseen in result.get("validation", ()):

@@ -15,6 +15,9 @@ from beam_ident import (
     restore,
 )
 from beam_ident.best_linear.approximation import best_linear_approximation
+from beam_ident.figures import best_linear_figure
+from beam_ident.report.measurement import add_best_linear
+from beam_ident.report.page import Page
 from benchmarks.ident.best_linear import LinearLoopless, NoisyInput, Polynomial, Signals
 
 M, P = 7, 4
@@ -53,7 +56,7 @@ def test_a_linear_system_is_left_in_peace():
     case = LinearLoopless()
     found = case.approximation(case.simulate(np.random.default_rng(3), M))
     assert found.p_value > 0.01
-    assert found.verdict.startswith("linear as far as the noise")
+    assert found.verdict.startswith("linear as far as the noise of a realisation")
     assert not found.distortion.is_nonlinear
     # Nothing is left beside the noise: half of the differences are below zero, and most bands begin there.
     assert np.mean(found.excited.distortion_band()[0] == 0.0) > 0.9
@@ -210,6 +213,21 @@ def test_it_goes_through_json():
     assert again.distortion == found.distortion
 
 
+def test_the_report_draws_response_noise_and_distortion_with_the_test_of_the_detection_lines():
+    found = approximation()
+    page = Page("title", "lead")
+    page.section("Noise and distortion")
+    add_best_linear(page, found)
+    assert set(page.figures) == {"best-linear"}
+    assert "nonlinear: distortion of -" in page.text().lower()
+    assert page.text().count(">distortion<") == 2  # at even and at odd lines
+    axis = best_linear_figure(found).axes[0]
+    drawn = {line.get_label(): line.get_ydata() for line in axis.lines}
+    np.testing.assert_allclose(drawn["response"], np.abs(found.response[:, 0]))
+    np.testing.assert_allclose(drawn["noise, with 95 %"] ** 2, found.excited.noise[:, 0])
+    assert len(drawn["distortion on even detection lines"]) == len(CASE.even)
+
+
 def aperiodic():
     signals = CASE.simulate(np.random.default_rng(0), 3)
     noise = np.random.default_rng(1).standard_normal(signals.drive.shape)
@@ -247,6 +265,21 @@ def test_the_same_phases_begun_later_are_found_out():
     )
     with pytest.raises(EstimationError, match="realisations 1 and 3"):
         approximation([one, other, turned])
+
+
+def test_a_spectrum_of_one_strong_line_is_not_taken_for_one_signal():
+    def falling(values):
+        spectrum = np.fft.rfft(values)
+        return np.fft.irfft(spectrum / (1.0 + np.arange(len(spectrum))) ** 3, len(values))
+
+    given = [
+        TimeRecord(
+            (dataclasses.replace(one.inputs[0], values=falling(one.inputs[0].values)),),
+            (dataclasses.replace(one.outputs[0], values=falling(one.outputs[0].values)),),
+        )
+        for one in records()
+    ]
+    assert len(approximation(given).omegas) == len(LINES_HZ)
 
 
 def test_clipped_samples_and_unlike_levels_are_said():
