@@ -50,7 +50,7 @@ class Signals:
 def random_odd(first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
     """Return odd line numbers with one of every four left out, and those left out."""
     odd = np.arange(first, last + 1, 2)
-    out = np.arange(2, len(odd), 4)
+    out = np.arange(2, len(odd) - 1, 4)
     return np.delete(odd, out), odd[out]
 
 
@@ -146,7 +146,7 @@ class Polynomial(BandStudy):
 
     def __init__(self) -> None:
         self.excited, self.odd = random_odd(1, 119)
-        self.even = np.arange(2, 119, 2)
+        self.even = np.arange(2, self.excited[-1], 2)
         z = np.exp(2j * np.pi * np.arange(self.n_samples // 2 + 1) / self.n_samples)
         pole = 0.98 * np.exp(2j * np.pi * 40.0 / self.n_samples)
         self.plant = 0.06 * z / np.abs(1.0 - pole) / ((1.0 - pole / z) * (1.0 - np.conj(pole) / z)) / z
@@ -232,7 +232,7 @@ class FrictionLoop(BandStudy):
 
     def __init__(self) -> None:
         self.excited, self.odd = random_odd(self.first, 65)
-        self.even = np.arange(self.first + 1, 65, 2)
+        self.even = np.arange(self.first + 1, self.excited[-1], 2)
 
     def simulate(self, rng: np.random.Generator, realisations: int) -> Signals:
         """Return steady periods by small implicit steps, in which dry friction stops and holds the mass exactly."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.ident import distortion, frequency_domain, modal_analysis
+from benchmarks.ident import best_linear, distortion, frequency_domain, modal_analysis
 from benchmarks.ident.study import figures
 
 
@@ -26,6 +26,18 @@ def test_multisines_reach_the_bound_and_intervals_cover(name, runs):
 def test_a_nonlinear_plant_is_flagged_and_a_linear_one_hardly_ever():
     assert figures(distortion.STUDIES["distortion-linear"], 300)["flagged"] <= 0.05
     assert figures(distortion.STUDIES["distortion-cubic"], 20)["flagged"] == 1.0
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(
+    "name", ["best-linear-cubic", "best-linear-noisy-input", "best-linear-friction-loop"]
+)
+def test_bands_of_noise_and_distortion_hold_the_truth(name):
+    found = figures(best_linear.STUDIES[name], 200)
+    assert 0.93 < found["noise held, excited"] < 0.97
+    assert 0.93 < found["distortion held, excited"] < 0.97
+    # (M - 1) / (M - 2) of 7 realisations
+    assert 1.1 < found["squared z of the response"] < 1.3
 
 
 @pytest.mark.verify
