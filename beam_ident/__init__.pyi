@@ -15,6 +15,12 @@ from beam_ident.data.prior import Prior as Prior
 from beam_ident.data.records import InputSignal as InputSignal
 from beam_ident.data.records import OutputSignal as OutputSignal
 from beam_ident.data.records import TimeRecord as TimeRecord
+from beam_ident.design.experiment import ExperimentDesign as ExperimentDesign
+from beam_ident.design.experiment import design_experiment as design_experiment
+from beam_ident.design.limits import ExcitationLimits as ExcitationLimits
+from beam_ident.design.limits import LimitedResponse as LimitedResponse
+from beam_ident.design.precision import Observation as Observation
+from beam_ident.design.precision import predicted_model as predicted_model
 from beam_ident.design.prediction import half_power_bands as half_power_bands
 from beam_ident.design.prediction import predict_amplitudes as predict_amplitudes
 from beam_ident.design.summary import ExcitationReport as ExcitationReport

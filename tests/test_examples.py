@@ -47,6 +47,7 @@ SAYS = {
         "with odd distortion",
         r"total: (4\.00|3\.99)",
     ],
+    "next_experiment.py": ["D-optimal excitation", "of the chirp's standard deviation", "promised"],
     "order_selection.py": ["not worth its parameters by BIC", "chosen"],
     "results.py": ["chi-squared", "fit percentage of tip on a step"],
     "validation.py": ["tip: good prediction", "as stated: the 4 records", "more than stated: the 4 records"],

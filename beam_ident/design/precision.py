@@ -1,23 +1,31 @@
-"""How well a record can tell the poles of a known model, before anything is fitted: the Cramer-Rao bound.
+"""How well a record can tell the parameters of a known model, before anything is fitted: the Cramer-Rao bound.
 
-Gains, residues and drifts of every output are what the record itself says at these poles; poles, latency and the
-clock's rate are the unknowns that remain. What is asked is the record's information, not the poles: they need only be
-about right.
+Of a record that is there (``predicted_precision``), gains, residues and drifts of every output are what the record
+itself says at these poles; poles, latency and the clock's rate are the unknowns that remain. What is asked is the
+record's information, not the poles: they need only be about right. Of a record that is not there yet
+(``predicted_model``), a model says what would be seen.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.records import TimeRecord
-from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.errors import ExcitationError
+from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
 
+if TYPE_CHECKING:
+    from beam_ident.modal.model import ModalModel
+
+_ALIKE = 1e-10  # of the largest singular value: columns that differ by less are told apart by nothing
 _STANDS_OUT = 3.0  # standard deviations of a residue: once in 370 by chance
 
 
@@ -94,3 +102,148 @@ def predicted_precision(
         bound = np.sqrt(np.maximum(np.diag(np.linalg.pinv(part, hermitian=True)), 0.0))
         sd[is_seen] = bound / scale[is_seen]
     return PredictedPrecision(omegas, zetas, sd[:n] * omegas, sd[n : 2 * n])
+
+
+@dataclass(frozen=True)
+class Observation:
+    """How the outputs of an experiment will be seen.
+
+    Parameters
+    ----------
+    rate_hz : float -- of the camera [frames/s]
+    noise_sd : mapping of str to float -- standard deviation of the white noise of every output, by its name
+    exposure_s : float -- over which a frame averages [s]
+    latency_sd : float -- how well the stamps' latency is known beforehand [s]; infinite: not at all
+    clock_rate_sd : float -- how well the clock's rate against the input's is known beforehand
+
+    Raises
+    ------
+    ExcitationError
+        A number out of its range.
+    """
+
+    rate_hz: float
+    noise_sd: Mapping[str, float]
+    exposure_s: float = 0.0
+    latency_sd: float = math.inf
+    clock_rate_sd: float = 50e-6
+
+    def __post_init__(self) -> None:
+        numbers = {"rate_hz": self.rate_hz, **{f"noise_sd of {k}": sd for k, sd in self.noise_sd.items()}}
+        for name, value in numbers.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise ExcitationError(f"observation: {name} is {value!r}; expected a finite number > 0")
+        for name in ("exposure_s", "latency_sd", "clock_rate_sd"):
+            if not getattr(self, name) >= 0.0:
+                raise ExcitationError(
+                    f"observation: {name} is {getattr(self, name)!r}; expected a number >= 0"
+                )
+
+    def stamps(self, duration_s: float) -> FloatArray:
+        """Return when frames are taken that lie within a record from 0 to ``duration_s`` [s]."""
+        half = 0.5 * self.exposure_s
+        first = max(1, math.ceil(half * self.rate_hz))
+        last = math.floor((duration_s - half) * self.rate_hz)
+        return np.asarray(np.arange(first, last) / self.rate_hz, dtype=np.float64)
+
+
+def predicted_model(model: ModalModel, drive: InputSignal, observation: Observation) -> ModalModel:
+    """Return the model with the covariance that the best estimator would have after an experiment.
+
+    Parameters
+    ----------
+    model : ModalModel -- of one input; what is taken for true
+    drive : InputSignal -- of the kind that its structure names, from 0 s
+    observation : Observation
+
+    Raises
+    ------
+    ExcitationError
+        Fewer frames than the model has parameters.
+
+    Notes
+    -----
+    Every output has the unknowns of ``identify``: gain, residual term and residues, and for the record an offset, a
+    ramp and motion at the beginning. With the columns A_j of what is linear and the slopes S_j of what is common
+    (log omega, zeta, latency, rate) the information is block-bordered: that of the common ones is
+    ``sum_j S_j' (1 - A_j A_j^+) S_j / sigma_j^2``, and the linear ones follow as ``-A_j^+ S_j``.
+    """
+    structure = ModalStructure(model.structure)
+    times = observation.stamps(drive.span_s[1])
+    n, shared = model.n_modes, model.column_parameters()
+    if len(times) < shared.shape[1] + 2 * n + 2:
+        raise ExcitationError(
+            f"{len(times)} frames for {shared.shape[1] + 2 * n} parameters; expected more: film faster or longer"
+        )
+    # Enough values for a record; what is seen comes from the model itself.
+    blank = np.zeros(len(times))
+    outputs = tuple(
+        OutputSignal(name, "", times, blank, observation.exposure_s) for name in model.output_names
+    )
+    regression = ModalRegression([TimeRecord((drive,), outputs)], structure)
+    omegas, zetas = model.natural_frequencies, model.damping_ratios
+    (block,) = regression.blocks(omegas, zetas, ClockState(), gradients=True)
+    noise = np.array([observation.noise_sd[name] for name in model.output_names])
+    common, own, cross = _information(block, shared, noise)
+    for place, sd in enumerate((observation.latency_sd, observation.clock_rate_sd), 2 * n):
+        common[place, place] += 1.0 / max(sd, 1e-12) ** 2 if math.isfinite(sd) else 0.0
+    covariance = _inverse(common)
+    spread = np.concatenate([np.eye(2 * n + 2), *(-part for part in cross)])
+    full = spread @ covariance @ spread.T
+    width = shared.shape[1]
+    for j, part in enumerate(own):
+        here = slice(2 * n + 2 + j * width, 2 * n + 2 + (j + 1) * width)
+        full[here, here] += part
+    places = np.array(
+        [*range(2 * n + 2)]
+        + [
+            2 * n + 2 + j * (n + 2) + k
+            for j in range(len(outputs))
+            for k in range(0 if structure.has_direct else 1, n + 2)
+        ]
+    )
+    scale = np.concatenate([omegas, np.ones(len(full) - n)])
+    result = np.zeros_like(model.covariance)
+    result[np.ix_(places, places)] = full * np.outer(scale, scale)
+    return replace(model, covariance=result, noise_sd=noise)
+
+
+def _information(
+    block: ColumnBlock, shared: FloatArray, noise_sd: FloatArray
+) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+    """Return what all outputs tell of the common parameters, and of their own where these are known.
+
+    Returns
+    -------
+    common : ndarray, shape (2 n_modes + 2, 2 n_modes + 2)
+    own : list of ndarray, shape (n_shared, n_shared) -- covariance of an output's parameters
+    cross : list of ndarray, shape (n_shared, 2 n_modes + 2) -- by how much they move with the common ones
+    """
+    size = np.linalg.norm(block.matrix, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    frame, triangle = np.linalg.qr(block.matrix / size)
+    turned, values, axes = np.linalg.svd(triangle)
+    axes = axes / np.maximum(values, _ALIKE * values[0])[:, None]
+    basis = frame @ (turned * (values > _ALIKE * values[0]))
+    width = shared.shape[1]
+    back = (axes.T / size[:, None])[:width]
+    found = np.zeros(len(size))
+    n_common = 2 * len(block.modes) + 2
+    common, own, cross = np.zeros((n_common, n_common)), [], []
+    for parameters, sd in zip(shared, noise_sd, strict=True):
+        found[:width] = parameters
+        slopes = block.slopes(found, True, True)
+        projected = basis.T @ slopes
+        left = slopes - basis @ projected
+        common += left.T @ left / sd**2
+        own.append(sd**2 * back @ back.T)
+        cross.append(back @ projected)
+    return common, own, cross
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the covariance, very large in the directions of which nothing is known."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, axes = np.linalg.eigh(information / np.outer(scale, scale))
+    axes = axes / scale[:, None]
+    return np.asarray((axes / np.maximum(values, 1e-13)) @ axes.T)

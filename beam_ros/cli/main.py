@@ -33,7 +33,7 @@ LIVE: dict[str, str] = {
 
 OFFLINE: dict[str, str] = {
     "model": "the rig's theory: frequencies, damping, participation; its beam from identified modes; all parameters",
-    "design": "the excitation against the hub's limits and the beam's modes",
+    "design": "the excitation against the hub's limits and the beam's modes; --optimal finds the best one",
     "simulate": "the simulator's core straight into a bag, without DDS",
     "recover": "a valid bag from what can be read of a damaged one",
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",

@@ -1,18 +1,29 @@
-"""Check the rig's excitation against the hub's limits and the beam's predicted motion, before anything moves."""
+"""Check the rig's excitation against the hub's limits and the beam's predicted motion, before anything moves.
+
+With --optimal, find the excitation of the same length, in the same band and within the same limits that leaves the
+smallest uncertainty, from the rig's theory or from an identified model, and say how much it gains over a chirp.
+"""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import math
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from beam_ident.design.prediction import half_power_bands, resolution_warning
 from beam_ident.design.summary import excitation_report
 from beam_ros.cli.options import add_rig_file, read_rig
+from beam_ros.errors import UsageError
 from beam_ros.excitation.recipes import KINDS, describe_excitation
+from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from beam_ident import ModalModel
+    from beam_ros.excitation.optimal import RigDesign
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,15 +33,103 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "kinds of excitation, and what each reads of excitation.*:\n" + "\n".join(
         f"  {name:<{width}}  {' '.join(kind.reads)}" for name, kind in KINDS.items()
     )
+    parser.add_argument(
+        "--optimal",
+        nargs="?",
+        const="D",
+        metavar="D|A|c:NAME",
+        help="find the best excitation: for all natural frequencies and damping ratios together (D, by default), "
+        "their mean relative variance (A), or one parameter, as c:zeta_1",
+    )
+    parser.add_argument(
+        "--from",
+        dest="known",
+        type=Path,
+        metavar="model.json",
+        help="with --optimal: what `beam identify --report` found, in place of the rig's theory",
+    )
+    parser.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE",
+        help="write the rig with this excitation: a PLAN.yaml or --rig-file",
+    )
+    for name, what in (("frequency", "natural frequencies"), ("damping", "damping ratios")):
+        parser.add_argument(
+            f"--{name}-sd",
+            type=float,
+            metavar="SHARE",
+            help=f"with --optimal: how well the {what} are known before, relative",
+        )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        metavar="METRES",
+        help="with --optimal: standard deviation of a displacement; by default what was identified, or "
+        "simulation.displacement_noise",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig = read_rig(arguments)
-    design = describe_design(rig)
-    print(strict_json(design, indent=2) if arguments.json else _text(design))
+    found = _optimal(rig, arguments)
+    design = describe_design(found.rig if found else rig)
+    if arguments.save:
+        _save(found.rig if found else rig, arguments.save)
+    if arguments.json:
+        print(strict_json(design | ({"optimal": found.to_dict()} if found else {}), indent=2))
+        return 0
+    if found:
+        print(f"{found.design}\n\nfrom {found.source}; the excitation:\n")
+    print(_text(design))
     return 0
+
+
+def _optimal(rig: Rig, arguments: argparse.Namespace) -> RigDesign | None:
+    if arguments.optimal is None:
+        given = [
+            name for name in ("known", "frequency_sd", "damping_sd", "noise") if getattr(arguments, name)
+        ]
+        if given:
+            flag = "--from" if given[0] == "known" else f"--{given[0].replace('_', '-')}"
+            raise UsageError(f"{flag} goes with --optimal alone; give --optimal, or leave it out")
+        return None
+    from beam_ros.excitation.optimal import design_for_rig
+
+    known = None if arguments.known is None else _known_model(arguments.known)
+    stage = Progress("design", 100.0, "%")
+    found = design_for_rig(
+        rig,
+        arguments.optimal,
+        known,
+        frequency_sd=arguments.frequency_sd,
+        damping_sd=arguments.damping_sd,
+        noise=arguments.noise,
+        progress=lambda phrase, share: stage.update(100.0 * share, phrase),
+    )
+    stage.finish(f"{found.design.criterion}-optimal excitation from {found.source}")
+    return found
+
+
+def _known_model(file: Path) -> ModalModel:
+    from beam_ident import ModalModel
+    from beam_ros.reporting.comparison import stored_models
+
+    models = [model for model in stored_models(file) if isinstance(model, ModalModel)]
+    if not models:
+        raise UsageError(f"{file}: holds no modal model; expected one of `beam identify --estimator modal`")
+    return models[0]
+
+
+def _save(rig: Rig, file: Path) -> None:
+    if file.exists():
+        raise UsageError(f"{file} exists and is not written over; give another --save")
+    try:
+        rig.write(file)
+    except OSError as err:
+        raise UsageError(f"{file}: cannot be written ({err.strerror}); give another --save") from err
 
 
 def describe_design(rig: Rig) -> dict[str, Any]:
