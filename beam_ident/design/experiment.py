@@ -40,7 +40,7 @@ _FADE_S = 0.5
 _SHARE_OF_ALL = 0.15  # of the power: it costs less than a tenth of one deviation
 _FIRST_CREST = 2.5
 _ROUNDS = 2  # of powers for crest factors that the phases then reach
-_FEWEST_CYCLES = 8.0  # of the slowest mode in the excited part
+_MIN_CYCLES = 8.0  # of the slowest mode in the excited part
 _UNKNOWN = 0.5  # of a damping ratio: known worse it is not known
 _UNSEEN = 1e-6  # of the largest response of any mode to a line on its resonance
 _QUANTITIES = {"base_motion": "position", "velocity": "velocity", "acceleration": "acceleration"}
@@ -246,7 +246,7 @@ class _Design:
             raise ExcitationError(
                 "no quantity has a limit; expected at least one: an acceleration, a tip's way"
             )
-        shortest = _FEWEST_CYCLES / (_SHARES[0] * float(np.min(model.frequencies_hz)))
+        shortest = _MIN_CYCLES / (_SHARES[0] * float(np.min(model.frequencies_hz)))
         if not self.duration_s >= shortest:
             raise ExcitationError(
                 f"duration_s is {self.duration_s!r}; expected at least {shortest:.3g} s, in which the mode at "

@@ -9,8 +9,8 @@ so that D-, A- and c-optimality are convex in the powers p (Mehra, IEEE Trans. A
 Payne, Dynamic System Identification, 1977). The powers follow by multiplicative updates, line by line by the ratio of
 what it tells to what it costs, and the prices of the limits by how far each is used.
 
-A lightly damped mode is told best by lines half a bandwidth from its resonance, where nobody knows it to lie before
-the experiment. The criterion is therefore averaged over draws of the model (Chaloner and Verdinelli, Statist. Sci.
+Lines half a bandwidth from its resonance show a lightly damped mode best, and nobody knows that place before the
+experiment. The criterion is therefore averaged over draws of the model (Chaloner and Verdinelli, Statist. Sci.
 10, 1995), and what a line tells over the width of the record's own lines.
 """
 
