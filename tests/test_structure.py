@@ -26,7 +26,7 @@ TESTED_IN = (
     ("beam_ident/data", "prior", "modal_estimation/test_time_domain"),
     ("beam_ident/data", "stored_form", "test_stored_results"),
     ("beam_ident/design", "summary", "design/test_prediction"),
-    ("beam_ident/design", "criteria phases", "design/test_spectrum"),
+    ("beam_ident/design", "criteria", "design/test_spectrum"),
     ("beam_ident/design", "standard", "design/test_experiment"),
     ("beam_ident/evaluation", "hold_out model_comparison", "modal_estimation/test_time_domain"),
     ("beam_ident/excitation", "moves sampled sines sweeps windows", "excitation/test_motions"),

@@ -80,6 +80,39 @@ class Criterion:
         _, log_det = np.linalg.slogdet(covariance / np.outer(own, own))
         return float(np.exp((log_det + 2.0 * np.sum(np.log(own))) / (4 * n)))
 
+    def log_variance(self, information: FloatArray, interest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the logarithm of the variance that the criterion makes small, and by how much information lowers it.
+
+        Parameters
+        ----------
+        information : ndarray, shape (n_draws, n, n)
+        interest : ndarray, shape (n, n_interest)
+            Columns of the combinations of parameters that count.
+
+        Returns
+        -------
+        value : ndarray, shape (n_draws,)
+        weight : ndarray, shape (n_draws, n, n) -- ``-d value / d information``
+
+        Notes
+        -----
+        Of D, with C the covariance of what counts, ``-d log det C = tr(W dI)`` with ``W = I^-1 E C^-1 E' I^-1``; of
+        A and c, ``W = I^-1 E E' I^-1 / tr C`` (Fedorov, Theory of Optimal Experiments, 1972).
+        """
+        scale = np.sqrt(np.maximum(np.einsum("dii->di", information), 1e-300))
+        scaled = information / (scale[:, :, None] * scale[:, None, :]) + _ROUNDING * np.eye(len(interest))
+        spread = np.linalg.solve(scaled, interest / scale[:, :, None]) / scale[:, :, None]
+        covariance = interest.T @ spread
+        if self.kind == "D":
+            n = interest.shape[1]
+            weight = spread @ np.linalg.solve(covariance, spread.transpose(0, 2, 1)) / n
+            value = np.linalg.slogdet(covariance)[1] / n
+        else:
+            total = np.einsum("dii->d", covariance)
+            weight = spread @ spread.transpose(0, 2, 1) / total[:, None, None]
+            value = np.log(total)
+        return np.asarray(value), np.asarray(weight)
+
     def slopes(self, information: FloatArray, lines: FloatArray, interest: FloatArray) -> FloatArray:
         """Return by how much the logarithm of 1 / variance grows with every line's power, on the mean of all draws.
 
@@ -87,28 +120,13 @@ class Criterion:
         ----------
         information : ndarray, shape (n_draws, n, n) -- of all lines together
         lines : ndarray, shape (n_draws, n_lines, n, n) -- of every line at power 1
-        interest : ndarray, shape (n, n_interest)
-            Columns of the combinations of parameters that count.
+        interest : ndarray, shape (n, n_interest) -- as in ``log_variance``
 
         Returns
         -------
         ndarray, shape (n_lines,) -- their sum over the lines, times the powers, is 1
-
-        Notes
-        -----
-        Of D, with C the covariance of what counts, ``d(-log det C) / dp_k = tr(W I_k)`` with
-        ``W = I^-1 E C^-1 E' I^-1``; of A and c, ``W = I^-1 E E' I^-1 / tr C`` (Fedorov, Theory of Optimal
-        Experiments, 1972).
         """
-        scale = np.sqrt(np.einsum("dii->di", information))
-        scaled = information / (scale[:, :, None] * scale[:, None, :]) + _ROUNDING * np.eye(len(interest))
-        spread = np.linalg.solve(scaled, interest / scale[:, :, None]) / scale[:, :, None]
-        covariance = interest.T @ spread
-        if self.kind == "D":
-            weight = spread @ np.linalg.solve(covariance, spread.transpose(0, 2, 1)) / interest.shape[1]
-        else:
-            total = np.einsum("dii->d", covariance)
-            weight = spread @ spread.transpose(0, 2, 1) / total[:, None, None]
+        _, weight = self.log_variance(information, interest)
         n_draws, n_lines = lines.shape[:2]
         flat = lines.reshape(n_draws, n_lines, -1) @ weight.reshape(n_draws, -1, 1)
         return np.asarray(np.mean(flat[:, :, 0], axis=0))

@@ -19,11 +19,12 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
 from beam_ident.design.criteria import Criterion
 from beam_ident.design.limits import ExcitationLimits
-from beam_ident.design.phases import LimitedLines
 from beam_ident.design.precision import Observation, predicted_model
+from beam_ident.design.refinement import LimitedLines, SeenLines, amplitudes_and_phases, refined
 from beam_ident.design.spectrum import candidate_lines, optimal_powers
 from beam_ident.design.standard import best_standard, louder
 from beam_ident.errors import ExcitationError, ExcitationLimitError
+from beam_ident.excitation.crest_optimisation import schroeder_phases
 from beam_ident.excitation.multisine import ShapedMultisine
 from beam_ident.excitation.recipe import Recipe
 from beam_ident.modal.model import ModalModel
@@ -38,8 +39,7 @@ _REACH_OF_DRAWS = 2.0  # standard deviations
 _SHARES = (0.6, 0.8, 0.95)  # of the length, during which something moves
 _FADE_S = 0.5
 _SHARE_OF_ALL = 0.15  # of the power: it costs less than a tenth of one deviation
-_FIRST_CREST = 2.5
-_ROUNDS = 2  # of powers for crest factors that the phases then reach
+_CREST = 2.5  # that the phases will reach about, of every quantity
 _MIN_CYCLES = 8.0  # of the slowest mode in the excited part
 _UNKNOWN = 0.5  # of a damping ratio: known worse it is not known
 _UNSEEN = 1e-6  # of the largest response of any mode to a line on its resonance
@@ -179,9 +179,9 @@ def design_experiment(
 
     Notes
     -----
-    A design is an approximation where it is convex (``design.spectrum``: long records, effective values); what is
-    stated is the exact bound of the sampled record with its beginning and end, and the level is found from the exact
-    peaks, the largest over the draws.
+    Which lines there are follows from a convex design of long records (``design.spectrum``); their amplitudes and
+    phases are then refined on the record from rest to its end (``design.refinement``). What is stated is the exact
+    bound of the sampled record, and the level is found from the exact peaks, the largest over the draws.
     """
     task = _Design(model, limits, observation, duration_s, band_hz, Criterion.of(criterion), margin)
     task.check()
@@ -299,50 +299,47 @@ class _Design:
     def shaped(self, active_s: float) -> PredictedExcitation:
         """Return the best shaped multisine that moves for ``active_s``."""
         lines = candidate_lines(self.models, self.band_hz, active_s, self.observation.rate_hz)
-        crests = np.full(len(self.limits.names), _FIRST_CREST)
-        best: PredictedExcitation | None = None
-        for _ in range(_ROUNDS):
-            powers = self._powers(lines, crests, active_s)
-            recipe = self._phased(lines[powers > 0.0], np.sqrt(powers[powers > 0.0]), active_s)
-            found = self.candidate(self.loudest_of(recipe))
-            best = found if best is None or found.value < best.value else best
-            crests = self._crests(recipe, found.shares)
-        assert best is not None
-        return best
-
-    def _powers(self, lines_hz: FloatArray, crests: FloatArray, active_s: float) -> FloatArray:
-        """Return the lines' powers of the criterion, with some of those of D where it is another."""
-        known = (self.models, lines_hz, self.limits_of, crests, active_s, self.observation)
+        crests = np.full(len(self.limits.names), _CREST)
+        known = (self.models, lines, self.limits_of, crests, active_s, self.observation)
         powers = optimal_powers(self.criterion, *known)
-        if self.criterion.kind == "D":
-            return powers
-        # Alone, what is best for one parameter may leave others unknown that it is to be told apart from.
-        return (1.0 - _SHARE_OF_ALL) * powers + _SHARE_OF_ALL * optimal_powers(Criterion("D"), *known)
+        if self.criterion.kind != "D":
+            # Alone, what is best for one parameter may leave others unknown that it is to be told apart from.
+            powers = (1.0 - _SHARE_OF_ALL) * powers + _SHARE_OF_ALL * optimal_powers(Criterion("D"), *known)
+        kept = powers > 0.0
+        effective, phases = np.sqrt(powers[kept]), schroeder_phases(np.sqrt(powers[kept]))
+        recipe = self._recipe(lines[kept], effective, phases, active_s)
+        few = slice(None, None, _SEARCHED)
+        seen = [SeenLines(own, recipe, self.limits, self.observation) for own in self.models[few]]
+        start = np.concatenate([effective * np.cos(phases), effective * np.sin(phases)])
+        best = refined(self._criteria(), seen, LimitedLines(recipe, self.limits_of[few]), start)
+        effective, phases = amplitudes_and_phases(best)
+        audible = effective > 0.0
+        recipe = self._recipe(lines[kept][audible], effective[audible], phases[audible], active_s)
+        return self.candidate(self.loudest_of(recipe))
 
-    def _phased(self, lines_hz: FloatArray, amplitudes: FloatArray, active_s: float) -> ShapedMultisine:
-        """Return the recipe of some lines with the phases that keep its peaks low."""
-        rounded = np.maximum(np.round(amplitudes / np.max(amplitudes), _DIGITS), 10.0**-_DIGITS)
-        level = float(np.sqrt(np.sum(np.square(amplitudes))))
-        recipe = ShapedMultisine(
+    def _criteria(self) -> list[tuple[float, Criterion, FloatArray]]:
+        """Return the criterion with what counts for it, and D beside another."""
+        every = np.eye(len(self.model.parameter_names))
+        of_all = Criterion("D"), every[:, : 2 * self.model.n_modes]
+        if self.criterion.kind == "D":
+            return [(1.0, *of_all)]
+        own = of_all[1] if self.criterion.kind == "A" else every[:, [self.criterion.place(self.model)]]
+        return [(1.0 - _SHARE_OF_ALL, self.criterion, own), (_SHARE_OF_ALL, *of_all)]
+
+    def _recipe(
+        self, lines_hz: FloatArray, effective: FloatArray, phases: FloatArray, active_s: float
+    ) -> ShapedMultisine:
+        """Return the recipe of some lines, in few digits."""
+        rounded = np.maximum(np.round(effective / np.max(effective), _DIGITS), 10.0**-_DIGITS)
+        return ShapedMultisine(
             tuple(np.round(lines_hz, _DIGITS).tolist()),
             tuple(rounded.tolist()),
-            (0.0,) * len(lines_hz),
-            level,
+            tuple(np.round(phases, _DIGITS).tolist()),
+            1.0,
             active_s,
             min(_FADE_S, active_s / 4),
             self.duration_s - active_s,
         )
-        effective = rounded * level / float(np.sqrt(np.sum(np.square(rounded))))
-        phases = LimitedLines(recipe, self.limits).best_phases(effective)
-        return replace(recipe, line_phases=tuple(np.round(phases, _DIGITS).tolist()))
-
-    def _crests(self, recipe: ShapedMultisine, shares: dict[str, float]) -> FloatArray:
-        """Return every quantity's peak over the effective value that its gains predict."""
-        level = np.square(recipe.amplitudes) / np.sum(np.square(recipe.amplitudes))
-        omegas = 2.0 * np.pi * np.array(recipe.frequencies)
-        loudest = self.loudest_of(recipe)
-        effective = loudest.acceleration * np.sqrt(level @ self.limits.gains(omegas))
-        return np.asarray(np.array(list(shares.values())) / np.maximum(effective, 1e-300))
 
     def loudest_of(self, recipe: Any, every: int = 1) -> Any:
         """Return a recipe at the largest level within all limits, for the model and every so many draws."""

@@ -80,13 +80,13 @@ class LimitedResponse:
     def with_poles(self, known: ModalModel, moved: ModalModel) -> LimitedResponse:
         """Return the same quantities where modes lie as in ``moved`` instead of in ``known``.
 
-        Each own mode follows the mode of ``known`` that is nearest to it, within a tenth of its frequency.
+        Each own mode goes where the mode of ``known`` goes that is nearest to it, within a quarter of its frequency.
         """
         own, at = self.model, known.natural_frequencies
         omegas, zetas = own.natural_frequencies.copy(), own.damping_ratios.copy()
         for k, omega in enumerate(own.natural_frequencies):
             nearest = int(np.argmin(np.abs(at - omega)))
-            if abs(at[nearest] - omega) < 0.1 * omega:
+            if abs(at[nearest] - omega) < 0.25 * omega:
                 omegas[k] = moved.natural_frequencies[nearest]
                 zetas[k] = moved.damping_ratios[nearest]
         # A deflection that a static load makes stays as it was: of a softer beam it is larger.

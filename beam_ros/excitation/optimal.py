@@ -293,7 +293,7 @@ def rig_limits(rig: Rig, theory: ModalModel, identified: ModalModel | None = Non
             ),
         ]
     if identified is not None:
-        responses += [_renamed(own.with_poles(theory, identified)) for own in responses]
+        responses += [_renamed(own.with_poles(identified, identified)) for own in responses]
     scale = mass if rig.hub.command_mode == "effort" else 1.0
     return ExcitationLimits(axis, tuple(responses), scale, rig.hub.period)
 
