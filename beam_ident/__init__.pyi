@@ -2,6 +2,9 @@
 
 from beam_ident.amplitude.curves import AmplitudeCurves as AmplitudeCurves
 from beam_ident.amplitude.curves import amplitude_curves as amplitude_curves
+from beam_ident.amplitude.linearity import Linearity as Linearity
+from beam_ident.amplitude.linearity import ModeLinearity as ModeLinearity
+from beam_ident.amplitude.linearity import linearity as linearity
 from beam_ident.axis.axis_estimation import check_axis as check_axis
 from beam_ident.axis.axis_estimation import identify_axis as identify_axis
 from beam_ident.axis.axis_result import AxisCheck as AxisCheck

@@ -341,6 +341,28 @@ class TimeRecord:
 _Signal = TypeVar("_Signal", InputSignal, OutputSignal)
 
 
+def busiest_stretch(record: TimeRecord, most_samples: int = 100_000) -> TimeRecord:
+    """Return a record, or of one with more samples of an output the stretch of so many where its input moves most.
+
+    Parameters
+    ----------
+    record : TimeRecord
+    most_samples : int
+    """
+    times = max((output.times_s for output in record.outputs), key=len)
+    if len(times) <= most_samples:
+        return record
+    length = float(times[-1] - times[0]) * most_samples / len(times)
+    pieces = []
+    for begin in np.arange(float(times[0]), float(times[-1]) - 0.999 * length, length):
+        inputs = tuple(drive.between(begin, begin + length) for drive in record.inputs)
+        moved = sum(float(np.var(drive.values)) for drive in inputs)
+        pieces.append((moved, begin, inputs))
+    _, begin, inputs = max(pieces, key=lambda piece: piece[0])
+    outputs = tuple(output.between(begin, begin + length) for output in record.outputs)
+    return TimeRecord(inputs, outputs, record.start_ns, record.name)
+
+
 def _as_tuple(signals: Any) -> tuple[Any, ...]:
     if isinstance(signals, InputSignal | OutputSignal):
         return (signals,)

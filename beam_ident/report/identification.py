@@ -17,8 +17,9 @@ import numpy as np
 
 from beam_ident import figures
 from beam_ident.amplitude.curves import AmplitudeCurves
+from beam_ident.amplitude.linearity import Linearity
 from beam_ident.best_linear.result import BestLinearApproximation
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
 from beam_ident.report.equation import add_equation
@@ -80,6 +81,7 @@ def identification_page(
     trials: Sequence[Trial] = (),
     curves: AmplitudeCurves | None = None,
     best_linear: BestLinearApproximation | None = None,
+    linearity: Linearity | None = None,
     links: Sequence[tuple[str, str]] = (),
 ) -> Page:
     """Build the report of an identification.
@@ -101,6 +103,7 @@ def identification_page(
     trials : sequence of Trial -- the records one by one, where there are several
     curves : AmplitudeCurves, optional -- of frequency and damping over amplitude
     best_linear : BestLinearApproximation, optional -- noise and nonlinear distortion line by line
+    linearity : Linearity, optional -- whether one pole describes each mode
     links : sequence of (text, address) -- files beside the page
 
     Returns
@@ -126,8 +129,11 @@ def identification_page(
     add_poles(page, models, modes, _reference(reference_modes, theory, modes))
     for model in models:
         add_shapes(page, model, theory, known)
-    if curves is not None:
+    if linearity is not None or curves is not None:
         page.section("Over amplitude")
+    if linearity is not None:
+        _add_linearity(page, linearity)
+    if curves is not None:
         _add_curves(page, curves, modes)
     page.section("Data quality")
     if gates:
@@ -168,26 +174,19 @@ def identification_page(
     return page
 
 
-def busiest_stretch(record: TimeRecord, most_samples: int = 100_000) -> TimeRecord:
-    """Return a record, or of one with more samples of an output the stretch of so many where its input moves most.
-
-    Parameters
-    ----------
-    record : TimeRecord
-    most_samples : int
-    """
-    times = max((output.times_s for output in record.outputs), key=len)
-    if len(times) <= most_samples:
-        return record
-    length = float(times[-1] - times[0]) * most_samples / len(times)
-    pieces = []
-    for begin in np.arange(float(times[0]), float(times[-1]) - 0.999 * length, length):
-        inputs = tuple(drive.between(begin, begin + length) for drive in record.inputs)
-        moved = sum(float(np.var(drive.values)) for drive in inputs)
-        pieces.append((moved, begin, inputs))
-    _, begin, inputs = max(pieces, key=lambda piece: piece[0])
-    outputs = tuple(output.between(begin, begin + length) for output in record.outputs)
-    return TimeRecord(inputs, outputs, record.start_ns, record.name)
+def _add_linearity(page: Page, found: Linearity) -> None:
+    """Write whether one pole describes each mode, and how much it changes where it does not."""
+    if found.is_linear:
+        page.paragraph(f"{found.verdict[0].upper()}{found.verdict[1:]}.")
+        return
+    page.warning(
+        f"{found.verdict[0].upper()}{found.verdict[1:]}.",
+        "State frequency and damping with their amplitude, or ask for the curves (--amplitude).",
+        tone="doubt",
+    )
+    others = [mode for mode in found.modes if mode.p_value != min(one.p_value for one in found.modes)]
+    if others:
+        page.paragraph(f"The others, to first order: {'; '.join(map(str, others))}.")
 
 
 def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -> None:

@@ -36,6 +36,7 @@ from beam_ident import (
 )
 from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves
 from beam_ident.amplitude.free_stretches import free_decay_of
+from beam_ident.amplitude.linearity import Linearity, linearity
 from beam_ident.data.gaps import Bridge
 from beam_ident.numerics.piecewise import Hold, PiecewisePolynomial
 from beam_ident.report.page import write_whole
@@ -564,6 +565,7 @@ class Identification:
     content : mapping -- the same in plain numbers: what ``identification/result`` carries and ``--json`` prints
     curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
     best_linear : BestLinearApproximation or None -- noise and distortion by line, where they were asked for
+    linearity : Linearity or None -- whether one pole describes each mode; None where the estimator has no modes
     """
 
     experiments: tuple[Experiment, ...]
@@ -573,6 +575,7 @@ class Identification:
     content: Mapping[str, Any]
     curves: AmplitudeCurves | None = None
     best_linear: BestLinearApproximation | None = None
+    linearity: Linearity | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -680,6 +683,10 @@ def identification_of_bags(
         content["validation"] = [
             {"bag": str(one.path), "scores": _validation_scores(results)} for one, results in seen
         ]
+    found_linear = None
+    if isinstance(result, IdentificationResult) and result.model.n_modes:
+        found_linear = linearity(records, result.model)
+        content["linearity"] = found_linear.to_dict()
     curves = None
     if options.amplitude:
         progress("curves over amplitude", 0.0)
@@ -687,7 +694,9 @@ def identification_of_bags(
         content["amplitude"] = curves.to_dict()
     if best_linear is not None:
         content["best_linear"] = best_linear.to_dict()
-    return Identification(tuple(experiments), options, result, seen, content, curves, best_linear)
+    return Identification(
+        tuple(experiments), options, result, seen, content, curves, best_linear, found_linear
+    )
 
 
 def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:

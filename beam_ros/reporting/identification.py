@@ -181,6 +181,7 @@ def report_identification(
         else (),
         curves=found.curves,
         best_linear=found.best_linear,
+        linearity=found.linearity,
         links=links,
     )
     report = page.write(folder / "report.html", overwrite)

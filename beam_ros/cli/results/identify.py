@@ -154,6 +154,8 @@ def run(arguments: argparse.Namespace) -> int:
         deflection = score.get("deflection_fit_percent")
         of_deflection = "" if deflection is None else f", of the deflection {deflection:.2f} %"
         print(f"{name}   FIT {score['fit_percent']:.3f} %{of_deflection}")
+    if "linearity" in result:
+        print(result["linearity"]["verdict"])
     if "amplitude" in result:
         print(result["amplitude"]["verdict"])
     if "best_linear" in result:

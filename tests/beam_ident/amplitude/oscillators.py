@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from beam_ident import OutputSignal
+from beam_ident import InputSignal, OutputSignal, TimeRecord
 
 OMEGA = 2.0 * np.pi * 4.4
 UNIT = 0.02
@@ -81,3 +81,51 @@ def noisy(
     """Return a decay as a camera sees it."""
     t, x = oscillator.swing(duration_s, rate)
     return OutputSignal("z285", "m", t, x + noise * np.random.default_rng(seed).standard_normal(len(t)))
+
+
+def driven_record(
+    oscillator: Oscillator,
+    seed: int,
+    level: float = 1.0,
+    noise: float = 1e-5,
+    duration_s: float = 20.0,
+    hub_noise: float = 0.0,
+) -> TimeRecord:
+    """Return an oscillator on a moving base as a camera sees it: Runge and Kutta's steps of half a millisecond.
+
+    The base swings by lines from 3 to 6 Hz of random phase; level 1 brings the oscillator to about ``UNIT``.
+    """
+    rng = np.random.default_rng(seed)
+    lines = np.arange(round(3.0 * duration_s), round(6.0 * duration_s) + 1) / duration_s
+    phases = rng.uniform(0.0, 2.0 * np.pi, lines.size)
+    step, fine = 5e-4, np.arange(0.0, duration_s, 2.5e-4)
+    waves = 2.0 * np.pi * lines[:, None] * fine + phases[:, None]
+    size = level * 1.1e-3 / np.sqrt(lines.size)
+    ramp = np.clip(fine / 1.0, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(fine / 1.0, 0.0, 1.0))
+    position = size * ramp * np.cos(waves).sum(axis=0)
+    acceleration = np.gradient(np.gradient(position, fine), fine)
+    mu = oscillator.dry * np.pi * OMEGA**2 * UNIT / 2.0
+    beta = oscillator.quadratic * 3.0 * np.pi / (4.0 * UNIT)
+    kappa = oscillator.hardening * 8.0 * OMEGA**2 / (3.0 * UNIT**2)
+    viscous, stiffness = 2.0 * oscillator.zeta * OMEGA, OMEGA**2
+
+    def slope(x: float, v: float, a: float) -> float:
+        dry = mu * max(-1.0, min(1.0, v / 1e-5))
+        return -viscous * v - dry - beta * abs(v) * v - stiffness * x - kappa * x**3 - a
+
+    x, v, path = 0.0, 0.0, [0.0]
+    for a0, a1, a2 in zip(acceleration[:-2:2], acceleration[1:-1:2], acceleration[2::2], strict=False):
+        k1, l1 = v, slope(x, v, a0)
+        k2, l2 = v + 0.5 * step * l1, slope(x + 0.5 * step * k1, v + 0.5 * step * l1, a1)
+        k3, l3 = v + 0.5 * step * l2, slope(x + 0.5 * step * k2, v + 0.5 * step * l2, a1)
+        k4, l4 = v + step * l3, slope(x + step * k3, v + step * l3, a2)
+        x += step * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0
+        v += step * (l1 + 2.0 * l2 + 2.0 * l3 + l4) / 6.0
+        path.append(x)
+    seen = np.arange(0, len(path) - 20, 20)
+    y = position[::2][seen] + np.array(path)[seen] + noise * rng.standard_normal(seen.size)
+    hub = position[::4] + hub_noise * rng.standard_normal(position[::4].size)
+    base = InputSignal("hub", "m", (0.0, 1e-3), hub, "cubic")
+    return TimeRecord(
+        (base,), (OutputSignal("z285", "m", 0.01 * np.arange(seen.size), y),), name=f"level {level:g}"
+    )

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from beam_ident import identify, validate
+from beam_ident.data.records import busiest_stretch
 from beam_ident.errors import ReportError
 from beam_ident.report.evidence import ErrorSources, Theory, Trial, Unseen, mode_rows
 from beam_ident.report.gates import Gate
 from beam_ident.report.identification import (
-    busiest_stretch,
     identification_page,
     poles_table,
     write_report,
