@@ -78,7 +78,7 @@ from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.damage import damage_warnings
-from beam_ident.sensing.misfit_causes import misfit_warnings
+from beam_ident.sensing.misfit_causes import bent_input_warning, misfit_warnings
 from beam_ident.sensing.quantisation import rounding_warning, without_clipped
 from beam_ident.sensing.stamp_jitter import is_any
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning, with_found_noise
@@ -107,6 +107,7 @@ _FAR_STARTS = 12  # crests that poles which were bent by a wrong clock are tried
 _GLANCE = 2  # iterations that sort them
 _AS_GOOD = 10.0  # in log-likelihood: less than BIC charges for a mode
 _BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to be
+_BENT_INPUT_LEVEL = 1e-5  # chance to call a sound input bent; of two outputs with one noise 1e-3
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
 _JUMP_LEVEL = 1e-3  # how often a steady clock is taken to jump
 _BEFORE = 1e-3  # of a stretch
@@ -1227,6 +1228,8 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 for output in outputs
             ]
         )
+        if regression.n_forced == 1 and self.band.is_excited and len(regression.pieces) == 1:
+            warnings += self._bent_input(fit, regression, outputs)
         warnings += _rate_warnings(fit.clock.rate, self.clock_rate)
         shares = fit.input_noise_shares
         if self.found_noise and np.max(shares) > 0.0:
@@ -1248,6 +1251,36 @@ class _TimeSearch(ModeSearch[ModalRegression]):
                 *zip(*((o.whiteness, o.measured, o.residuals) for o in outputs), strict=True),
             )
         return warnings
+
+    def _bent_input(
+        self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
+    ) -> list[str]:
+        """Return that the residuals of outputs hold the answer to the cube of the only input.
+
+        What the model could explain by other values of its parameters counts for nothing. Noise on a measured input
+        is in its cube as well as in the residuals: where it matters, nothing is said.
+        """
+        coloured = [j for j, output in enumerate(outputs) if not output.whiteness.is_white]
+        if not coloured or np.max(fit.input_noise_shares) > _VISIBLE_SHARE:
+            return []
+        model, some, tested = self._model(fit), self._looked_at(fit, regression), []
+        instants = regression.instants(fit.clock)
+        for j in coloured:
+            answers = []
+            for index, part in regression.segments[j]:
+                (drive,) = regression.inputs[index]
+                half = 0.5 * self.records[index].output(outputs[j].name).exposure_s
+                first, last = drive.span_s
+                cube = (drive.values / max(float(np.std(drive.values)), 1e-300)) ** 3
+                bent = replace(drive, values=cube, sigma=0.0, gaps=())
+                inside = np.clip(instants[j][part], first + half, last - half)
+                answers.append(model.simulate(bent, inside, 2.0 * half)[:, j])
+            tested.append(
+                (np.concatenate(answers)[:, None], some.designs[j], fit.residuals[j], regression.values[j])
+            )
+        if ScoreTest.of(tested).p_value > _BENT_INPUT_LEVEL:
+            return []
+        return [bent_input_warning(", ".join(outputs[j].name for j in coloured), regression.input_names[0])]
 
 
 def _clock_sentence(name: str, own: OwnClock) -> str:

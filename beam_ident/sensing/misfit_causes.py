@@ -53,6 +53,7 @@ _BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
 _MAINS_HZ = (50.0, 60.0)
 _AT_ONCE = 8192  # samples: what their columns need stays in the cache
 _EVEN = np.ones(1)  # spread of noise that is the same everywhere
+_BENT = "as if {} were not what acted: they hold the answer to its cube (a saturating actuator)"
 _NOTHING = 1e-10  # of a column's square: what remains of it then is rounding
 
 
@@ -501,6 +502,7 @@ def input_misfit_warnings(
     drive: InputSignal,
     part: Part,
     respond: Callable[[InputSignal], FloatArray],
+    only_bent: bool = False,
 ) -> list[str]:
     """Return what the residuals of an output to one input say of that input: bent, late, or later than its effect.
 
@@ -510,6 +512,9 @@ def input_misfit_warnings(
     drive : InputSignal
     part : tuple -- stamps [s], what the model says there and what it leaves
     respond : callable -- of an input: what the model says of it at these stamps
+    only_bent : bool
+        Whether the input may go with the residuals for other reasons: in a loop it follows the noise of the output,
+        and errors of its own measurement are in both.
 
     Notes
     -----
@@ -543,14 +548,19 @@ def input_misfit_warnings(
     beside = (n_around + 1, n_around + 2)
     acted = drive.name
     looks = {
-        f"as if {acted} were not what acted: they hold the answer to its cube (a saturating actuator)": (
-            n_around,
-        ),
+        _BENT.format(acted): (n_around,),
         f"like what {acted} does later: input and output are swapped, or a loop is closed around them": later,
         f"like what {acted} did just before: its delay, hold or clock or the output's exposure is not as stated, "
         "or the degrees are too low": lately,
     }
+    if only_bent:
+        looks = dict([next(iter(looks.items()))])
     causes = [_Places(places, beside, 1.0) for places in looks.values()]
     gains = dict(zip(looks, whitened.gains_of(squares, products, causes), strict=True))
     best = max(gains, key=lambda said: gains[said])
     return [f"Misfit of {name}: the residuals look {best}."] if gains[best] > 0.0 else []
+
+
+def bent_input_warning(name: str, input_name: str) -> str:
+    """Return what must be known of an output whose residuals hold the answer to the cube of an input."""
+    return f"Misfit of {name}: the residuals look {_BENT.format(input_name)}."

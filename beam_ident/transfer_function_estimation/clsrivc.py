@@ -39,6 +39,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
@@ -440,6 +441,11 @@ class _Loop:
                 *transfer_function_warnings([model], fits, whiteness, is_worth_it, converged, reason),
                 *(said for own in self.records for said in damage_warnings([own.output], [own.drive])),
                 *clipped_warnings([own.output for own in self.records]),
+                *(
+                    said
+                    for own, fit in zip(self.records, fits, strict=True)
+                    for said in _bent_input(own, fit, model)
+                ),
             ),
         )
 
@@ -465,6 +471,17 @@ class _Loop:
             )
             for own, left, rows, found in zip(self.records, parts, self._rows(), nuisances, strict=True)
         )
+
+
+def _bent_input(record: _LoopRecord, fit: RecordFit, model: TransferFunctionModel) -> list[str]:
+    """Return that the input of a loop was bent on its way, where residuals hold the answer to its cube."""
+    return input_misfit_warnings(
+        model.output_name,
+        record.drive,
+        (fit.times_s, fit.modelled, fit.residuals),
+        lambda drive: model.simulate(drive, fit.times_s, record.output.exposure_s),
+        only_bent=True,
+    )
 
 
 def _in_a_row(parts: Sequence[FloatArray]) -> FloatArray:

@@ -406,7 +406,6 @@ OPEN: Mapping[str, tuple[str, ...]] = {
     "spikes": ("half_power_damping",),
     "a record that begins in motion": ("welch_response", "local_polynomial_response", "half_power_damping"),
     "a sensor with a dead band": ("fit_free_decay",),
-    "a saturating actuator": ("estimate_in_closed_loop", "identify, receptance"),
 }  # fmt: skip
 """Faults that change an answer in silence, or take too long: failures of the benchmark, asked for by no test."""
 

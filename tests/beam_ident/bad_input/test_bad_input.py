@@ -49,3 +49,8 @@ def test_a_sound_record_is_neither_refused_nor_doubted(name):
 def test_bad_input_is_refused_or_named_or_does_no_harm(name, fault):
     verdict = judge(name, fault)
     assert not verdict.is_failure, f"{verdict.kind}: {verdict.text}"
+
+
+def test_the_search_for_modes_names_an_actuator_that_bends_its_input():
+    assert judge("identify, receptance", "a saturating actuator").kind == "named"
+    assert not any("cube" in said for said in sound("identify, receptance").warnings)
