@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
@@ -94,26 +93,19 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
     # The variance of h_0 under white noise: the row of the pseudo-inverse that gives it, squared.
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
     response = found[:, 0] / scale
+    spectrum = np.zeros(len(of_input), dtype=np.complex128)
+    spectrum[lines] = response * of_input[lines]
+    modelled = np.fft.irfft(spectrum, n) * np.sqrt(n)
     return LineEstimate(
         np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),
         response,
         variance * gain / scale**2,
         None,
         float(freedom),
-        _compared(pair, response, of_input),
+        (stretches(modelled), stretches(pair.output), stretch_omegas(n, pair.period), SHARED_BY_HANN, True),
         _reach(degree, width),
+        pair.output - np.mean(pair.output) - modelled,
     )
-
-
-def _compared(
-    pair: SignalPair, response: ComplexArray, of_input: ComplexArray
-) -> tuple[ComplexArray, ComplexArray, FloatArray, float, bool]:
-    """Return spectra of stretches of what the response makes of the whole input, and of the output."""
-    n = len(pair.output)
-    spectrum = np.zeros(len(of_input), dtype=np.complex128)
-    spectrum[1 : len(response) + 1] = response * of_input[1 : len(response) + 1]
-    modelled = stretches(np.fft.irfft(spectrum, n) * np.sqrt(n))
-    return modelled, stretches(pair.output), stretch_omegas(n, pair.period), SHARED_BY_HANN, True
 
 
 def _reach(degree: int, width: int) -> float:

@@ -20,6 +20,7 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.numerics.piecewise import Instants, regular_period
 from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.periods import hold_gain
@@ -45,6 +46,7 @@ class LineEstimate:
     """A response of one output: lines [rad/s], complex values, variances, coherence.
 
     ``compared`` holds what ``changing_warnings`` takes beside the name: spectra of stretches, modelled and measured.
+    ``left`` is what the response to the whole input leaves of the output in time, where lines are as close as that.
     """
 
     omegas: FloatArray
@@ -54,6 +56,7 @@ class LineEstimate:
     freedom: float
     compared: tuple[ComplexArray, ComplexArray, FloatArray, float, bool]
     shared_lines: float = 1.0
+    left: FloatArray | None = None
 
 
 def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> SignalPair:
@@ -128,7 +131,8 @@ def for_every_output(
         shared_lines=max(one.shared_lines for one in found),
     )
     made = replace(made, warnings=_hold_warning(made, drive, outputs))
-    return with_doubts(made, outputs, drive, changes)
+    spiky = [said for output, one in zip(outputs, found, strict=True) for said in _outliers(output.name, one)]
+    return with_doubts(made, outputs, drive, [*spiky, *changes])
 
 
 def _hold_warning(
@@ -153,3 +157,16 @@ def _hold_warning(
         f"{share:.0%} of the lines the response lags by more than {_SEEN:g} standard deviations, and modes fitted to "
         "it are biased. Fit the samples, identify(), or take whole periods, periodic_response(): both know the hold",
     )
+
+
+def _outliers(name: str, found: LineEstimate) -> list[str]:
+    """Return that single samples of an output stand off what the response makes of the input."""
+    if found.left is None:
+        return []
+    places = outliers(found.left)
+    if not spoiling(found.left, places):
+        return []
+    return [
+        f"Outliers: {len(places)} of {len(found.left)} samples of {name} stand alone among their neighbours, far off "
+        "what the response makes of the input, and are in every line. Set them to NaN (not seen), and estimate again."
+    ]

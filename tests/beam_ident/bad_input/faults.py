@@ -403,7 +403,6 @@ OPEN: Mapping[str, tuple[str, ...]] = {
     "stamps of another record": ("select_transfer_function",),
     "stamps that jitter": ("select_transfer_function",),
     "noise on the input, undeclared": ("analyse_modes",),
-    "spikes": ("half_power_damping",),
     "a record that begins in motion": ("welch_response", "local_polynomial_response", "half_power_damping"),
     "a sensor with a dead band": ("fit_free_decay",),
 }  # fmt: skip

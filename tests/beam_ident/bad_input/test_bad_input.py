@@ -51,6 +51,15 @@ def test_bad_input_is_refused_or_named_or_does_no_harm(name, fault):
     assert not verdict.is_failure, f"{verdict.kind}: {verdict.text}"
 
 
-def test_the_search_for_modes_names_an_actuator_that_bends_its_input():
-    assert judge("identify, receptance", "a saturating actuator").kind == "named"
-    assert not any("cube" in said for said in sound("identify, receptance").warnings)
+@pytest.mark.parametrize(
+    ("name", "fault", "word"),
+    [
+        ("identify, receptance", "a saturating actuator", "cube"),
+        ("half_power_damping", "spikes", "Outliers"),
+    ],
+)
+def test_a_fault_is_named_by_its_cause_and_a_sound_record_is_not_said_to_have_it(name, fault, word):
+    verdict = judge(name, fault)
+    assert verdict.kind == "named"
+    assert word in verdict.text
+    assert not any(word in said for said in sound(name).warnings)
