@@ -286,7 +286,7 @@ _CONTROLLER = ("axis.kind", "axis.metres_per_unit", *_group("trajectory", "max_k
 
 _FILM = (
     *("markers.names", "markers.diameter", "tracker.polarity"),
-    *_group("camera"),
+    *_group("camera", "driver"),
     *_group("simulation", "images", "real_time_factor", "hub_clock_ppm"),
 )
 """What a simulated camera shows of the beam, and how far from ideal hub and camera are."""

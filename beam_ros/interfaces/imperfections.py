@@ -34,6 +34,7 @@ PRESETS: dict[str, dict[str, Value]] = {
         "encoder_at": "hub",
         "hub_clock_ppm": 0.0,
         "camera_clock_ppm": 0.0,
+        "stamp_offset": 0.0,
         "stamp_jitter": 0.0,
         "frame_drops": 0.0,
         "full_well": 0.0,

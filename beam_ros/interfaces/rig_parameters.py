@@ -204,6 +204,9 @@ class CameraSettings:
     background: float = setting("level of the background", "grey levels", 0.0, 254.0)
     blur: float = setting("standard deviation of the optics", "px", 0.0, 20.0)
     noise: float = setting("standard deviation of a pixel", "grey levels", 0.0, 100.0)
+    driver: str = setting(
+        "whose stamps are known: values of the keys of docs/cameras.md that are not given themselves"
+    )
     name: str = setting("the camera, which calibrations keep; empty: not said")
     focus: str = setting("setting of its lens, which calibrations keep; empty: not said")
 
@@ -282,6 +285,7 @@ class SimulationSettings:
     )
     hub_clock_ppm: float = setting("clock of the simulated device against the host's", "ppm", -1e3, 1e3)
     camera_clock_ppm: float = setting("clock of the simulated camera against the host's", "ppm", -1e3, 1e3)
+    stamp_offset: float = setting("by which the frames' stamps are late, which nobody knows", "s", -2.0, 2.0)
     stamp_jitter: float = setting("standard deviation of the frames' stamps", "s", 0.0, 0.01)
     frame_drops: float = setting("share of the frames that get lost", "1", 0.0, 0.5)
     full_well: float = setting("electrons at grey level 255; 0: no shot noise", "", 0.0, 1e6)

@@ -25,6 +25,7 @@ from beam_ros.vision.calibration.procedure import CalibrationProcedure
 from beam_ros.vision.calibration.storage import calibration_or_nominal, save_calibration
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.diagnosis import Diagnosis
+from beam_ros.vision.measurement.lateness import LatenessWatch
 from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringChain
 from beam_ros.vision.measurement.overlay import draw_overlay
 
@@ -47,7 +48,8 @@ class VisionTracker(RigNode):
         if self._chain.calibration_fault:
             self.get_logger().error(self._chain.calibration_fault)
         self._procedure = CalibrationProcedure(len(self._names), camera)
-        self._diagnosis = Diagnosis(self._names, self._chain)
+        self._lateness = LatenessWatch(camera.rate_hz)
+        self._diagnosis = Diagnosis(self._names, self._chain, self._lateness)
         self._reported = time.monotonic()
         self._drawn = -math.inf
         self._line = BeamLineFitter(rig)
@@ -68,11 +70,12 @@ class VisionTracker(RigNode):
 
     def _on_hub_state(self, message: Any) -> None:
         try:
-            position_m = messages.read_hub_state(message).position
+            sample = messages.read_hub_state(message)
         except MessageContentError as err:
             self.get_logger().error(f"hub/state is left out: {err}", throttle_duration_sec=_LOG_AGAIN_S)
             return
-        self._hub_position, self._hub_heard = position_m, time.monotonic()
+        self._hub_position, self._hub_heard = sample.position, time.monotonic()
+        self._lateness.add_hub(sample.stamp_ns, sample.position)
 
     # -- frames, from whichever source ---------------------------------------------------------------------
 
@@ -99,6 +102,7 @@ class VisionTracker(RigNode):
     def begin_anew(self) -> None:
         """Take the next frame as the first of another camera."""
         self._chain.continuity.restart()
+        self._lateness.restart()
 
     def set_lens(self, lens: Lens | None) -> None:
         """Undo this lens's distortion from now on."""
@@ -116,6 +120,7 @@ class VisionTracker(RigNode):
 
     def _publish(self, measurement: Measurement) -> None:
         found, stamps = measurement.displacement, measurement.stamps_ns
+        self._lateness.add_frame(stamps[0], float(found.x_m[0]))
         for _, message in messages.displacement_messages(self.types, self._names, stamps, found.x_m):
             self._displacement.publish(message)
         self._diagnosis.frame_measured(measurement, self.now_ns() - measurement.stamp_ns)
@@ -238,7 +243,7 @@ class VisionTracker(RigNode):
         now = time.monotonic()
         elapsed_s, self._reported = now - self._reported, now
         report = self._diagnosis.report(elapsed_s, self._source.complaints(), self._source.silence)
-        return report.level, report.sentence, report.values
+        return report.level, report.sentence, {"driver": self.rig.camera.driver, **report.values}
 
     def close(self) -> None:
         """End the source."""

@@ -51,6 +51,7 @@ from beam_ros.errors import ParameterFileError, UsageError
 from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
 from beam_ros.offline.best_linear import best_linear_of
+from beam_ros.offline.camera_lateness import CameraLateness, camera_lateness, on_time
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.seen_data import refuse_shared
 from beam_ros.process.folders import new_folder
@@ -107,6 +108,7 @@ class Experiment:
     info : mapping -- what ``excitation/info`` said
     further : tuple of TimeRecord -- sensors of other kinds, and further segments
     latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
+    late_s : float -- what was taken off the markers' stamps already, because they were late by more than a fit finds
     """
 
     path: AnyPath
@@ -118,6 +120,7 @@ class Experiment:
     info: Mapping[str, Any]
     further: tuple[TimeRecord, ...] = ()
     latency: Prior | None = None
+    late_s: float = 0.0
 
     @property
     def records(self) -> tuple[TimeRecord, ...]:
@@ -163,6 +166,7 @@ def load_experiment(
     options = options or FitOptions()
     signals = options.signals
     notes: list[str] = []
+    late: CameraLateness | None = None
     with Bag(path, start_s=start_s, end_s=end_s) as bag:
         if not signals.outputs:
             bag.require("beam/displacement")
@@ -181,11 +185,18 @@ def load_experiment(
         else:
             displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
             markers = _outputs(displacements, drive.origin_ns, rig, notes)
+            if drive.is_hub and not videos:
+                late = camera_lateness(bag, markers, drive.origin_ns)
+            if late is not None:
+                markers = on_time(markers, late)
+                notes.append(late.sentence)
             outputs = [SensorOutput(marker) for marker in markers]
     clock_rate, tolerance = drive.clock_rate, rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
     if videos:
         # The frames run on the camera's own clock, which is known as well as the low marker tells.
         tolerance = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
+    if late is not None:
+        tolerance = late.rate_tolerance(tolerance)
     clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, tolerance))
     signal = drive.signal if options.hold is None else replace(drive.signal, hold=options.hold)
     chosen, records = records_of_one_model(
@@ -204,7 +215,16 @@ def load_experiment(
     shares_clock = {own.topic for own in signals.outputs} == {signals.drive.topic if signals.drive else ""}
     latency = None if drive.is_hub or shares_clock else Prior(0.0, math.inf)
     return Experiment(
-        path, records[0], rig, chosen, clock_rate, tuple(notes), info, further=records[1:], latency=latency
+        path,
+        records[0],
+        rig,
+        chosen,
+        clock_rate,
+        tuple(notes),
+        info,
+        further=records[1:],
+        latency=latency,
+        late_s=late.late_s if late else 0.0,
     )
 
 
@@ -720,7 +740,7 @@ def describe(experiments: Sequence[Experiment], estimator: str, result: Result) 
     model = models_of(result)[0]
     if isinstance(model, ModalModel):
         content |= {
-            "latency_s": model.latency,
+            "latency_s": model.latency + experiment.late_s,
             "latency_sd_s": model.latency_sd,
             "clock_rate": model.clock_rate,
             "clock_rate_sd": model.clock_rate_sd,

@@ -89,6 +89,7 @@ class Film:
         self._next = 0
         simulation = rig.simulation
         self._clock_ppb = round(simulation.camera_clock_ppm * 1000)
+        self._offset_ns = round(simulation.stamp_offset * 1e9)
         self._jitter_ns, self._drop_share = simulation.stamp_jitter * 1e9, simulation.frame_drops
         self._accidents = np.random.default_rng([simulation.seed, *b"camera"])
 
@@ -115,7 +116,8 @@ class Film:
             true_ns = camera_ns * 1_000_000_000 // (1_000_000_000 + self._clock_ppb)
             try:
                 exposure = self._expose(
-                    self.timing.stamp(self._start_ns + true_ns), camera_ns - true_ns + round(jitter_ns)
+                    self.timing.stamp(self._start_ns + true_ns),
+                    camera_ns - true_ns + self._offset_ns + round(jitter_ns),
                 )
             except SnapshotError:
                 # While the frames before were drawn the plant went on, and has forgotten that instant.

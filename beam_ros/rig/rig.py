@@ -15,6 +15,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from beam_ros.errors import ParameterFileError
+from beam_ros.interfaces.camera_drivers import with_driver
 from beam_ros.interfaces.imperfections import with_preset
 from beam_ros.interfaces.parameter import Value
 from beam_ros.interfaces.parameter_files import flatten, packaged_defaults, parameters_in_file
@@ -83,7 +84,7 @@ class Rig(RigParameters):
             A name is unknown or a value wrong.
         """
         try:
-            checked = with_preset(check_parameters(changes))
+            checked = with_driver(with_preset(check_parameters(changes)))
             rig = self._of({**self.values, **checked})
             check_relations(rig, [name for name in checked if rig[name] != self[name]])
         except ParameterFileError as err:

@@ -6,12 +6,14 @@ the last report into a level, sentences that say what is wrong and what to do, a
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from beam_ros.vision.measurement.lateness import LatenessWatch
 from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringChain
 
 LEVELS = ("OK", "WARN", "ERROR")
@@ -54,9 +56,11 @@ class Diagnosis:
     ----------
     names : sequence of str -- of the markers, lowest first
     chain : MeasuringChain -- whose state is looked at when a report is made
+    lateness : LatenessWatch -- which looks, too, when a report is made
     """
 
-    def __init__(self, names: Sequence[str], chain: MeasuringChain) -> None:
+    def __init__(self, names: Sequence[str], chain: MeasuringChain, lateness: LatenessWatch) -> None:
+        self._lateness = lateness
         self._names = tuple(names)
         self._chain = chain
         self._latencies_ns: deque[int] = deque(maxlen=_LATENCY_FRAMES)
@@ -206,6 +210,10 @@ class Diagnosis:
             median, p99 = np.percentile(self._latencies_ns, (50, 99)) * 1e-6
             values["latency_median_ms"] = round(float(median), 3)
             values["latency_p99_ms"] = round(float(p99), 3)
+        self._lateness.look()
+        if math.isfinite(self._lateness.late_s):
+            values["stamps_late_s"] = round(self._lateness.late_s, 6)
+            values["stamps_late_sd_s"] = round(self._lateness.late_sd_s, 6)
         tracker = self._chain.tracker
         for k, name in enumerate(self._names):
             values[f"{name} lost"] = sum(count for (who, _), count in self._lost.items() if who == name)

@@ -26,6 +26,7 @@ _CONVERGED_S = 1e-7
 _MIN_FRAMES = 20
 _MIN_CORRELATION = 0.8
 _MIN_OVERLAP = 0.5
+_CLEARLY = 2.0
 _MIN_MOTION = 1e-3
 """A marker that moves by less than this share of the hub's way stands still."""
 
@@ -68,6 +69,7 @@ def synchronise(
     *,
     fits_drift: bool = False,
     correlation_time_s: float = 0.5,
+    expected_s: float = 0.0,
 ) -> Synchronisation:
     """Find the camera's time in the hub's.
 
@@ -78,6 +80,8 @@ def synchronise(
         clock, and displacement of the lowest marker; NaN where it was not seen
     fits_drift : bool -- also fit the ratio of the clocks' rates
     correlation_time_s : float -- how long residuals remember; enters the standard deviations [s]
+    expected_s : float -- an offset within this, either way, is preferred where it explains the motion about as well
+        as any other: less than twice the unexplained power (by chance e^-7 with twenty independent frames) [s]
 
     Returns
     -------
@@ -104,7 +108,7 @@ def synchronise(
     t, x = t[seen], x[seen]
     if np.ptp(hub_x) == 0 or np.ptp(x) <= _MIN_MOTION * np.ptp(hub_x):
         raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
-    offset, correlation = _coarse_offset(hub_t, hub_x, t, x)
+    offset, correlation = _chosen_offset(hub_t, hub_x, t, x, expected_s)
     if correlation < _MIN_CORRELATION:
         raise SynchronisationError(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
@@ -113,8 +117,22 @@ def synchronise(
     return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, correlation_time_s)
 
 
-def _coarse_offset(hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray) -> tuple[float, float]:
-    """Lag of the largest normalised correlation, on a common grid."""
+def _chosen_offset(
+    hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray, expected_s: float
+) -> tuple[float, float]:
+    """Lag of the largest correlation; of those that explain the motion about as well, one that is expected."""
+    offsets, correlations = _correlations(hub_t, hub_x, t, x)
+    best = int(np.argmax(correlations))
+    near = int(np.argmax(np.where(np.abs(offsets) <= expected_s, correlations, -1.0)))
+    if correlations[near] > 0 and 1 - correlations[near] ** 2 < _CLEARLY * (1 - correlations[best] ** 2):
+        best = near
+    return float(offsets[best]), float(correlations[best])
+
+
+def _correlations(
+    hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Offsets in steps of the camera's period, and the normalised correlation at each; -1 where it says nothing."""
     period = float(np.median(np.diff(t)))
     hub = np.interp(np.arange(hub_t[0], hub_t[-1], period), hub_t, hub_x)
     marker = np.interp(np.arange(t[0], t[-1], period), t, x)
@@ -136,10 +154,8 @@ def _coarse_offset(hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: Float
         normalised = (correlate(hub, marker) - sum_h * sum_m / count) / np.sqrt(variance)
     # Little overlap, or an overlap in which next to nothing moved, correlates by chance.
     is_fair = (count >= _MIN_OVERLAP * min(hub.size, marker.size)) & (variance > 1e-3 * total)
-    normalised = np.where(is_fair & np.isfinite(normalised), normalised, -1.0)
-    best = int(np.argmax(normalised))
-    lag = best - (marker.size - 1)
-    return float(hub_t[0] - t[0] + lag * period), float(normalised[best])
+    offsets = hub_t[0] - t[0] + (np.arange(normalised.size) - (marker.size - 1)) * period
+    return offsets, np.where(is_fair & np.isfinite(normalised), normalised, -1.0)
 
 
 def _refined(

@@ -139,3 +139,14 @@ def test_frames_that_the_plant_has_forgotten_while_others_were_drawn_are_lost_an
     left = len(list(frames))
     # Of the 40 frames that were due those before 0.104 s are gone: so far back the plant knows.
     assert (left, film.dropped_frames) == (29, 10)
+
+
+def test_stamps_that_are_late_at_this_start_are_late_in_the_stamps_alone() -> None:
+    rig = Rig.from_file()
+    late = rig.with_values({"simulation.stamp_offset": 0.4})
+    films = [Film(one, one.beam_model(), _moving(one, 1.0), START) for one in (rig, late)]
+    on_time, others = (list(film.due(START + 200_000_000)) for film in films)
+    assert [b.stamp_ns - a.stamp_ns for a, b in zip(on_time, others, strict=True)] == [400_000_000] * len(
+        on_time
+    )
+    assert np.array_equal(on_time[5].markers, others[5].markers)

@@ -158,6 +158,7 @@ def _seen(rig: Rig) -> bytes:
 def test_every_imperfection_of_the_file_reaches_what_device_and_camera_say(name: str) -> None:
     other = {
         **{key: value for key, value in PRESETS["ideal"].items() if not isinstance(value, str)},
+        "stamp_offset": 0.4,
         "servo_damping": 0.9,
         "servo_frequency": 50.0,
         "stop_restitution": 0.6,

@@ -11,6 +11,7 @@ from beam_ros.vision.calibration.linear import LinearCalibration
 
 pytest.importorskip("cv2")
 from beam_ros.vision.measurement.diagnosis import Complaint, Diagnosis
+from beam_ros.vision.measurement.lateness import LatenessWatch
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.rendering.frames import SceneRenderer
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
@@ -29,7 +30,8 @@ class _Day:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
         tracker = packaged_tracker(CAMERA, HEIGHTS)
         self.chain = MeasuringChain(replace(CAMERA, focus=focus), tracker, HEIGHTS, given)
-        self.diagnosis = Diagnosis(NAMES, self.chain)
+        self.lateness = LatenessWatch(100.0)
+        self.diagnosis = Diagnosis(NAMES, self.chain, self.lateness)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
 
     def film(self, numbers, latency_ns=MS, frame=None) -> None:

@@ -129,3 +129,24 @@ def test_residuals_weigh_with_each_other_by_bartletts_triangle():
     noise = np.clip(1.0 - lag / 4.0, 0.0, None) * np.outer(residual, residual)
     gain = np.linalg.solve(design.T @ design, design.T)
     np.testing.assert_allclose(found, gain @ noise @ gain.T, rtol=1e-12)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.08, 0.15, 0.9, -0.4])
+def test_late_stamps_are_found_whether_expected_or_not(late_s):
+    rng = np.random.default_rng(20)
+    t, position, _ = experiment()
+    camera_t, seen = film(-late_s, rng, drift=-2e-4, span=(4.0, 14.0))
+    found = synchronise(t, position, camera_t, seen, fits_drift=True, expected_s=0.1)
+    middle = 9.0 + late_s
+    assert found.hub_times(middle) == pytest.approx((1 - 2e-4) * middle - late_s, abs=0.5e-3)
+    assert found.drift == pytest.approx(-2e-4, abs=5 * found.drift_sd)
+
+
+def test_of_motions_that_repeat_themselves_the_expected_one_is_taken():
+    rng = np.random.default_rng(21)
+    t = np.arange(0.0, 25.0, PERIOD)
+    hub = 1e-3 * np.sin(2 * np.pi * 2.0 * t)
+    for _ in range(5):
+        frames = np.arange(1.0, 20.0, 0.01)
+        low = 1e-3 * np.sin(2 * np.pi * 2.0 * (frames - 0.03)) + 5e-6 * rng.standard_normal(frames.size)
+        assert synchronise(t, hub, frames, low, expected_s=0.1).offset_s == pytest.approx(-0.03, abs=1e-3)
