@@ -2,6 +2,7 @@
 
 from beam_ident.amplitude.curves import AmplitudeCurves as AmplitudeCurves
 from beam_ident.amplitude.curves import amplitude_curves as amplitude_curves
+from beam_ident.amplitude.curves import driven_amplitude_curves as driven_amplitude_curves
 from beam_ident.amplitude.linearity import Linearity as Linearity
 from beam_ident.amplitude.linearity import ModeLinearity as ModeLinearity
 from beam_ident.amplitude.linearity import linearity as linearity

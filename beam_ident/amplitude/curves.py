@@ -12,12 +12,15 @@ from numpy.typing import ArrayLike
 from scipy.special import fdtrc
 
 from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, DecayProblem, Law, Start
+from beam_ident.amplitude.driven_fit import LAW as DRIVEN_LAW
+from beam_ident.amplitude.driven_fit import DrivenProblem
 from beam_ident.amplitude.slow_flow import decay_rate, frequency
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_output
-from beam_ident.data.records import OutputSignal
+from beam_ident.data.records import OutputSignal, TimeRecord
 from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
+from beam_ident.modal.model import ModalModel
 from beam_ident.modal_estimation.free_decay import fit_free_decay
 from beam_ident.noise.scores import Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -179,7 +182,6 @@ def amplitude_curves(
         if problem.n_samples > 4 * (fit.n_parameters + 2):
             richer = problem.fit(_extended(base.point, law))
             fit = richer if richer.converged and richer.criterion < fit.criterion else fit
-    colour = _colour(problem, fit)
     one_pole = problem.fit(
         replace(
             base.point,
@@ -188,11 +190,73 @@ def amplitude_curves(
             rate_terms=base.point.rate_terms[:2],
         )
     )
-    free = problem.n_samples - base.n_parameters
-    more = base.point.law.n_terms - LINEAR.n_terms
-    gain = 2.0 * (one_pole.cost - base.cost) / colour
-    p_value = float(fdtrc(more, free, max(gain, 0.0) / more))
-    return _curves(problem, fit, colour, p_value, np.random.default_rng(seed))
+    return _judged(problem, fit, (one_pole, base), "decay", seed)
+
+
+@on_one_thread
+def driven_amplitude_curves(
+    records: Sequence[TimeRecord],
+    model: ModalModel,
+    *,
+    mode: int = 0,
+    output: str | None = None,
+    seed: int = 0,
+) -> AmplitudeCurves:
+    """Estimate frequency and damping of one mode over its amplitude, from driven records at several levels.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        With the same outputs; what rings freely in them counts as well. Of long ones the stretches in which their
+        inputs move most are read.
+    model : ModalModel
+        Identified from them: its pole is where the law begins, its other modes stand beside.
+    mode : int
+        Index from 0.
+    output : str, optional
+        Whose amplitude is meant; by default the output that the mode moves most.
+    seed : int
+        Of the draws that make the bands simultaneous.
+
+    Returns
+    -------
+    AmplitudeCurves
+
+    Raises
+    ------
+    EstimationError
+        An unknown mode or output, or amplitudes that hardly differ.
+
+    Notes
+    -----
+    The law is that of ``amplitude_curves`` with a cubic spring, dry, linear and quadratic damping, under the drive
+    that the linear model knows (``driven_fit``): all records are one fit, with their noise.
+    """
+    problem = DrivenProblem(records, model, mode, output)
+    fit = problem.fit(DRIVEN_LAW)
+    return _judged(problem, fit, (problem.fit(LINEAR), fit), "data", seed)
+
+
+def _judged(
+    problem: DecayProblem | DrivenProblem,
+    fit: DecayFit,
+    nested: tuple[DecayFit, DecayFit],
+    what: str,
+    seed: int,
+) -> AmplitudeCurves:
+    """Return the curves with the verdict on one pole against a law that has one as a case."""
+    one_pole, base = nested
+    colour, n_lines = _colour(problem, fit)
+    n, more = problem.n_samples, base.point.law.n_terms - LINEAR.n_terms
+    # Where the noise's density was read off a few lines, these are all that is known of it.
+    free = n - base.n_parameters if n_lines == 0 else min(2 * n_lines, n - base.n_parameters)
+    gain = (
+        math.expm1(min(2.0 * max(one_pole.cost - base.cost, 0.0) / n, 600.0))
+        * (n - base.n_parameters)
+        / colour
+    )
+    p_value = float(fdtrc(more, free, gain / more))
+    return _curves(problem, fit, colour, p_value, what, np.random.default_rng(seed))
 
 
 def _checked(decays: Any) -> list[list[OutputSignal]]:
@@ -251,8 +315,12 @@ def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
     return found if found.converged and found.criterion < fit.criterion else fit
 
 
-def _colour(problem: DecayProblem, fit: DecayFit) -> float:
-    """Return the noise's density about the mode over that of white noise of its variance; 1 where it is white."""
+def _colour(problem: DecayProblem | DrivenProblem, fit: DecayFit) -> tuple[float, int]:
+    """Return the noise's density about the mode over that of white noise of its variance, and from how many lines.
+
+    It is 1, from none, where the noise of every output is white.
+    """
+    n_lines = 0
     omega = float(fit.point.omega_terms[0])
     ratios, weights = [], []
     for row, residuals in zip(problem.decays, fit.residuals, strict=True):
@@ -265,13 +333,19 @@ def _colour(problem: DecayProblem, fit: DecayFit) -> float:
                 # The fit has emptied the lines that its own columns fill.
                 near = near[np.abs(np.arange(-12, 13)) > 2]
                 lines = np.exp(-1j * near[:, None] * t) @ e
+                n_lines += len(near)
                 ratios.append(float(np.mean(np.abs(lines) ** 2) / (e @ e)))
             weights.append(len(e))
-    return max(float(np.average(ratios, weights=weights)), 1e-3)
+    return max(float(np.average(ratios, weights=weights)), 1e-3), n_lines
 
 
 def _curves(
-    problem: DecayProblem, fit: DecayFit, colour: float, p_value: float, rng: np.random.Generator
+    problem: DecayProblem | DrivenProblem,
+    fit: DecayFit,
+    colour: float,
+    p_value: float,
+    what: str,
+    rng: np.random.Generator,
 ) -> AmplitudeCurves:
     point, law = fit.point, fit.point.law
     signal = problem.decays[0][problem.reference]
@@ -289,9 +363,13 @@ def _curves(
     by_frequency = np.hstack([powers_w, np.zeros_like(powers_g)])
     by_damping = np.hstack([-(zeta / omega)[:, None] * powers_w, powers_g / (A * omega)[:, None]])
     # Averaging is right to first order in eta. A maximum is larger than its fundamental by a twelfth of eta, which
-    # moves a rate by a sixth; zeros and phase part by eta^2 where damping changes from cycle to cycle.
+    # moves a rate by a sixth; zeros and phase part by eta^2 where damping changes from cycle to cycle. Coefficients
+    # of the equation of motion, as driven records give them, are those of a decay to first order, too.
     eta = np.abs(omega / w[0] - 1.0) + np.abs(zeta)
-    left_out = (0.5 * omega * eta**2, np.abs(zeta) * eta / 6.0)
+    left_out = (
+        0.5 * omega * eta**2,
+        np.abs(zeta) * eta * (0.5 if isinstance(problem, DrivenProblem) else 1.0 / 6.0),
+    )
     bands, deviations = [], []
     root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
     draws = root @ rng.standard_normal((law.n_terms, _DRAWS))
@@ -316,9 +394,9 @@ def _curves(
         f"{100.0 * zeta[0]:.3g} to {100.0 * zeta[-1]:.3g} %"
     )
     chance = f"p = {p_value:.2g}" if p_value > 1e-9 else "p < 1e-9"
-    verdict = f"one pole describes the decay ({chance}) from {words}"
+    verdict = f"one pole describes the {what} ({chance}) from {words}"
     if not is_one_pole:
-        verdict = f"one pole does not describe the decay ({chance}): from {words}"
+        verdict = f"one pole does not describe the {what} ({chance}): from {words}"
     return AmplitudeCurves(
         amplitudes=A * point.reference,
         frequencies_hz=omega / (2.0 * np.pi),

@@ -13,13 +13,18 @@ if TYPE_CHECKING:
     from beam_ident.amplitude.curves import AmplitudeCurves
 
 
-def amplitude_figure(curves: AmplitudeCurves, pole: tuple[float, float] | None = None) -> Figure:
-    """Draw the curves with their simultaneous bands, and the single pole that was fitted beside them.
+def amplitude_figure(
+    curves: AmplitudeCurves,
+    pole: tuple[float, float] | None = None,
+    theory: tuple[FloatArray, FloatArray] | None = None,
+) -> Figure:
+    """Draw the curves with their simultaneous bands, and beside them the single pole and what theory says.
 
     Parameters
     ----------
     curves : AmplitudeCurves
-    pole : (frequency [Hz], damping ratio), optional -- drawn beside the curves
+    pole : (frequency [Hz], damping ratio), optional -- that was fitted
+    theory : (frequencies [Hz], damping ratios), optional -- two arrays, each of shape (n,), at ``curves.amplitudes``
     """
     figure, axes = axes_grid(1, 2, (9.0, 3.4), sharex=True)
     x = 1e3 * curves.amplitudes if curves.unit == "m" else curves.amplitudes
@@ -35,6 +40,8 @@ def amplitude_figure(curves: AmplitudeCurves, pole: tuple[float, float] | None =
         axis.plot(x, scale * values, color=MODEL, label="curve")
         if pole is not None:
             axis.axhline(scale * pole[k], color=REFERENCE, linestyle="--", label="one pole")
+        if theory is not None:
+            axis.plot(x, scale * theory[k], color=REFERENCE, linestyle=":", label="theory")
         axis.set_ylabel(label)
         axis.set_xlabel(f"amplitude of {curves.output_name} [{unit}]")
         axis.ticklabel_format(axis="y", useOffset=False)

@@ -5,7 +5,7 @@ Those who know the rig fill these in; the report draws them and weighs them, wit
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -36,6 +36,9 @@ class Theory:
     heights : ndarray, shape (n_heights,) -- where the shapes are given [m]
     shapes : ndarray, shape (n_heights, n_modes) -- residues along the structure
     places : mapping from an output's name to its height and the standard uncertainty of that [m]
+    over_amplitude : function or None
+        From (output's name, frequency [Hz], amplitudes [m]) to frequencies [Hz] and damping ratios of the nearest
+        mode there, or None where theory has no law for it.
     """
 
     source: str
@@ -49,6 +52,7 @@ class Theory:
     heights: FloatArray = field(default_factory=lambda: np.empty(0))
     shapes: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     places: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    over_amplitude: Callable[[str, float, FloatArray], tuple[FloatArray, FloatArray] | None] | None = None
 
     @property
     def type_b(self) -> FloatArray:

@@ -134,7 +134,7 @@ def identification_page(
     if linearity is not None:
         _add_linearity(page, linearity)
     if curves is not None:
-        _add_curves(page, curves, modes)
+        _add_curves(page, curves, modes, theory)
     page.section("Data quality")
     if gates:
         add_gates(page, gates)
@@ -189,7 +189,9 @@ def _add_linearity(page: Page, found: Linearity) -> None:
         page.paragraph(f"The others, to first order: {'; '.join(map(str, others))}.")
 
 
-def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -> None:
+def _add_curves(
+    page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow], theory: Theory | None = None
+) -> None:
     """Write how frequency and damping change with amplitude."""
     page.paragraph(f"{curves.verdict[0].upper()}{curves.verdict[1:]}.")
     if not curves.is_one_pole:
@@ -204,10 +206,15 @@ def _add_curves(page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow]) -
         [mode.omega for mode in modes], 2.0 * math.pi * float(np.median(curves.frequencies_hz))
     )
     pole = None if own is None else (modes[own].omega / (2.0 * math.pi), modes[own].zeta)
+    law = None
+    if theory is not None and theory.over_amplitude is not None:
+        middle = float(np.median(curves.frequencies_hz))
+        law = theory.over_amplitude(curves.output_name, middle, curves.amplitudes)
+    of_theory = " Dotted: what the rig's drag, large deflections and linear damping predict." if law else ""
     page.figure(
-        figures.amplitude_figure(curves, pole),
+        figures.amplitude_figure(curves, pole, law),
         "Frequency and damping ratio of the free decays over their amplitude; with 95 % the bands hold the whole of "
-        "each curve. Dashed: the single pole of the identification.",
+        f"each curve. Dashed: the single pole of the identification.{of_theory}",
         f"Two curves over amplitude with bands: {curves.verdict}",
         name="amplitude",
     )

@@ -398,7 +398,7 @@ class IdentifierSettings:
     )
     segments: str = live("parts of each bag that are used [s from its first sample], 0:10,12:20; empty: all")
     amplitude: bool = live(
-        "also curves of frequency and damping over amplitude, from the decays at the bags' ends"
+        "also curves of frequency and damping over amplitude, from decays at the bags' ends or from several levels"
     )
     best_linear: bool = live(
         "also response, noise and nonlinear distortion line by line, from bags of one multisine with other seeds"

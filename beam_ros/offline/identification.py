@@ -17,6 +17,7 @@ import numpy as np
 
 from beam_ident import (
     BestLinearApproximation,
+    EstimationError,
     IdentificationError,
     IdentificationResult,
     InputSignal,
@@ -34,7 +35,7 @@ from beam_ident import (
     run_estimator,
     validate,
 )
-from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves
+from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves, driven_amplitude_curves
 from beam_ident.amplitude.free_stretches import free_decay_of
 from beam_ident.amplitude.linearity import Linearity, linearity
 from beam_ident.data.gaps import Bridge
@@ -710,13 +711,27 @@ def identification_of_bags(
     curves = None
     if options.amplitude:
         progress("curves over amplitude", 0.0)
-        curves = amplitude_curves([free_decay_of(record) for record in records])
+        curves = _over_amplitude(records, result, found_linear)
         content["amplitude"] = curves.to_dict()
     if best_linear is not None:
         content["best_linear"] = best_linear.to_dict()
     return Identification(
         tuple(experiments), options, result, seen, content, curves, best_linear, found_linear
     )
+
+
+def _over_amplitude(
+    records: Sequence[TimeRecord], result: Result, found: Linearity | None
+) -> AmplitudeCurves:
+    """Return the curves of the decays; of records that do not end at rest, of the mode that swings most in them."""
+    try:
+        decays = [free_decay_of(record) for record in records]
+    except EstimationError:
+        if found is None or not isinstance(result, IdentificationResult):
+            raise
+        largest = max(found.modes, key=lambda mode: mode.largest)
+        return driven_amplitude_curves(records, result.model, mode=largest.number - 1)
+    return amplitude_curves(decays)
 
 
 def _several(given: AnyPath | Sequence[AnyPath] | None) -> list[AnyPath]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from beam_ident import ModalModel
 from beam_ident.report.evidence import ErrorSources, ModeRow, Theory
 from beam_ident.report.quantities import nearest_mode
-from beam_model import BeamModel
+from beam_model import AirDrag, BeamModel, amplitude_law
 from beam_model.fitting.theory_comparison import UncertaintyBudget, compare_with_theory
 from beam_ros.arrays import FloatArray
 from beam_ros.rig.rig import Rig
@@ -78,7 +79,21 @@ def theory_of_rig(rig: Rig, structure: str, modes: Sequence[ModeRow]) -> Theory:
         heights=strip,
         shapes=model.motion_residues(strip),
         places={name: (float(heights[j]), float(height_sd[j])) for j, name in enumerate(names)},
+        over_amplitude=partial(_over_amplitude, rig, model),
     )
+
+
+def _over_amplitude(
+    rig: Rig, model: BeamModel, name: str, frequency_hz: float, amplitudes: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return what the rig's drag and large deflections make of a mode's frequency [Hz] and damping ratio."""
+    mode = nearest_mode(model.natural_frequencies, 2.0 * math.pi * frequency_hz)
+    if mode is None or name not in rig.markers.names:
+        return None
+    drag = AirDrag(rig.beam.width, rig.simulation.drag_coefficient)
+    height = rig.markers.heights[rig.markers.names.index(name)]
+    law = amplitude_law(model, mode, height, drag, is_geometric=rig.simulation.large_deflections)
+    return law.frequencies(amplitudes) / (2.0 * math.pi), law.damping_ratios(amplitudes)
 
 
 def _padded(values: FloatArray, n: int) -> FloatArray:

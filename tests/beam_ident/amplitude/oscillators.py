@@ -89,14 +89,14 @@ def driven_record(
     level: float = 1.0,
     noise: float = 1e-5,
     duration_s: float = 20.0,
-    hub_noise: float = 0.0,
+    band_hz: tuple[float, float] = (3.0, 6.0),
 ) -> TimeRecord:
     """Return an oscillator on a moving base as a camera sees it: Runge and Kutta's steps of half a millisecond.
 
-    The base swings by lines from 3 to 6 Hz of random phase; level 1 brings the oscillator to about ``UNIT``.
+    The base swings by lines of random phase in a band; level 1 brings the oscillator to about ``UNIT``.
     """
     rng = np.random.default_rng(seed)
-    lines = np.arange(round(3.0 * duration_s), round(6.0 * duration_s) + 1) / duration_s
+    lines = np.arange(round(band_hz[0] * duration_s), round(band_hz[1] * duration_s) + 1) / duration_s
     phases = rng.uniform(0.0, 2.0 * np.pi, lines.size)
     step, fine = 5e-4, np.arange(0.0, duration_s, 2.5e-4)
     waves = 2.0 * np.pi * lines[:, None] * fine + phases[:, None]
@@ -124,8 +124,7 @@ def driven_record(
         path.append(x)
     seen = np.arange(0, len(path) - 20, 20)
     y = position[::2][seen] + np.array(path)[seen] + noise * rng.standard_normal(seen.size)
-    hub = position[::4] + hub_noise * rng.standard_normal(position[::4].size)
-    base = InputSignal("hub", "m", (0.0, 1e-3), hub, "cubic")
+    base = InputSignal("hub", "m", (0.0, 1e-3), position[::4], "cubic")
     return TimeRecord(
         (base,), (OutputSignal("z285", "m", 0.01 * np.arange(seen.size), y),), name=f"level {level:g}"
     )

@@ -11,14 +11,16 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from beam_ident import AmplitudeCurves, ModalModel, TimeRecord
+from beam_ident import AmplitudeCurves, ModalModel, TimeRecord, models_of
 from beam_ident.data.records import InputSignal, OutputSignal
+from beam_ident.report.evidence import mode_rows
 from beam_ident.report.gates import Gate
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import Identification, identification_of_bags
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.reporting.identification import deflection_of, format_files, report_identification
+from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 
 
@@ -130,8 +132,20 @@ def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> No
     q = curves.amplitudes / abs(model.shape([0.285])[0, 0])
     expected = 0.005 + 4.0 / (3.0 * np.pi) * drag * q / model.basis.modal_mass
     assert curves.damping_ratios == pytest.approx(expected, rel=0.01)
+    assert found.linearity is not None
+    assert not found.linearity.is_linear
+    theory = theory_of_rig(rig, "base_motion", mode_rows(models_of(found.result)))
+    assert theory.over_amplitude is not None
+    law = theory.over_amplitude("z285", 4.4, curves.amplitudes)
+    assert law is not None
+    assert law[1] == pytest.approx(expected, rel=1e-3)
+    assert law[0] == pytest.approx(curves.frequencies_hz, rel=1e-3)
+    assert theory.over_amplitude("hub", 4.4, curves.amplitudes) is None
     report_identification(found, tmp_path / "report")
     assert (tmp_path / "report" / "figures" / "amplitude.svg").exists()
-    assert "hold at one amplitude only" in (tmp_path / "report" / "report.html").read_text()
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "hold at one amplitude only" in page
+    assert "one pole does not describe mode 1" in page
+    assert "Dotted: what the rig" in page
     stored = json.loads((tmp_path / "report" / "model.json").read_text())["summary"]["amplitude"]
     assert AmplitudeCurves.from_dict(stored).verdict == curves.verdict
