@@ -49,6 +49,7 @@ from beam_ident.responses.periods import moving_mean
 
 _SIGNIFICANCE = 0.01  # chance that a linear system is called nonlinear
 _KNOWN = 1e-6  # of an input: what scatters less was not measured
+_ROUNDING = 1e-9  # of a response: noise that is less counts as so much
 _SEEN = 2.0  # real degrees of freedom of a complex value
 _LEVELS = 1.5  # times the power: realisations that differ by more are not of one kind
 _FEW = 4  # realisations: with fewer the total variance is hardly known
@@ -164,7 +165,7 @@ def _approximation(
     even, odd = (_at_rest(data.found, parity) for parity in (0, 1))
     judged = nonlinear_distortion(data.found, _SIGNIFICANCE) if even or odd else None
     power = np.asarray(1.0 / (M * gain))
-    p_value = _p_value(excited)
+    p_value = _p_value(excited, response)
     return BestLinearApproximation(
         omegas=omegas,
         response=response,
@@ -247,14 +248,16 @@ def _folding(data: Realisations) -> Folding | None:
     return Folding(omegas, weights, tails)
 
 
-def _p_value(excited: LineVariances) -> float:
+def _p_value(excited: LineVariances, response: ComplexArray) -> float:
     """Return the chance that noise alone makes realisations differ as much, over all lines and outputs."""
     of_total, of_noise = excited.total_freedom[:, None], excited.noise_freedom[:, None]
     width = int(min(np.ceil(_SMOOTHING / float(np.min(of_noise))), len(of_noise)))
-    level = np.maximum(moving_mean(excited.noise, width), 1e-300)
+    floor = _ROUNDING**2 * np.mean(np.abs(response) ** 2, axis=0) + 1e-300
+    level = np.maximum(moving_mean(excited.noise, width), floor)
     above = np.sum(of_total * excited.total / level, axis=0) / np.sum(of_total)
-    below = np.sum(of_noise * excited.noise / level, axis=0) / np.sum(of_noise)
-    chances = f_sf(np.sum(of_total), np.sum(of_noise), above / np.maximum(below, 1e-300))
+    # Without noise, what is left by rounding is no distortion.
+    below = np.sum(of_noise * np.maximum(excited.noise, floor) / level, axis=0) / np.sum(of_noise)
+    chances = f_sf(np.sum(of_total), np.sum(of_noise), above / below)
     return float(min(1.0, len(above) * np.min(chances)))
 
 
@@ -272,9 +275,8 @@ def _verdict(
         for values in (excited.total - excited.noise, excited.noise)
     )
     worst = int(np.argmax(distortion))
-    of_noise = (
-        f"the noise of a realisation, {10.0 * np.log10(max(noise[worst], 1e-300)):.0f} dB of the response"
-    )
+    decibel = 10.0 * np.log10(max(noise[worst], _ROUNDING**2))
+    of_noise = f"the noise of a realisation, {decibel:.0f} dB of the response"
     if p_value >= _SIGNIFICANCE and judged is not None and judged.is_nonlinear:
         said = f"nonlinear by less than {of_noise}: only the lines that were not excited show it"
     elif p_value >= _SIGNIFICANCE:

@@ -16,6 +16,8 @@ from beam_ident.responses.periodic_averaging import PeriodicResponse, periodic_r
 from beam_ident.responses.steady_periods import drift_of_periods
 
 _ALIKE = 0.9  # of the largest correlation that two multisines can have: they are one, begun at another time
+_REPEATS = 1e-6  # of an input's amplitude: what changes less repeats
+_PROVEN = 0.5  # of the scatter, that a drifting delay explains: then it is no noise
 _ENOUGH_LINES = 8  # by which two multisines can be told from each other
 _TESTABLE = 3  # periods of which drift can be told from noise
 
@@ -150,6 +152,32 @@ def require_repetition(found: Sequence[PeriodicResponse]) -> None:
                 f"after {one.line_period_s:.6g} s; expected a periodic excitation, as a multisine. Give its period; "
                 "of another excitation take local_polynomial_response() or identify()"
             )
+        later, share = _lateness(one)
+        if share > _PROVEN:
+            raise EstimationError(
+                f"record {one.response.name!r}: {one.response.input_names[0]!r} comes {later * 1e3:.3g} ms later "
+                f"from period to period of {one.line_period_s:.9g} s; expected what repeats. Its period may be "
+                f"{one.line_period_s + later:.9g} s, by the clock of the record"
+            )
+
+
+def _lateness(found: PeriodicResponse) -> tuple[float, float]:
+    """Return how much later an input comes by the period [s], and the share of its periods' scatter that explains.
+
+    Notes
+    -----
+    U_p = U e^(-j w d p) is, for small delays d p about the middle, U (1 - j w d p). Little data prove nothing.
+    """
+    drive, omegas = found.line_inputs, found.response.omegas
+    mean = np.mean(drive, axis=0)
+    apart = drive - mean
+    slope = -1j * omegas * mean * (np.arange(len(drive)) - 0.5 * (len(drive) - 1))[:, None]
+    scatter, power = float(np.sum(np.abs(apart) ** 2)), float(np.sum(np.abs(slope) ** 2))
+    is_exact = scatter <= _REPEATS**2 * float(np.sum(np.abs(drive) ** 2))
+    if is_exact or power <= 0.0 or drive.size - len(omegas) < _ENOUGH_LINES:
+        return 0.0, 0.0
+    later = float(np.sum(np.conj(slope) * apart).real) / power
+    return later, later**2 * power / scatter
 
 
 def require_differences(found: Sequence[PeriodicResponse]) -> None:

@@ -209,17 +209,18 @@ def _level(
         mean = np.mean(amplitudes, axis=0)
         at_rest = np.sum(np.abs(amplitudes - mean) ** 2, axis=0) / more
         variance = one.spectrum_variance[:, j]
-        smooth = np.maximum(_smoothed(variance, max(1, int(np.ceil(_SMOOTHING / more)))), 1e-300)[own]
+        excited = np.abs(one.spectrum[one.is_excited, j]) ** 2
+        floor = _SILENT**2 * float(np.mean(excited)) + 1e-300  # what rounding leaves is no distortion
+        smooth = np.maximum(_smoothed(variance, max(1, int(np.ceil(_SMOOTHING / more)))), floor)[own]
         own_power = np.abs(mean) ** 2
         top += float(np.sum(one.n_periods * own_power / smooth))
-        bottom += more * float(np.sum(at_rest / smooth))
+        bottom += more * float(np.sum(np.maximum(at_rest, floor) / smooth))
         freedom += 2.0 * len(own) * more
         n += len(own)
         power += float(np.sum(own_power))
         noise += float(np.sum(at_rest)) / one.n_periods
-        excited = np.abs(one.spectrum[one.is_excited, j]) ** 2
         reference += float(np.mean(excited - variance[one.is_excited] / one.n_periods)) / len(found)
-    statistic = top / n / max(2.0 * bottom / freedom, 1e-300)
+    statistic = top / n / (2.0 * bottom / freedom)
     power, noise = power / n, noise / n
     # A distortion of excess E makes the statistic (1 + E / noise) times an F variate.
     largest = max(statistic / float(f_ppf(2.0 * n, freedom, 0.05)) - 1.0, 0.0) * noise

@@ -137,6 +137,8 @@ def periodic_response(
     require_record(record)
     drive = chosen_input(record, input_name)
     outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
+    if not outputs:
+        raise EstimationError(f"no output is named; expected some of {', '.join(record.output_names)}")
     if len({o.exposure_s for o in outputs}) > 1:
         raise EstimationError(
             f"outputs {', '.join(o.name for o in outputs)} have different exposures; estimate them one at a time, "

@@ -455,8 +455,11 @@ def excited_numbers(source: PeriodicInput, excited_hz: FloatArray | None, line_p
                 f"excited_hz: the lines must be multiples of {1.0 / line_period_s:.6g} Hz, from that to below "
                 f"{top / line_period_s:.6g} Hz, half the rate of the input"
             )
-    if not len(numbers):
-        raise EstimationError("no line is excited; give excited_hz, or an input that moves")
+    if not len(numbers) or not np.any(source.coefficients(numbers, line_period_s)):
+        raise EstimationError(
+            f"input {source.signal.name!r} excites no line, no multiple of {1.0 / line_period_s:.6g} Hz; expected an "
+            "input that moves, and the period and the lines of its excitation"
+        )
     return np.asarray(numbers)
 
 

@@ -234,6 +234,12 @@ def aperiodic():
     return CASE.records(Signals(signals.reference, noise, signals.output))
 
 
+STILL = TimeRecord(
+    (InputSignal("u", "N", (0.0, 1 / 512), np.ones(2048)),),
+    (OutputSignal("y", "m", (0.0, 1 / 512), np.random.default_rng(0).standard_normal(2048)),),
+)
+
+
 @pytest.mark.parametrize(
     ("of", "more", "says"),
     [
@@ -250,11 +256,33 @@ def aperiodic():
         (records, {"reference_name": "u"}, "an input of record"),
         (records, {"skip_periods": -1}, "skip_periods"),
         (records, {"skip_periods": 3}, "1 whole periods"),
+        (records, {"output_names": []}, "no output is named; expected some of y"),
+        (lambda: [*records(realisations=3)[:2], STILL], {}, "input 'u' excites no line"),
     ],
 )
 def test_bad_input_is_refused_with_the_remedy(of, more, says):
     with pytest.raises(EstimationError, match=says):
         approximation(of(), **more)
+
+
+@pytest.mark.parametrize("period_s", [1.001, 0.9997])
+def test_a_period_that_is_slightly_wrong_is_refused_with_the_likely_one(period_s):
+    with pytest.raises(EstimationError, match=r"later from period to period .* may be (1\.0000|0\.9999)"):
+        best_linear_approximation(records(), period_s)
+
+
+def test_without_noise_rounding_is_no_distortion():
+    class Silent(LinearLoopless):
+        output_noise = 0.0
+
+    quiet = approximation(records(Silent()))
+    assert quiet.verdict.startswith("linear as far as")
+    assert not quiet.distortion.is_nonlinear
+
+    class Bent(Polynomial):
+        output_noise = 0.0
+
+    assert approximation(records(Bent())).verdict.startswith("nonlinear: distortion of -")
 
 
 def test_the_same_phases_begun_later_are_found_out():
