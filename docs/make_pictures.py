@@ -8,8 +8,11 @@ from the recorded bag of this tree, the chart from the code of its page.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import re
+import runpy
 import sys
 import tempfile
 from dataclasses import replace
@@ -24,6 +27,7 @@ from PIL import Image
 from beam_ident import analyse_modes, identify
 from beam_ident.figures import (
     amplitude_figure,
+    best_linear_figure,
     fit_figure,
     frequency_response_figure,
     mode_shape_figure,
@@ -281,6 +285,13 @@ def amplitude_picture() -> Figure:
     return amplitude_figure(found.curves, (first["frequency_hz"], first["damping_ratio"]))
 
 
+def best_linear_picture() -> Figure:
+    """Draw response, noise and distortion of the example: an actuator that saturates before a beam."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        names = runpy.run_path(str(ROOT / "examples" / "best_linear.py"))
+    return best_linear_figure(names["best"])
+
+
 def whole_beam_picture(rig: Rig) -> Figure:
     """A frame of the strip without dots, what was found in it, and how far that is off."""
     camera = replace(rig.camera_parameters(), width=200, origin_px=(60.0, 465.0), strip_contrast=120.0)
@@ -328,6 +339,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "viewers": viewers_picture(),
         "study": study_picture(),
         "amplitude": amplitude_picture(),
+        "best-linear": best_linear_picture(),
         "whole-beam": whole_beam_picture(Rig.from_file()),
         "thesis": thesis_picture(),
     }

@@ -116,8 +116,10 @@ def best_linear_figure(found: BestLinearApproximation) -> Figure:
             ("noise", found.excited.noise, found.excited.noise_band(), MEASURED),
             ("distortion", found.excited.distortion, found.excited.distortion_band(), MODEL),
         ):
-            low, high = np.maximum(np.sqrt(band[:, :, j]), floor)
-            axis.fill_between(hertz, low, high, color=colour, alpha=0.2, linewidth=0.0)
+            low, high = np.sqrt(band[:, :, j])
+            # A band that begins at zero would fill the figure: its upper end alone is drawn.
+            axis.fill_between(hertz, low, high, where=low > 0.0, color=colour, alpha=0.25, linewidth=0.0)
+            axis.semilogy(hertz, np.maximum(high, floor), color=colour, alpha=0.4, linewidth=0.6)
             drawn = np.where(values[:, j] > 0.0, np.sqrt(values[:, j]), np.nan)
             axis.semilogy(hertz, drawn, ".", color=colour, markersize=4.0, label=f"{what}, with 95 %")
         for parity, lines, marker in (("even", found.even, "+"), ("odd", found.odd, "x")):

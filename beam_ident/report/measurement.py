@@ -148,7 +148,8 @@ def add_best_linear(page: Page, found: BestLinearApproximation) -> None:
         "noise, as the periods show it, and nonlinear distortion, which repeats with the period and is another one "
         "with other phases. Where it stands above the noise, more periods of the same signal make the response no "
         "truer, and a linear model holds for this level and spectrum of the excitation alone. A point is missing "
-        "where nothing is left beside the noise; the band then begins at zero.",
+        "where nothing is left beside the noise. Bands and thin lines are 95 %; of a band that begins at zero the "
+        "upper end alone is drawn.",
         f"response, noise and distortion of {', '.join(found.output_names)} over frequency",
         name="best-linear",
     )
