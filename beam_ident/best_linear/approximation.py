@@ -44,7 +44,11 @@ from beam_ident.responses.detection_lines import (
     nonlinear_distortion,
     periods_without_input,
 )
-from beam_ident.responses.periodic_averaging import PeriodicResponse, periodic_response
+from beam_ident.responses.periodic_averaging import (
+    PeriodicResponse,
+    periodic_response,
+    without_negative,
+)
 from beam_ident.responses.periods import moving_mean
 
 _SIGNIFICANCE = 0.01  # chance that a linear system is called nonlinear
@@ -150,7 +154,7 @@ def _approximation(
         ],
         axis=2,
     )
-    noise = jacobian @ of_mean @ np.conj(np.swapaxes(jacobian, 1, 2))
+    noise = without_negative(jacobian @ of_mean @ np.conj(np.swapaxes(jacobian, 1, 2)))
     # (F.9): what an error of y - G u makes of G.
     gain = np.sum(np.abs(data.instruments) ** 2, axis=0) / np.abs(below) ** 2
     total, noise = total * gain[:, None, None], noise * gain[:, None, None]

@@ -238,4 +238,12 @@ def _covariance(
     jacobian[:, index, index] = 1.0 / mean_u.T
     jacobian[:, index, n_outputs + index] = -(response / mean_u).T
     covariance = jacobian @ smooth @ np.conj(np.swapaxes(jacobian, 1, 2)) / n_periods
-    return np.asarray(covariance), float(width * (n_periods - 1))
+    return without_negative(covariance), float(width * (n_periods - 1))
+
+
+def without_negative(covariance: ComplexArray) -> ComplexArray:
+    """Return covariances, shape (n_lines, n, n), without what rounding makes of a variance of zero."""
+    found = np.array(covariance)
+    index = np.arange(found.shape[1])
+    found[:, index, index] = np.maximum(found[:, index, index].real, 0.0)
+    return found

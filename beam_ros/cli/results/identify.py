@@ -160,6 +160,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(result["amplitude"]["verdict"])
     if "best_linear" in result:
         print(result["best_linear"]["verdict"])
+        for line in result["best_linear"]["warnings"]:
+            print(f"note: {line}")
     if result.get("misfit"):
         print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
     for unseen in result.get("validation", ()):

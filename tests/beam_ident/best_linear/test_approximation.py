@@ -121,6 +121,21 @@ def test_noise_of_the_input_does_not_bias_the_response():
     assert abs(ratio - 1.0) < 0.01
 
 
+def test_noise_that_passes_through_the_system_does_not_bias_the_response():
+    # What shakes the input is seen by the sensor of the input and moves the output: y = 2 u, whatever u is.
+    given = []
+    for one in records():
+        shaking = np.random.default_rng(len(given)).standard_normal((P, CASE.n_samples))
+        shaking -= np.mean(shaking, axis=1)[
+            :, None
+        ]  # a drift of the outputs would be taken away, the inputs' not
+        u = one.inputs[0].values + shaking.ravel()
+        drive = dataclasses.replace(one.inputs[0], values=u)
+        given.append(TimeRecord((drive,), (dataclasses.replace(one.outputs[0], values=2.0 * u),)))
+    # The spline that stands for a band-limited input errs by 1e-5 at half of the band.
+    np.testing.assert_allclose(approximation(given).response, 2.0, rtol=2e-5)
+
+
 def test_one_record_may_hold_all_realisations():
     apart = records(realisations=3)
     step, n = CASE.period_s / CASE.n_samples, P * CASE.n_samples
