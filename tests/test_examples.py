@@ -50,6 +50,12 @@ SAYS = {
     "next_experiment.py": ["D-optimal excitation", "of the chirp's standard deviation", "promised"],
     "order_selection.py": ["not worth its parameters by BIC", "chosen"],
     "results.py": ["chi-squared", "fit percentage of tip on a step"],
+    "driven_axis.py": [
+        r"moving mass \[kg\] +(2\.000|1\.999)",
+        r"dry friction \[N\] +(3|3\.000|2\.999)",
+        "no force is seen that the model lacks",
+        "refused: the axis never moved backward",
+    ],
     "validation.py": ["tip: good prediction", "as stated: the 4 records", "more than stated: the 4 records"],
     "modal_analysis.py": [
         "3 modes",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.axis.axis_output_error import COLOURED, AxisFit, AxisOutputError, MassAndFriction
+from beam_ident.axis.axis_output_error import COLOURED, MODAL_MASS, AxisFit, AxisOutputError, MassAndFriction
 from beam_ident.axis.axis_record import AxisRecord, require_motion
 from beam_ident.axis.axis_result import AxisCheck, AxisResult, in_known_units, units_of
 from beam_ident.axis.inverse_dynamics import (
@@ -24,14 +24,14 @@ from beam_ident.axis.inverse_dynamics import (
     fit_inverse_dynamics,
     unmodelled_forces,
 )
-from beam_ident.data.argument_checks import chosen_input, require_output, require_records
+from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_records
 from beam_ident.data.records import OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.scores import Scores, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 
 _MUCH_BETTER = 4.0  # times smaller standard deviations, for which output error is kept all the same
-_APART = 4.0  # standard deviations between the two methods
+_APART, _DIFFERENT = 4.0, 0.01  # standard deviations between the two methods, and share of the estimate
 
 
 @on_one_thread
@@ -45,6 +45,7 @@ def identify_axis(
     mass: float | None = None,
     mass_sd: float = 0.0,
     offset: float | None = None,
+    modes: Sequence[tuple[float, float]] = (),
 ) -> AxisResult:
     """Estimate mass, friction, constant force and delay of an axis from the force on it and its position.
 
@@ -63,6 +64,10 @@ def identify_axis(
     offset : float, optional
         Where the constant force against +x is known, 0 for a level axis without a cable [N]: dry friction may then
         differ between the directions. It needs an input in N, or ``mass``.
+    modes : sequence of (natural frequency [rad/s], damping ratio)
+        Of a structure that stands on the axis, while that is held still, as ``identify`` finds them with the position
+        as its input. The mass of each that the record shows is estimated; "mass" is then what does not swing. The
+        structure must be at rest when the record begins.
 
     Returns
     -------
@@ -73,14 +78,15 @@ def identify_axis(
     EstimationError
         An axis that never moved, or not in both directions; too few samples; signals that are not there.
     """
-    loaded = _loaded(records, force, position, reference)
+    loaded = _loaded(records, force, position, reference, _modes(modes))
     _require_numbers(delay_s=delay_s, mass=mass, offset=offset)
     if mass is not None and not mass > 0.0:
         raise EstimationError(f"mass is {mass!r} kg; expected a number above 0")
     if not (math.isfinite(mass_sd) and mass_sd >= 0.0):
         raise EstimationError(f"mass_sd is {mass_sd!r} kg; expected a number of at least 0")
     require_motion(loaded)
-    further = (*(("delay",) if delay_s is None else ()), "viscous_difference")
+    swinging = tuple(f"{MODAL_MASS}{k}" for k in range(1, len(modes) + 1))
+    further = (*swinging, *(("delay",) if delay_s is None else ()), "viscous_difference")
     motions = None if reference is None else [_followed(own) for own in loaded]
     start = fit_inverse_dynamics(loaded, 0.0 if delay_s is None else delay_s)
     simulated = _output_error(loaded, start.parameters, further)
@@ -102,9 +108,9 @@ def check_axis(result: AxisResult, records: TimeRecord | Sequence[TimeRecord]) -
     EstimationError
         The records lack these signals, or the axis does not move in them.
     """
-    loaded = _loaded(records, result.force_name, result.position_name, None)
+    loaded = _loaded(records, result.force_name, result.position_name, None, result.modes)
     require_motion(loaded)
-    return _checked(loaded, parameters_of(result), ())
+    return _checked(loaded, parameters_of(result), (), is_fit=False)
 
 
 def parameters_of(result: AxisResult) -> MassAndFriction:
@@ -123,6 +129,7 @@ def parameters_of(result: AxisResult) -> MassAndFriction:
         half * scale,
         result.value("delay"),
         result.value("viscous_difference") * scale,
+        tuple(result.value(f"{MODAL_MASS}{k}") * scale for k in range(1, len(result.modes) + 1)),
     )
 
 
@@ -137,7 +144,11 @@ class _Estimate:
 
 
 def _loaded(
-    records: TimeRecord | Sequence[TimeRecord], force: str | None, position: str | None, reference: str | None
+    records: TimeRecord | Sequence[TimeRecord],
+    force: str | None,
+    position: str | None,
+    reference: str | None,
+    modes: tuple[tuple[float, ...], ...],
 ) -> list[AxisRecord]:
     found = []
     for record in require_records(records):
@@ -149,8 +160,20 @@ def _loaded(
             raise EstimationError(
                 f"the position {output.name!r} is in {output.unit!r}; expected m: scale it, or name another output"
             )
-        found.append(AxisRecord(drive, output, wanted))
+        found.append(AxisRecord(drive, output, wanted, modes))
     return found
+
+
+def _modes(given: Sequence[tuple[float, float]]) -> tuple[tuple[float, ...], ...]:
+    found = []
+    for mode in given:
+        pair = tuple(finite_row("a mode", mode))
+        if len(pair) != 2 or not pair[0] > 0.0 or not 0.0 <= pair[1] < 1.0:
+            raise EstimationError(
+                f"a mode is {mode!r}; expected its natural frequency [rad/s] and its damping ratio, 0 to 1"
+            )
+        found.append((float(pair[0]), float(pair[1])))
+    return tuple(found)
 
 
 def _position(record: TimeRecord, name: str | None) -> OutputSignal:
@@ -201,7 +224,7 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
         return full
     if not needed:
         return plain
-    begin = replace(full.parameters, **{name: getattr(start, name) for name in further if name not in needed})
+    begin = full.parameters.changed({name: start.value(name) for name in further if name not in needed})
     return AxisOutputError(pieces, begin, (*NAMES, *needed)).fit()
 
 
@@ -232,7 +255,7 @@ def _needed(fit: AxisFit | InverseDynamicsFit, further: tuple[str, ...], n_value
     return tuple(
         name
         for j, name in enumerate(fit.names)
-        if name in further and abs(getattr(fit.parameters, name)) > least * math.sqrt(fit.covariance[j, j])
+        if name in further and abs(fit.parameters.value(name)) > least * math.sqrt(fit.covariance[j, j])
     )
 
 
@@ -268,17 +291,20 @@ def _result(
     mass_sd: float,
     offset: float | None,
 ) -> AxisResult:
-    order = (*NAMES, "viscous_difference", "delay")
+    swinging = sorted((name for name in chosen.names if name.startswith(MODAL_MASS)), key=len)
+    order = (*NAMES, *swinging, "viscous_difference", "delay")
     names = tuple(name for name in order if name in chosen.names)
     places = [chosen.names.index(name) for name in names]
-    estimates = np.array([getattr(chosen.parameters, name) for name in names])
+    estimates = np.array([chosen.parameters.value(name) for name in names])
     covariance = chosen.covariance[np.ix_(places, places)]
     is_output_error = chosen.method == "output_error"
     other: InverseDynamicsFit | AxisFit = inverse if is_output_error else simulated
-    other_estimates = np.array([getattr(other.parameters, name) for name in NAMES])
-    other_covariance = other.covariance[:4, :4]
-    warnings = _warnings(chosen.method, estimates[:4], covariance[:4, :4], other_estimates, other_covariance)
-    check = _checked(records, chosen.parameters, simulated.residuals if is_output_error else ())
+    other_values = np.array([other.parameters.value(name) for name in other.names])
+    other_estimates, other_covariance = _in_all(other.names, other_values, other.covariance)
+    warnings = _warnings(
+        chosen.method, *_in_all(names, estimates, covariance), other_estimates, other_covariance
+    )
+    check = _checked(records, chosen.parameters, simulated.residuals if is_output_error else (), is_fit=True)
     if mass is not None:
         estimates, covariance = _scaled(names, estimates, covariance, mass, mass_sd)
         other_estimates, other_covariance = in_known_units(other_estimates, other_covariance, mass, mass_sd)
@@ -303,6 +329,7 @@ def _result(
         drive.unit,
         math.nan if mass is None else mass,
         math.nan if offset is None else offset,
+        records[0].modes,
         sum(piece.n_samples for record in records for piece in record.pieces),
         sum(len(record.pieces) for record in records),
         check,
@@ -311,6 +338,19 @@ def _result(
         simulated.iterations if is_output_error else 0,
         tuple(warnings),
     )
+
+
+def _in_all(
+    names: tuple[str, ...], estimates: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the four parameters of both methods, the mass with all that swings on it, and their covariance."""
+    rows = np.array(
+        [
+            [float(name == own or (own == "mass" and name.startswith(MODAL_MASS))) for name in names]
+            for own in NAMES
+        ]
+    )
+    return rows @ estimates, rows @ covariance @ rows.T
 
 
 def _scaled(
@@ -337,7 +377,7 @@ def _warnings(
     sd = np.sqrt(np.diag(covariance))
     apart = np.abs(estimates - other) / np.sqrt(np.square(sd) + np.diag(other_covariance))
     worst = int(np.argmax(apart))
-    if apart[worst] > _APART:
+    if apart[worst] > _APART and abs(estimates[worst] - other[worst]) > _DIFFERENT * abs(estimates[worst]):
         found.append(
             f"output error and inverse dynamics disagree by {apart[worst]:.1f} standard deviations on the "
             f"{NAMES[worst]} ({estimates[worst]:.4g} and {other[worst]:.4g}): the axis does something that the model "
@@ -356,12 +396,14 @@ def _warnings(
 
 
 def _checked(
-    records: Sequence[AxisRecord], parameters: MassAndFriction, residuals: Sequence[FloatArray]
+    records: Sequence[AxisRecord],
+    parameters: MassAndFriction,
+    residuals: Sequence[FloatArray],
+    is_fit: bool,
 ) -> AxisCheck:
-    """Return how the parameters do; residuals of the fit where they are at hand."""
+    """Return how the parameters do; with residuals of the simulation where they are at hand."""
     pieces = [(record, piece) for record in records for piece in record.pieces]
-    is_fit = len(residuals) > 0
-    if not is_fit:
+    if not residuals:
         residuals = AxisOutputError(pieces, parameters, ()).minimum().state.residuals
     measured = []
     for record, piece in pieces:

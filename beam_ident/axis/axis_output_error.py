@@ -13,7 +13,7 @@ wander; pieces no longer than it takes to see that keep it in bounds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,7 @@ class MassAndFriction:
         and half the difference of the dry friction [N].
     delay : float -- by how much the force acts later than its stamps say [s]
     viscous_difference : float -- forward less backward [N s/m]
+    modal_masses : tuple of float -- of what swings on the axis, one for every known mode [kg]
     """
 
     mass: float
@@ -53,6 +54,23 @@ class MassAndFriction:
     offset: float
     delay: float = 0.0
     viscous_difference: float = 0.0
+    modal_masses: tuple[float, ...] = ()
+
+    def value(self, name: str) -> float:
+        """Return a parameter by its name, a mass of a mode as ``modal_mass_1``."""
+        if name.startswith(MODAL_MASS):
+            place = int(name.removeprefix(MODAL_MASS)) - 1
+            return self.modal_masses[place] if place < len(self.modal_masses) else 0.0
+        return float(getattr(self, name))
+
+    def changed(self, values: Mapping[str, float]) -> MassAndFriction:
+        """Return these parameters with some other values."""
+        plain = {name: float(value) for name, value in values.items() if not name.startswith(MODAL_MASS)}
+        masses = dict(enumerate(self.modal_masses, 1))
+        own = {int(name.removeprefix(MODAL_MASS)): values[name] for name in values if name not in plain}
+        masses |= {place: float(value) for place, value in own.items()}
+        row = tuple(masses.get(k, 0.0) for k in range(1, max(masses, default=0) + 1))
+        return replace(self, **plain, modal_masses=row)
 
     def guide(self) -> Guide:
         """Return what simulates it."""
@@ -66,7 +84,8 @@ class MassAndFriction:
         )
 
 
-NAMES = ("mass", "viscous", "coulomb", "offset", "delay", "viscous_difference")
+MODAL_MASS = "modal_mass_"
+"""What the name of a mode's mass begins with, before its number from 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,19 +146,19 @@ class AxisOutputError:
             "delay": record.period_s,
             "viscous_difference": push / speed,
         }
-        self._steps = _STEP * np.array([scales[name] for name in self.names])
+        self._steps = _STEP * np.array([scales.get(name, start.mass) for name in self.names])
         self._velocity_step = _STEP * speed
         self._n_samples = sum(piece.n_samples for _, piece in self.pieces)
         self._forces: dict[tuple[int, float], GridForce] = {}
 
     def first(self) -> AxisPoint:
         """Return the start, every piece with the smoothed velocity."""
-        theta = [getattr(self.start, name) for name in self.names]
+        theta = [self.start.value(name) for name in self.names]
         return self.state(np.array(theta + [piece.velocity for _, piece in self.pieces]))
 
     def parameters(self, theta: FloatArray) -> MassAndFriction:
         """Return the parameters that a vector stands for."""
-        return replace(self.start, **dict(zip(self.names, map(float, theta), strict=False)))
+        return self.start.changed(dict(zip(self.names, map(float, theta), strict=False)))
 
     def state(self, theta: FloatArray) -> AxisPoint:
         """Evaluate a point."""
@@ -244,18 +263,25 @@ class AxisOutputError:
 
     def _residuals(self, parameters: MassAndFriction, velocities: FloatArray) -> tuple[FloatArray, ...]:
         guide = parameters.guide()
+        forces = {id(record): self._force(record, parameters) for record, _ in self.pieces}
         found = []
         for (record, piece), velocity in zip(self.pieces, velocities, strict=True):
-            key = (id(record), parameters.delay)
-            if key not in self._forces:
-                self._forces = {
-                    k: v for k, v in self._forces.items() if k[1] in (self.start.delay, parameters.delay)
-                }
-                self._forces[key] = record.grid_force(parameters.delay)
-            simulated = simulated_positions(guide, self._forces[key], record, piece, float(velocity))
+            simulated = simulated_positions(guide, forces[id(record)], record, piece, float(velocity))
             e = record.positions[piece.samples] - simulated
             found.append(e - np.mean(e))
         return tuple(found)
+
+    def _force(self, record: AxisRecord, parameters: MassAndFriction) -> GridForce:
+        """Return the drive's force and that of what swings on the axis."""
+        key = (id(record), parameters.delay)
+        if key not in self._forces:
+            kept = (self.start.delay, parameters.delay)
+            self._forces = {known: force for known, force in self._forces.items() if known[1] in kept}
+            self._forces[key] = record.grid_force(parameters.delay)
+        if not any(parameters.modal_masses):
+            return self._forces[key]
+        masses = np.array(parameters.modal_masses)
+        return self._forces[key].plus(masses @ record.reactions[: len(masses)])
 
 
 def simulated_positions(

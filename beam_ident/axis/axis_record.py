@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import cont2discrete, lfilter, savgol_filter
 
 from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.axis.hub_motion import GridForce
@@ -63,11 +63,14 @@ class AxisRecord:
     drive : InputSignal -- the force, or what is proportional to it
     output : OutputSignal -- the position
     reference : InputSignal, optional -- the position that the axis was to have
+    modes : tuple of (natural frequency [rad/s], damping ratio)
+        Of what swings on the axis while that is held still.
     """
 
     drive: InputSignal
     output: OutputSignal
     reference: InputSignal | None = None
+    modes: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def _seen(self) -> BoolArray:
@@ -114,6 +117,24 @@ class AxisRecord:
         return once, once.antiderivative()
 
     @cached_property
+    def reactions(self) -> FloatArray:
+        """Forces on the axis of what swings on it, for 1 kg of every mode, at the knots, (n_modes, n_steps + 1) [N].
+
+        A mode is a mass on a spring that stands on the axis: under the axis's known position x it moves by w, from
+        rest at the beginning, and pushes back with omega^2 (w - x) + 2 zeta omega (w' - x').
+        """
+        knots = self.start_s + self.period_s * np.arange(self.n_steps + 1)
+        seen = PiecewisePolynomial.from_samples(self.times_s, self.positions, "cubic")
+        x = seen(np.clip(knots, self.times_s[0], self.times_s[-1])) - self.positions[0]
+        found = np.zeros((len(self.modes), len(knots)))
+        for j, (omega, zeta) in enumerate(self.modes):
+            drag = 2.0 * zeta * omega
+            b, a, _ = cont2discrete(([drag, omega**2], [1.0, drag, omega**2]), self.period_s, "foh")
+            w = lfilter(np.ravel(b), a, x)
+            found[j] = omega**2 * (w - x) + drag * np.gradient(w - x, self.period_s)
+        return found
+
+    @cached_property
     def noise_sd(self) -> float:
         """Noise of the positions at most, rounding counted [m]."""
         return noise_floor(self.times_s, self.positions)
@@ -148,12 +169,16 @@ class AxisRecord:
         return self._smoothed[0]
 
     @cached_property
+    def is_slow(self) -> BoolArray:
+        """Where the axis rests or turns, so that the direction of its motion is not sure, shape (n,)."""
+        velocity, sd = self._smoothed
+        return np.asarray(np.abs(velocity) < max(_DEVIATIONS * sd, _REST * self.speed_rms))
+
+    @cached_property
     def is_rest(self) -> BoolArray:
         """Which positions belong to a rest, shape (n,)."""
-        velocity, sd = self._smoothed
-        slow = np.abs(velocity) < max(_DEVIATIONS * sd, _REST * self.speed_rms)
-        result = np.zeros(len(slow), dtype=bool)
-        for begin, end in _runs(slow):
+        result = np.zeros(len(self.is_slow), dtype=bool)
+        for begin, end in _runs(self.is_slow):
             result[begin:end] = end - begin >= _MIN_SAMPLES
         return result
 

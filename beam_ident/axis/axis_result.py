@@ -88,9 +88,11 @@ class AxisResult:
     method : str
         Whose estimates these are: "output_error", or "instrumental_variables" where forces that nobody measured
         outweigh the noise of the position.
-    other_estimates, other_sd : ndarray, shape (4,) -- the other method's first four parameters, for comparison
+    other_estimates, other_sd : ndarray, shape (4,)
+        The other method's moving mass (or force constant), viscous and dry friction and offset, for comparison.
     force_name, position_name, force_unit : str
     known_mass, known_offset : float -- mass [kg] and constant force [N] that were given; NaN where none was
+    modes : tuple of tuple -- natural frequency [rad/s] and damping ratio of every mode that was given
     n_samples : int -- positions in motion, which the estimates rest on
     n_pieces : int -- stretches of motion between rests
     check : AxisCheck -- on the records of the fit
@@ -118,6 +120,7 @@ class AxisResult:
     force_unit: str
     known_mass: float
     known_offset: float
+    modes: tuple[tuple[float, ...], ...]
     n_samples: int
     n_pieces: int
     check: AxisCheck
@@ -152,6 +155,22 @@ class AxisResult:
         return self._of(name, self.standard_deviations)
 
     @property
+    def moving_mass(self) -> float:
+        """All that moves: the mass and those that swing on it."""
+        return float(self._of_masses @ self.estimates) if "mass" in self.names else self.known_mass
+
+    @property
+    def moving_mass_sd(self) -> float:
+        """Standard deviation of ``moving_mass``; NaN where the mass was given."""
+        if "mass" not in self.names:
+            return float("nan")
+        return float(np.sqrt(self._of_masses @ self.covariance @ self._of_masses))
+
+    @property
+    def _of_masses(self) -> FloatArray:
+        return np.array([float(name == "mass" or name.startswith("modal_mass_")) for name in self.names])
+
+    @property
     def resistance_forward(self) -> float:
         """Dry friction and constant force together, against motion along +x."""
         return self.value("coulomb") + self._half
@@ -173,7 +192,7 @@ class AxisResult:
         for name, unit, value, sd in zip(
             self.names, self.units, self.estimates, self.standard_deviations, strict=True
         ):
-            label = f"{MEANINGS[name]} [{unit}]"
+            label = f"{meaning_of(name)} [{unit}]"
             ends = f"{value - 1.96 * sd:>12.6g}{value + 1.96 * sd:>12.6g}"
             lines.append(f"{label:34}{value:>12.6g}{sd:>10.2g}{ends}")
         lines.append(
@@ -213,9 +232,16 @@ class AxisResult:
     def _of(self, name: str, values: FloatArray) -> float:
         if name in self.names:
             return float(values[self.names.index(name)])
-        if name in ("delay", "viscous_difference"):
+        if name in ("delay", "viscous_difference") or name.startswith("modal_mass_"):
             return 0.0
         raise EstimationError(f"the axis has no parameter {name!r}; expected one of {', '.join(self.names)}")
+
+
+def meaning_of(name: str) -> str:
+    """Return what a parameter is, in words."""
+    if name.startswith("modal_mass_"):
+        return f"mass that swings in mode {name.removeprefix('modal_mass_')}"
+    return MEANINGS[name]
 
 
 def in_known_units(
@@ -262,4 +288,6 @@ def units_of(names: tuple[str, ...], unit: str, in_newtons: bool) -> tuple[str, 
         "viscous_difference": f"{force} s/m",
         "delay": "s",
     }
-    return tuple(known.get(name, force) for name in names)
+    return tuple(
+        known["mass"] if name.startswith("modal_mass_") else known.get(name, force) for name in names
+    )

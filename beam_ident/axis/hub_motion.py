@@ -13,7 +13,7 @@ F_c+ + F_0, backward F_c- - F_0, moving and at rest. No record of force and posi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -96,6 +96,11 @@ class GridForce:
         # f_0 + f_1 s over the step: f_1 = 12 (mean h^2/2 - int (h - s) f ds) / h^3.
         slope = np.where(held, 12.0 * (0.5 * mean * h**2 - moment) / h**3, 0.0)
         return GridForce(start_s, period_s, mean - 0.5 * slope * h, slope)
+
+    def plus(self, knots: FloatArray) -> GridForce:
+        """Return this force and another one that is known at the knots, shape (n_steps + 1,), and linear between."""
+        slope = np.diff(knots) / self.period_s
+        return replace(self, at_start=self.at_start + knots[:-1], slope=self.slope + slope)
 
     def at(self, step: int, tau: float) -> float:
         """Return the force ``tau`` seconds into a step [N]."""

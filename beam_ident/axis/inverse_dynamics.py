@@ -5,9 +5,10 @@ derivatives at both ends, and integrated by parts:
 
     int w f = m int w'' x - c int w' x + F_c int w sgn(x') + F_0 int w
 
-so that no measured position is differentiated. Many overlapping windows make many equations, linear in the
-parameters. The windows also filter: force and positions pass through the same low-pass, which is what filtered
-derivatives are for (Gautier and Poignet, Control Engineering Practice 9 (2001) 1361-1372).
+so that no measured position is differentiated. Windows lie where the direction of the motion is sure; many, which
+overlap, make many equations, linear in the parameters. They also filter: force and positions pass through the same
+low-pass, which is what filtered derivatives are for (Gautier and Poignet, Control Engineering Practice 9 (2001)
+1361-1372).
 
 An unmeasured force enters as an error of f, and a servo that holds the axis to its reference keeps it out of the
 motion; noise of the position enters x and is what least squares is biased by. Instruments mend that (Janot, Vandanjon
@@ -25,7 +26,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from beam_ident.arrays import BoolArray, FloatArray
-from beam_ident.axis.axis_output_error import MassAndFriction
+from beam_ident.axis.axis_output_error import MODAL_MASS, MassAndFriction
 from beam_ident.axis.axis_record import AxisRecord
 from beam_ident.axis.axis_result import AxisTerm
 from beam_ident.errors import EstimationError
@@ -34,14 +35,15 @@ from beam_ident.noise.autoregression import autoregression, score_covariance
 _POWER = 4  # of the window (1 - s^2)^4
 _SPACING = 8  # windows in the length of one
 _NARROWEST = 9  # samples of a window
-_MAX_SHARE = 0.2  # of the longest piece
-_MIN_EQUATIONS = 24  # equations
+_MAX_SHARE = 0.25  # of the longest stretch in one direction, for a window
+_MIN_EQUATIONS = 96  # of windows that overlap eightfold
 NAMES = ("mass", "viscous", "coulomb", "offset")
 WITH_DIFFERENCE = (*NAMES, "viscous_difference")
 _OWN = ("the acceleration", "the speed", "the direction", "nothing, a constant", "the speed, by direction")
 _SEEN = 4.0  # standard deviations
+_MAX_SHARED = 1e3  # by how much other terms may widen a term's variance
 _MATTERS = 5e-3  # of the force's rms
-_SHARE = 0.02  # of the longest piece, the window of the search for unmodelled forces
+_SHARE = 0.07  # of the longest piece, the window of the search for unmodelled forces
 _SLOW = 0.1  # of the velocity's rms: the speed within which friction may rise towards rest
 
 
@@ -81,6 +83,7 @@ class _Even:
     is_moving: BoolArray
     instrument: FloatArray
     instrument_direction: FloatArray
+    reactions: FloatArray
 
 
 def fit_inverse_dynamics(
@@ -151,14 +154,17 @@ def unmodelled_forces(
     )
     if len(left) < _MIN_EQUATIONS + len(names):
         return []
-    inverse = np.linalg.pinv(X.T @ X, rcond=1e-8, hermitian=True)
+    inverse = np.linalg.pinv(X.T @ X, rcond=1e-13, hermitian=True)
     found = inverse @ (X.T @ left)
     noise = left - X @ found
     variance = float(noise @ noise) / max(len(noise) - len(found), 1)
     spread = inverse @ (variance * score_covariance(X, autoregression(noise))) @ inverse
     z = found / np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    rms = np.abs(found) / math.sqrt(len(left))
-    terms = [AxisTerm(name, float(f), float(k)) for name, f, k in zip(names, rms, z, strict=True)]
+    # Only what no other term can stand for counts as a term's force.
+    rms = np.abs(found) / np.sqrt(np.maximum(np.diag(inverse), 1e-300) * len(left))
+    is_own = np.diag(inverse) < _MAX_SHARED
+    rows = zip(names, rms, z, is_own, strict=True)
+    terms = [AxisTerm(name, float(f), float(k)) for name, f, k, is_its_own in rows if is_its_own]
     least = _MATTERS * math.sqrt(float(np.mean(np.square(np.concatenate([own.force for own in even])))))
     return [
         term
@@ -176,8 +182,10 @@ def _of_terms(
     places = np.arange(0, len(is_whole), max(1, width // _SPACING))
     places = places[is_whole[places]]
     columns = _columns(own.positions, own.direction, h, width, WITH_DIFFERENCE)[places]
-    model = columns @ np.array([getattr(parameters, name) for name in WITH_DIFFERENCE])
+    model = columns @ np.array([parameters.value(name) for name in WITH_DIFFERENCE])
     left = _windowed(own.force, 0, h, width)[places] - model
+    for modal_mass, reaction in zip(parameters.modal_masses, own.reactions, strict=False):
+        left = left + modal_mass * _windowed(reaction, 0, h, width)[places]
     smooth = np.ones(width) / width
     velocity = fftconvolve(np.gradient(own.positions, h), smooth, "same")
     fast = float(np.sqrt(np.mean(np.square(velocity[own.is_moving]))))
@@ -198,7 +206,7 @@ def _on_grid(record: AxisRecord, delay_s: float, motion: FloatArray | None) -> _
     even = np.arange(t[0], t[-1] + 0.5 * period, period)
     nearest = np.clip(np.searchsorted(t, even - 0.5 * period), 0, len(t) - 1)
     known = np.abs(t[nearest] - even) <= 0.75 * period
-    moving = known & ~record.is_rest[nearest]
+    moving = known & ~record.is_slow[nearest]
     for gap in record.drive.gaps:
         moving &= ~((even - delay_s > gap.start_s - period) & (even - delay_s < gap.end_s + period))
     moving &= even - delay_s - 0.5 * period >= record.start_s
@@ -218,23 +226,16 @@ def _on_grid(record: AxisRecord, delay_s: float, motion: FloatArray | None) -> _
         period,
         np.interp(even, t, record.positions),
         force,
-        _direction(velocity),
+        np.sign(velocity),
         moving & np.isfinite(instrument),
         np.where(np.isfinite(instrument), instrument, 0.0),
-        _direction(np.where(np.isfinite(speed), speed, 0.0)),
+        np.sign(np.where(np.isfinite(speed), speed, 0.0)),
+        np.array([np.interp(even, _knots(record), own) for own in record.reactions]),
     )
 
 
-def _direction(velocity: FloatArray) -> FloatArray:
-    """Return the mean of the velocity's sign over every step, its zeros between samples counted."""
-    halfway = 0.5 * (velocity[1:] + velocity[:-1])
-    ends = np.concatenate([[velocity[0]], halfway, [velocity[-1]]])
-    result = np.sign(velocity)
-    a, b = ends[:-1], ends[1:]
-    turns = a * b < 0.0
-    a, b = a[turns], b[turns]
-    result[turns] = (np.abs(b) - np.abs(a)) / (np.abs(a) + np.abs(b)) * np.sign(b)
-    return np.asarray(result)
+def _knots(record: AxisRecord) -> FloatArray:
+    return np.asarray(record.start_s + record.period_s * np.arange(record.n_steps + 1))
 
 
 def _longest_run(flags: BoolArray) -> int:
@@ -251,10 +252,17 @@ def _solved(
         is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
         places = np.arange(0, len(is_whole), max(1, width // _SPACING))
         places = places[is_whole[places]]
-        h, plain = own.period_s, [name for name in names if name != "delay"]
+        h = own.period_s
+        plain = [name for name in names if name != "delay" and not name.startswith(MODAL_MASS)]
+        swinging = [name for name in names if name.startswith(MODAL_MASS)]
         X = _columns(own.positions, own.direction, h, width, plain)[places]
         Z = _columns(own.instrument, own.instrument_direction, h, width, plain)[places]
         f = _windowed(own.force, 0, h, width)[places]
+        for name in swinging:
+            # What swings on the axis helps to move it: its part of the force is on the other side of the equation.
+            reaction = own.reactions[int(name.removeprefix(MODAL_MASS)) - 1]
+            column = -_windowed(reaction, 0, h, width)[places]
+            X, Z = np.column_stack([X, column]), np.column_stack([Z, column])
         if "delay" in names:
             # f(t - T) = f - T f': the force's slope is a column, and that of the force which the motion needs, by the
             # first four terms as least squares know them, is its instrument.
@@ -266,7 +274,7 @@ def _solved(
         instruments.append(Z)
         forces.append(f)
     X, Z, f = np.concatenate(columns), np.concatenate(instruments), np.concatenate(forces)
-    names = [*(name for name in names if name != "delay"), *(["delay"] if "delay" in names else [])]
+    names = [*plain, *swinging, *(["delay"] if "delay" in names else [])]
     if len(f) < _MIN_EQUATIONS:
         return None
     scale = np.linalg.norm(X, axis=0)
@@ -285,7 +293,7 @@ def _solved(
     values = dict(zip(names, map(float, theta / scale), strict=True))
     values["delay"] = delay_s + values.get("delay", 0.0)
     return InverseDynamicsFit(
-        MassAndFriction(**values),
+        MassAndFriction(0.0, 0.0, 0.0, 0.0).changed(values),
         tuple(names),
         covariance / np.outer(scale, scale),
         width * even[0].period_s,

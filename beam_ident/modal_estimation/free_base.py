@@ -105,5 +105,5 @@ class FrictionEstimate:
             f"The base does not roll on as a free one: it loses its speed at {self.rate:.2g} rad/s or more "
             f"({self.rate / self.rate_sd:.0f} standard deviations), as under friction. Frequencies, damping ratios "
             "and gains are biased. Take the measured position of the base as the input ('base_motion'), or "
-            "estimate_common_poles with one integrator and one more pole."
+            "estimate_common_poles with one integrator and one more pole; identify_axis gives mass and friction."
         )

@@ -18,6 +18,7 @@ import numpy as np
 from beam_ident import figures
 from beam_ident.amplitude.curves import AmplitudeCurves
 from beam_ident.amplitude.linearity import Linearity
+from beam_ident.axis.axis_result import AxisResult, meaning_of
 from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.figures.identification import Fitted
@@ -82,6 +83,7 @@ def identification_page(
     curves: AmplitudeCurves | None = None,
     best_linear: BestLinearApproximation | None = None,
     linearity: Linearity | None = None,
+    axis: AxisResult | None = None,
     links: Sequence[tuple[str, str]] = (),
 ) -> Page:
     """Build the report of an identification.
@@ -104,6 +106,7 @@ def identification_page(
     curves : AmplitudeCurves, optional -- of frequency and damping over amplitude
     best_linear : BestLinearApproximation, optional -- noise and nonlinear distortion line by line
     linearity : Linearity, optional -- whether one pole describes each mode
+    axis : AxisResult, optional -- mass and friction of the axis
     links : sequence of (text, address) -- files beside the page
 
     Returns
@@ -135,6 +138,9 @@ def identification_page(
         _add_linearity(page, linearity)
     if curves is not None:
         _add_curves(page, curves, modes, theory)
+    if axis is not None:
+        page.section("Axis")
+        _add_axis(page, axis)
     page.section("Data quality")
     if gates:
         add_gates(page, gates)
@@ -218,6 +224,26 @@ def _add_curves(
         f"Two curves over amplitude with bands: {curves.verdict}",
         name="amplitude",
     )
+
+
+def _add_axis(page: Page, axis: AxisResult) -> None:
+    """Write mass and friction of the axis, and how far its records bear them out."""
+    rows = []
+    for name, unit, value, sd in zip(
+        axis.names, axis.units, axis.estimates, axis.standard_deviations, strict=True
+    ):
+        interval = f"{value - 1.96 * sd:.6g} to {value + 1.96 * sd:.6g}"
+        rows.append([meaning_of(name), unit, f"{value:.6g}", f"{sd:.2g}", interval])
+    page.table(
+        ["", "unit", "estimate", "standard deviation", "95 %"],
+        rows,
+        f"The axis, by {axis.method.replace('_', ' ')}, from {axis.n_samples} positions in {axis.n_pieces} stretches "
+        "of motion. Dry friction that differs by direction and a constant force cannot be told apart: without a "
+        "known force, friction is taken to be equal in both directions.",
+    )
+    page.paragraph(f"{axis.check.verdict[0].upper()}{axis.check.verdict[1:]}.")
+    for warning in axis.warnings:
+        page.warning(f"{warning[0].upper()}{warning[1:]}.", tone="doubt")
 
 
 def poles_table(modes: Sequence[ModeRow]) -> str:

@@ -403,6 +403,7 @@ class IdentifierSettings:
     best_linear: bool = live(
         "also response, noise and nonlinear distortion line by line, from bags of one multisine with other seeds"
     )
+    axis: bool = live("also mass and friction of the hub's axis, from the force on it and its position")
     input: str = live("TOPIC:FIELD of the input; empty: the hub")
     outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
     signals: str = live("YAML file of input and outputs")

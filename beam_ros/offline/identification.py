@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident import (
+    AxisResult,
     BestLinearApproximation,
     EstimationError,
     IdentificationError,
@@ -47,10 +48,17 @@ from beam_model import BeamModel
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag
-from beam_ros.bags.signals import OWN_STAMPS_GAP, Displacements, HubSamples
+from beam_ros.bags.signals import Displacements, HubSamples
 from beam_ros.errors import ParameterFileError, UsageError
-from beam_ros.hub.clock_mapping import fit_affine
 from beam_ros.interfaces.parameter_files import in_present_words
+from beam_ros.offline.axis_bag import (
+    device_clock,
+    device_times,
+    identify_axis_of,
+    longest_epoch,
+    on_every_tick,
+    rig_values,
+)
 from beam_ros.offline.best_linear import best_linear_of
 from beam_ros.offline.camera_lateness import CameraLateness, camera_lateness, on_time
 from beam_ros.offline.options import FitOptions
@@ -282,10 +290,10 @@ def _hub_drive(
             f"{path}: {topic} carries no {quantity}, which structure {chosen} needs; choose the structure that "
             f"goes with command mode {mode}"
         )
-    part = _longest_epoch(samples, notes)
-    rate, clock_rate = _device_clock(samples, syncs, part)
+    part = longest_epoch(samples, notes)
+    rate, clock_rate = device_clock(samples, syncs, part)
     origin_ns = int(samples.stamps_ns[part.start])
-    times, filled = _on_every_tick(_device_times(samples, part, rate, origin_ns), values[part], samples, rate)
+    times, filled = on_every_tick(device_times(samples, part, rate, origin_ns), values[part], samples, rate)
     _note_gaps(samples, part, origin_ns, notes)
     hold = known.hub.measured_hold if topic == "hub/measured" else known.hub.applied_hold
     drive = InputSignal("hub", unit, times, filled, hold)
@@ -379,20 +387,6 @@ def _refuse_unrun_sequence(
             )
 
 
-def _longest_epoch(samples: HubSamples, notes: list[str]) -> slice:
-    """Choose the samples between two restarts of the device that are most: each restart begins another clock."""
-    borders = [0, *(np.flatnonzero(np.diff(samples.epochs)) + 1).tolist(), len(samples.epochs)]
-    longest = int(np.argmax(np.diff(borders)))
-    first, last = borders[longest], borders[longest + 1]
-    if len(borders) > 2:
-        notes.append(
-            f"{samples.topic}: the device restarted {len(borders) - 2} times; the longest time without a restart was "
-            f"used, {last - first} of {len(samples.epochs)} samples, since each restart begins a clock and a zero of "
-            "its own"
-        )
-    return slice(first, last)
-
-
 def _note_gaps(samples: HubSamples, part: slice, origin_ns: int, notes: list[str]) -> None:
     """Name the gaps in the samples that are used."""
     first, last = int(samples.stamps_ns[part.start]), int(samples.stamps_ns[part.stop - 1])
@@ -426,26 +420,6 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def _on_every_tick(
-    times: FloatArray, values: FloatArray, samples: HubSamples, rate: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the samples with a stamp for every tick between the first and the last, NaN where one was lost."""
-    seen = np.flatnonzero(np.isfinite(values))
-    if len(seen) < 2:
-        return times, values
-    times, values = times[seen[0] : seen[-1] + 1], values[seen[0] : seen[-1] + 1]
-    steps = np.diff(times)
-    period_s = samples.period_ns * rate * 1e-9 or float(np.median(steps))
-    widest = 1.5 if samples.period_ns else OWN_STAMPS_GAP
-    # How many are missing before every sample but the first.
-    missing = np.where(steps > widest * period_s, np.maximum(np.rint(steps / period_s), 2.0) - 1.0, 0.0)
-    places = np.arange(len(times)) + np.concatenate([[0], np.cumsum(missing.astype(np.intp))])
-    every = np.arange(places[-1] + 1)
-    filled = np.full(len(every), np.nan)
-    filled[places] = values
-    return np.interp(every, places, times), filled
-
-
 def _commanded_position(
     commanded: HubSamples, hold: Hold, times: FloatArray, origin_ns: int, rate: float
 ) -> FloatArray | None:
@@ -459,7 +433,7 @@ def _commanded_position(
         if values is None or np.count_nonzero(np.isfinite(values)) < 2:
             continue
         part = slice(0, len(values))
-        at, every = _on_every_tick(_device_times(commanded, part, rate, origin_ns), values, commanded, rate)
+        at, every = on_every_tick(device_times(commanded, part, rate, origin_ns), values, commanded, rate)
         lost = np.isnan(every)
         signal = PiecewisePolynomial.from_samples(at, np.where(lost, 0.0, every), hold)
         for _ in range(n_integrals):
@@ -488,32 +462,6 @@ def _filled_by_command(
                 filled[hole], gap = led.values + reference[hole], led.gap
         gaps.append(gap)
     return replace(alone, values=filled, gaps=tuple(gaps))
-
-
-def _device_clock(samples: HubSamples, syncs: Sequence[Any], part: slice) -> tuple[float, Prior]:
-    """Return host seconds per device second, and what is known of the rate that remains."""
-    epoch = int(samples.epochs[part.start])
-    own = [sync for sync in syncs if sync.epoch == epoch]
-    if len(own) < 3:
-        return 1.0, Prior(0.0, 50e-6)
-    line = fit_affine(own)
-    is_exact = all(sync.rtt_ns == 0 for sync in own)
-    return line.rate, Prior(0.0, 0.0 if is_exact else math.sqrt(float(line.covariance[1, 1])))
-
-
-def _device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int) -> FloatArray:
-    """Put the samples on the host's clock: whole ticks on one line, which the stamps place.
-
-    The stamps of batches wander by microseconds as the driver slews its map; ticks are counted exactly. Samples
-    without a tick, which a host asked for one by one, lie where their stamps say.
-    """
-    stamps_ns = samples.stamps_ns[part]
-    if samples.period_ns == 0:
-        return np.asarray((stamps_ns - origin_ns) * 1e-9)
-    ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / (samples.period_ns * rate)))])
-    line = ticks * (samples.period_ns * rate)
-    offset = float(np.mean((stamps_ns - origin_ns) - line))
-    return np.asarray((line + offset) * 1e-9)
 
 
 def _outputs(
@@ -587,6 +535,7 @@ class Identification:
     curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
     best_linear : BestLinearApproximation or None -- noise and distortion by line, where they were asked for
     linearity : Linearity or None -- whether one pole describes each mode; None where the estimator has no modes
+    axis : AxisResult or None -- mass and friction of the hub's axis, where they were asked for
     """
 
     experiments: tuple[Experiment, ...]
@@ -597,6 +546,7 @@ class Identification:
     curves: AmplitudeCurves | None = None
     best_linear: BestLinearApproximation | None = None
     linearity: Linearity | None = None
+    axis: AxisResult | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -671,6 +621,9 @@ def identification_of_bags(
         n_modes=n_modes or options.n_modes,
     )
     find_estimator(options.estimator)
+    if options.axis and options.structure == "auto" and options.signals.drive is None:
+        # From force to motion leads the axis with its friction; the beam answers to the motion, which is measured.
+        options = replace(options, structure="base_motion")
     experiments = [
         load_experiment(one, rig, options.structure, options, start_s=start_s, end_s=end_s)
         for one in _several(path)
@@ -715,8 +668,15 @@ def identification_of_bags(
         content["amplitude"] = curves.to_dict()
     if best_linear is not None:
         content["best_linear"] = best_linear.to_dict()
+    axis = None
+    if options.axis:
+        progress("the axis", 0.0)
+        axis = identify_axis_of([one.path for one in experiments], experiment.rig, content["notes"])
+        content["axis"] = axis.to_dict()
+        if experiment.rig is not None:
+            content["rig_values"] = rig_values(axis, experiment.rig)
     return Identification(
-        tuple(experiments), options, result, seen, content, curves, best_linear, found_linear
+        tuple(experiments), options, result, seen, content, curves, best_linear, found_linear, axis
     )
 
 

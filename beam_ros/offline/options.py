@@ -42,6 +42,7 @@ class FitOptions:
     segments : tuple of (start, end) -- of each bag [s], from its first sample; empty: everything
     amplitude : bool -- also curves of frequency and damping over amplitude
     best_linear : bool -- also the best linear approximation, from bags of one multisine with other seeds
+    axis : bool -- also mass and friction of the hub's axis
     signals : Signals -- input and outputs that are not the rig's own
     """
 
@@ -58,6 +59,7 @@ class FitOptions:
     segments: tuple[tuple[float, float], ...] = ()
     amplitude: bool = False
     best_linear: bool = False
+    axis: bool = False
     signals: Signals = field(default_factory=Signals)
 
     @staticmethod
@@ -83,6 +85,7 @@ class FitOptions:
             segments=tuple(_segments(settings.segments)),
             amplitude=settings.amplitude,
             best_linear=settings.best_linear,
+            axis=settings.axis,
             signals=Signals.of(
                 settings.input,
                 listed(settings.outputs),

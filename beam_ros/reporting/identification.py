@@ -16,6 +16,7 @@ from beam_ident.report.identification import identification_page, poles_table
 from beam_ident.report.page import write_whole
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
+from beam_ros.offline.axis_bag import rig_file_of
 from beam_ros.offline.identification import (
     Experiment,
     Identification,
@@ -48,6 +49,7 @@ class Files:
     ----------
     report, model, poles : Path -- the page, the models as JSON, the poles as a table
     figures : tuple of Path -- the page's figures, each as a file of its own
+    rig : Path or None -- the axis's mass and friction as a rig file, where they were identified
     film, pdf : Path or None
     """
 
@@ -57,10 +59,11 @@ class Files:
     figures: tuple[Path, ...]
     film: Path | None = None
     pdf: Path | None = None
+    rig: Path | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the paths as texts, without what is not there."""
-        named = {name: getattr(self, name) for name in ("report", "model", "poles", "film", "pdf")}
+        named = {name: getattr(self, name) for name in ("report", "model", "poles", "film", "pdf", "rig")}
         return {name: str(path) for name, path in named.items() if path is not None}
 
 
@@ -182,6 +185,7 @@ def report_identification(
         curves=found.curves,
         best_linear=found.best_linear,
         linearity=found.linearity,
+        axis=found.axis,
         links=links,
     )
     report = page.write(folder / "report.html", overwrite)
@@ -192,8 +196,12 @@ def report_identification(
     for name, svg in page.figures.items():
         drawings.append(folder / _FIGURES / f"{name}.svg")
         write_whole(drawings[-1], svg)
+    rig_file = None
+    if "rig_values" in found.content:
+        rig_file = folder / "axis.yaml"
+        write_whole(rig_file, rig_file_of(found.content["rig_values"]))
     printed = print_pdf(report, folder / "report.pdf") if pdf else None
-    return Files(report, model, poles, tuple(drawings), film if shows else None, printed)
+    return Files(report, model, poles, tuple(drawings), film if shows else None, printed, rig_file)
 
 
 def trial_of(experiment: Experiment, options: FitOptions, n_modes: int) -> Trial:
@@ -250,5 +258,5 @@ def _provenance(
 
 def format_files(content: Mapping[str, Any]) -> str:
     """Say where report and model were written."""
-    names = ("report", "model", "poles", "film", "pdf")
+    names = ("report", "model", "poles", "film", "pdf", "rig")
     return "\n".join(f"{name:<8} {content[name]}" for name in names if content.get(name))

@@ -43,3 +43,11 @@ def test_the_page_on_amplitude_runs_from_top_to_bottom(capsys: pytest.CaptureFix
     assert "one pole does not describe the decay" in capsys.readouterr().out
     # -A'/A of the written amplitude at its start, where 1 + 0.4 (1 - e) = 1: 0.11 (1 + 0.4).
     assert abs(curves.damping_ratio_at(0.02) * 27.6 / (0.11 * 1.4) - 1.0) < 0.02  # type: ignore[attr-defined]
+
+
+def test_the_page_on_the_axis_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    axis = run_page("axis.md")["axis"]
+    # The mass, friction and constant force that the page writes down; its steps of 50 us err by far less.
+    truth = [2.0, 4.0, 1.5, 0.0]
+    assert axis.estimates[:4] == pytest.approx(truth, abs=5e-3)
+    assert "moving mass" in capsys.readouterr().out

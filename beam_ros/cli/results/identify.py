@@ -114,6 +114,7 @@ def epilog() -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
+    from beam_ident import AxisResult
     from beam_ros.checks.bag_check import BagCheck, check_bag
     from beam_ros.offline.identification import format_table
     from beam_ros.reporting.identification import format_files, identify_told
@@ -162,6 +163,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(result["best_linear"]["verdict"])
         for line in result["best_linear"]["warnings"]:
             print(f"note: {line}")
+    if "axis" in result:
+        print(AxisResult.from_dict(result["axis"]).summary())
+        for name, value in result.get("rig_values", {}).items():
+            print(f"-p {name}:={value if isinstance(value, str) else format(value, '.6g')}")
     if result.get("misfit"):
         print(f"lines  residuals {result['misfit']:.2f} times what their noise alone would leave")
     for unseen in result.get("validation", ()):

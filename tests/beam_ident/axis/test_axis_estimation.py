@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, check_axis, identify_axis
+from beam_model import AxisStepper, BeamModel, Damping, HubFriction, PositionServo
 from benchmarks.ident.driven_axis import DrivenAxis, filtered_least_squares
+from tests.beam_model.rigs import strip
 
 SHORT = DrivenAxis(duration_s=8.0)
 
@@ -130,6 +132,31 @@ def test_another_record_confirms_the_axis_and_names_what_has_changed() -> None:
     assert not changed.is_white
     assert "the direction" in [term.name for term in changed.terms]
     assert "the direction" in changed.verdict
+
+
+def test_a_beam_on_the_axis_takes_its_part_of_the_mass_where_its_modes_are_known() -> None:
+    beam = BeamModel(strip(damping=Damping(ratios=(0.01,))), 3)
+    servo = PositionServo(proportional=7000.0, derivative=110.0)
+    axis = AxisStepper(beam, 1e-3, HubFriction(coulomb=0.5, viscous=2.0), servo=servo)
+    t = 1e-3 * np.arange(8000)
+    wanted = 0.02 * np.sin(2.5 * t) * np.sin(0.4 * t) + 0.01 * np.sin(7.0 * t)
+    noise = 1e-6 * np.random.default_rng(1).standard_normal(len(t))
+    force, position = np.empty(len(t)), np.empty(len(t))
+    for k, slope in enumerate(np.gradient(wanted, 1e-3)):
+        position[k] = axis.position + noise[k]
+        force[k] = axis.servo_force(wanted[k] - noise[k], slope)
+        axis.step(force[k])
+    record = TimeRecord(
+        (InputSignal("force", "N", (0.0, 1e-3), force),), (OutputSignal("hub", "m", (0.0, 1e-3), position),)
+    )
+    modes = list(zip(beam.natural_frequencies[:2], beam.damping_ratios[:2], strict=True))
+    found = identify_axis(record, modes=modes)
+    mass = beam.parameters.total_mass
+    assert found.moving_mass == pytest.approx(mass, rel=1e-3)
+    assert abs(found.value("coulomb") - 0.5) < 5.0 * found.sd("coulomb") + 1e-4
+    # A clamped strip's first mode carries 61.3 % of its mass (Blevins, 1979).
+    assert found.value("modal_mass_1") == pytest.approx(0.613 * (mass - beam.parameters.hub_mass), rel=0.02)
+    assert abs(identify_axis(record).moving_mass / mass - 1.0) < 0.05
 
 
 @pytest.mark.parametrize(
