@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, check_axis, identify_axis
+from beam_ident.axis.axis_record import AxisRecord
+from beam_ident.axis.inverse_dynamics import NAMES, fit_inverse_dynamics
 from beam_model import AxisStepper, BeamModel, Damping, HubFriction, PositionServo
 from benchmarks.ident.driven_axis import DrivenAxis, filtered_least_squares
 from tests.beam_model.rigs import strip
@@ -100,6 +102,18 @@ def test_forces_that_nobody_measured_are_left_to_inverse_dynamics() -> None:
     assert found.method == "instrumental_variables"
     assert np.max(np.abs((found.estimates[:4] - axis.truth) / found.standard_deviations[:4])) < 4.0
     assert any("nobody measured" in warning for warning in found.warnings)
+
+
+def test_inverse_dynamics_see_a_delay_and_a_difference_by_direction_too() -> None:
+    axis = DrivenAxis(viscous=(150.0, 250.0), delay_steps=4, duration_s=8.0, noise=1e-6)
+    record = axis.record(4)
+    loaded = AxisRecord(record.inputs[0], record.outputs[0])
+    found = fit_inverse_dynamics([loaded], 0.0, (*NAMES, "viscous_difference", "delay"))
+    # One linear step from no delay: its second order is left out.
+    assert found.parameters.delay == pytest.approx(4e-3, rel=0.1)
+    assert found.parameters.viscous_difference == pytest.approx(-100.0, rel=0.05)
+    again = fit_inverse_dynamics([loaded], found.parameters.delay, (*NAMES, "viscous_difference", "delay"))
+    assert again.parameters.delay == pytest.approx(4e-3, rel=0.01)
 
 
 def test_gaps_in_force_and_position_and_several_records_are_one_fit() -> None:
