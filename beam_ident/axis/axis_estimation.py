@@ -243,10 +243,15 @@ def _inverse_dynamics(
         # A servo answers the forces that nobody measured, and its answer alone looks like a delay.
         further = tuple(name for name in further if name != "delay")
     full = fit_inverse_dynamics(records, known, (*NAMES, *further), motions)
-    needed = _needed(full, further, len(full.residuals))
-    # A delay is linear in small steps: once more from where the first one led.
-    begin = full.parameters.delay if "delay" in needed else known
-    return fit_inverse_dynamics(records, begin, (*NAMES, *needed), motions)
+    n_values = sum(piece.n_samples for record in records for piece in record.pieces)
+    needed = _needed(full, further, n_values)
+    if "delay" in needed:
+        # A delay is linear in small steps: once more from where the first one led, if it then is one still.
+        again = fit_inverse_dynamics(records, full.parameters.delay, (*NAMES, *needed), motions)
+        if "delay" in _needed(again, further, n_values):
+            return again
+        needed = tuple(name for name in needed if name != "delay")
+    return fit_inverse_dynamics(records, known, (*NAMES, *needed), motions)
 
 
 def _needed(fit: AxisFit | InverseDynamicsFit, further: tuple[str, ...], n_values: int) -> tuple[str, ...]:
