@@ -34,6 +34,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 Progress = Callable[[str, float], None]
 
 _DRAWS = 16
+_TRIED = 100  # chirps and multisines, about
 _SEARCHED = 4  # of so many draws one, where only the best of many is looked for
 _REACH_OF_DRAWS = 2.0  # standard deviations
 _SHARES = (0.6, 0.8, 0.95)  # of the length, during which something moves
@@ -189,14 +190,21 @@ def design_experiment(
     tried = []
     for number, share in enumerate(_SHARES):
         progress("spectrum and phases", 0.5 * number / len(_SHARES))
-        tried.append(task.shaped(share * duration_s))
+        tried.append(task.shaped(round(share * duration_s, 3)))
     optimal = min(tried, key=lambda own: own.value)
     task.refuse_unknown(optimal)
     modes_hz = float(np.min(model.frequencies_hz)), float(np.max(model.frequencies_hz))
     best = {}
-    for number, kind in enumerate(("chirp", "multisine")):
-        progress(f"the best {kind}", 0.5 + 0.25 * number)
-        _, recipe = best_standard(kind, band_hz, modes_hz, duration_s, _SHARES, task.standard)
+    n_tried = 0
+
+    def value(recipe: Recipe) -> tuple[float, Recipe]:
+        nonlocal n_tried
+        n_tried += 1
+        progress("the best chirp and multisine", 0.5 + 0.5 * min(1.0, n_tried / _TRIED))
+        return task.standard(recipe)
+
+    for kind in ("chirp", "multisine"):
+        _, recipe = best_standard(kind, band_hz, modes_hz, duration_s, _SHARES, value)
         best[kind] = task.candidate(task.loudest_of(recipe))
     progress("done", 1.0)
     return ExperimentDesign(task.criterion, optimal, best["chirp"], best["multisine"])
@@ -226,6 +234,12 @@ class _Design:
             raise ExcitationError(
                 f"the model has {model.n_modes} modes and the inputs {', '.join(model.input_names)}; expected at "
                 "least one mode and one input: give path() of one"
+            )
+        self.observation.noise_of(model.output_names)
+        if not np.all(model.damping_ratios > 0.0):
+            raise ExcitationError(
+                f"damping ratios are {', '.join(f'{z:.3g}' for z in model.damping_ratios)}; expected numbers above "
+                "0: give the model damping, or leave a mode without it out"
             )
         nyquist = 0.5 / self.limits.period_s
         if not 0.0 < low < high <= nyquist:
@@ -338,7 +352,7 @@ class _Design:
             1.0,
             active_s,
             min(_FADE_S, active_s / 4),
-            self.duration_s - active_s,
+            round(self.duration_s - active_s, 6),
         )
 
     def loudest_of(self, recipe: Any, every: int = 1) -> Any:

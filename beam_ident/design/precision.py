@@ -139,6 +139,22 @@ class Observation:
                     f"observation: {name} is {getattr(self, name)!r}; expected a number >= 0"
                 )
 
+    def noise_of(self, names: Sequence[str]) -> FloatArray:
+        """Return the standard deviations of some outputs, shape (n_outputs,).
+
+        Raises
+        ------
+        ExcitationError
+            One of them has none.
+        """
+        missing = [name for name in names if name not in self.noise_sd]
+        if missing:
+            raise ExcitationError(
+                f"observation: noise_sd names no {', '.join(missing)}; expected one of every output: "
+                f"{', '.join(names)}"
+            )
+        return np.array([self.noise_sd[name] for name in names], dtype=np.float64)
+
     def stamps(self, duration_s: float) -> FloatArray:
         """Return when frames are taken that lie within a record from 0 to ``duration_s`` [s]."""
         half = 0.5 * self.exposure_s
@@ -159,7 +175,7 @@ def predicted_model(model: ModalModel, drive: InputSignal, observation: Observat
     Raises
     ------
     ExcitationError
-        Fewer frames than the model has parameters.
+        Fewer frames than the model has parameters; an output without noise.
 
     Notes
     -----
@@ -183,7 +199,7 @@ def predicted_model(model: ModalModel, drive: InputSignal, observation: Observat
     regression = ModalRegression([TimeRecord((drive,), outputs)], structure)
     omegas, zetas = model.natural_frequencies, model.damping_ratios
     (block,) = regression.blocks(omegas, zetas, ClockState(), gradients=True)
-    noise = np.array([observation.noise_sd[name] for name in model.output_names])
+    noise = observation.noise_of(model.output_names)
     common, own, cross = _information(block, shared, noise)
     for place, sd in enumerate((observation.latency_sd, observation.clock_rate_sd), 2 * n):
         common[place, place] += 1.0 / max(sd, 1e-12) ** 2 if math.isfinite(sd) else 0.0

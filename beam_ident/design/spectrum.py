@@ -127,7 +127,7 @@ def line_information(
     omegas, weights = _smeared(lines_hz, duration_s)
     slopes = _slopes_of_response(model, omegas.ravel(), scale)
     blur = np.sinc(omegas.ravel() * observation.exposure_s / (2.0 * np.pi))
-    noise = np.array([observation.noise_sd[name] for name in model.output_names])
+    noise = observation.noise_of(model.output_names)
     slopes *= (blur[:, None] / noise)[:, :, None]
     slopes *= np.sqrt(np.tile(weights, len(lines_hz)))[:, None, None]
     stacked = slopes.reshape(len(lines_hz), -1, slopes.shape[2])

@@ -34,11 +34,11 @@ def louder(recipe: Recipe, factor: float) -> Recipe:
 
 def _chirps(low: float, high: float, duration_s: float, shares: Sequence[float]) -> Iterator[Recipe]:
     for shape, share in itertools.product(_shapes(), shares):
-        active = share * duration_s
+        active = round(share * duration_s, 3)
         common: dict[str, Any] = {
             **shape,
             "duration": active,
-            "still": duration_s - active,
+            "still": round(duration_s - active, 6),
             "fade_in": min(1.0, active / 8),
             "fade_out": min(0.25, active / 8),
         }
@@ -49,13 +49,13 @@ def _chirps(low: float, high: float, duration_s: float, shares: Sequence[float])
 
 def _multisines(low: float, high: float, duration_s: float, shares: Sequence[float]) -> Iterator[Recipe]:
     for shape, share in itertools.product(_shapes(), shares):
-        active = share * duration_s
+        active = round(share * duration_s, 3)
         yield Multisine(
             low,
             high,
             line_period=active,
             n_periods=1,
-            still=duration_s - active,
+            still=round(duration_s - active, 6),
             fade=min(0.5, active / 8),
             phases="schroeder",
             **shape,

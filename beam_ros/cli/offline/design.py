@@ -74,6 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig = read_rig(arguments)
+    if arguments.save and arguments.save.exists():
+        raise UsageError(f"{arguments.save} exists and is not written over; give another --save")
     found = _optimal(rig, arguments)
     design = describe_design(found.rig if found else rig)
     if arguments.save:
@@ -124,8 +126,6 @@ def _known_model(file: Path) -> ModalModel:
 
 
 def _save(rig: Rig, file: Path) -> None:
-    if file.exists():
-        raise UsageError(f"{file} exists and is not written over; give another --save")
     try:
         rig.write(file)
     except OSError as err:

@@ -112,6 +112,8 @@ def test_estimates_scatter_as_predicted(uncertain: ExperimentDesign):
         ({"band_hz": (1.0, 15.0)}, "modes at 21 Hz lie outside"),
         ({"band_hz": (1.0, 400.0)}, "half the rate of the hold"),
         ({"margin": 0.0}, "margin"),
+        ({"model": replace(two_modes(), damping_ratios=np.array([0.0, 0.01]))}, "expected numbers above 0"),
+        ({"observation": replace(OBSERVATION, noise_sd={"low": 1e-6})}, "names no tip"),
         ({"frequency_sd": -1.0}, "frequency_sd"),
         ({"criterion": "c:zeta_7"}, "no such parameter"),
         ({"observation": replace(OBSERVATION, exposure_s=1.0 / 21.0)}, "averages whole cycles"),
