@@ -17,6 +17,7 @@ from beam_ros.excitation.recipes import recipe_of_rig
 from beam_ros.experiments.plan import read_plan
 from beam_ros.hub.gate.sequence_check import SequenceMotion
 from beam_ros.rig.rig import Rig
+from benchmarks.ident.next_experiment import NextExperimentCase
 
 SHORT = {
     "excitation.duration": 4.0,
@@ -60,8 +61,8 @@ def rig_of(name: str) -> Rig:
     return Rig.from_file().with_values({**SHORT, **RIGS[name]})
 
 
-# Each is a whole design: the quick ones are those of the two drives and of a camera that folds a mode.
-QUICK = ("force", "slow camera")
+# Each is a whole design: the one beside that of the verb below is quick enough for every day.
+QUICK = ("force",)
 
 
 @pytest.mark.parametrize(
@@ -152,10 +153,6 @@ def test_the_verb_designs_from_a_stored_model_and_saves_what_a_plan_can_run(
     [
         ({"excitation.end_frequency": 4.0}, "none of the modes at 4.384"),
         ({"excitation.duration": 1.0, "excitation.still": 0.0}, "expected at least 3.04 s"),
-        (
-            {"hub.max_tip_deflection": 1e-5, "simulation.displacement_noise": 1e-3},
-            "the limit of tip deflection binds",
-        ),
         ({"camera.exposure": 0.0353829, "camera.rate": 25.0}, "averages whole cycles"),
     ],
 )
@@ -168,3 +165,15 @@ def test_a_model_of_another_drive_is_refused():
     rig = rig_of("default")
     with pytest.raises(UsageError, match="identified as 'base_motion'"):
         design_for_rig(rig_of("force"), "D", theory_of_drive(rig))
+
+
+@pytest.mark.verify
+def test_estimates_after_the_designed_excitation_scatter_as_predicted_and_less_than_after_the_best_chirp():
+    case = NextExperimentCase({})
+    figures = case.summarise([case.run(seed) for seed in range(40)])
+    assert figures["failures"] == 0
+    ratios = list(figures["optimal: realised / predicted"].values())
+    # A root mean square of 40 scatters by 11 %: that of six of them by 5 %, the farthest of six by some 30 %.
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.15)
+    assert 0.7 < min(ratios) < max(ratios) < 1.35
+    assert figures["realised gain"] < 0.6
