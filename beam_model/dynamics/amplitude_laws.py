@@ -45,9 +45,13 @@ class AmplitudeLaw:
     drag: float
 
     def frequencies(self, amplitudes: ArrayLike) -> FloatArray:
-        """Return omega [rad/s] at amplitudes [m]."""
+        """Return the frequency of the ringing, omega sqrt(1 - zeta^2) [rad/s], at amplitudes [m].
+
+        Where the mode does not oscillate it is 0.
+        """
         A = np.asarray(amplitudes, dtype=np.float64)
-        return np.asarray(self.natural_frequency * (1.0 + self.hardening * A**2))
+        rings = np.sqrt(np.maximum(1.0 - self.damping_ratios(A) ** 2, 0.0))
+        return np.asarray(self.natural_frequency * (1.0 + self.hardening * A**2) * rings)
 
     def damping_ratios(self, amplitudes: ArrayLike) -> FloatArray:
         """Return zeta at amplitudes [m]."""
