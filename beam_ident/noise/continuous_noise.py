@@ -135,20 +135,22 @@ class ContinuousWhitening:
         order, n = noise.order, len(times_s)
         self._predictors = noise.predictors(times_s)
         taken = [np.ones(n), *(-row for row in self._predictors)]
+        # Samples of two neighbouring predictions are at most so far apart: every distance is looked at once.
+        common = [
+            noise.correlation(times_s[lag:] - times_s[: n - lag]) for lag in range(min(2 * order + 1, n))
+        ]
+        common[0] = common[0] + noise.white
         band = np.zeros((order + 1, n))
         for apart in range(min(order + 1, n)):
-            # cov(z_k, z_(k - apart), every pair of samples in both; column k - apart of LAPACK's lower band.
-            total = np.zeros(n - apart)
+            # cov(z_k, z_(k - apart)), every pair of samples in both; column k - apart of LAPACK's lower band.
+            total = band[apart, : n - apart]
             for i, here in enumerate(taken):
                 for j, there in enumerate(taken):
-                    first = max(i - apart, j, 0)
-                    k = np.arange(apart + first, n)
-                    one, other = k - i, k - apart - j
-                    common = noise.correlation(times_s[one] - times_s[other])
-                    if noise.white > 0.0 and i == apart + j:
-                        common = common + noise.white
-                    total[first:] += here[k] * there[k - apart] * common
-            band[apart, : n - apart] = total
+                    first = apart + max(i - apart, j, 0)  # of the predictions whose samples are both there
+                    one, other = first - i, first - apart - j
+                    if first < n:
+                        pairs = common[abs(one - other)][min(one, other) :][: n - first]
+                        total[first - apart :] += here[first:] * there[first - apart : n - apart] * pairs
         self._factor = cholesky_banded(band, lower=True, check_finite=False)
         diagonal = self._factor[0]
         if not (np.all(np.isfinite(diagonal)) and np.all(diagonal > 0.0)):

@@ -400,8 +400,6 @@ OPEN: Mapping[str, tuple[str, ...]] = {
         "estimate_common_poles", "hammer_response, fit_frequency_modes", "hammer_response", "welch_response",
         "local_polynomial_response", "half_power_damping",
     ),
-    "stamps of another record": ("select_transfer_function",),
-    "stamps that jitter": ("select_transfer_function",),
     "noise on the input, undeclared": ("analyse_modes",),
     "a record that begins in motion": ("welch_response", "local_polynomial_response", "half_power_damping"),
     "a sensor with a dead band": ("fit_free_decay",),
