@@ -34,7 +34,7 @@ class EstimatorSettings:
 
     Attributes
     ----------
-    structure : str -- which model goes with the input, as in ``identify``
+    structure : str -- which model goes with the input; one of those that ``identify`` takes, by its name
     n_modes : int or None -- how many modes, each a pair of poles; None: from the data
     clock_rate : Prior or None -- what is known of the outputs' clock against the input's
     progress : callable or None -- called with a phrase and the share done, between 0 and 1
