@@ -234,7 +234,9 @@ def seen_hub(rig: Rig, heights: FloatArray, x_m: FloatArray, sigma_m: FloatArray
 def _remarks(
     video: VideoFile, names: tuple[str, ...], reasons: tuple[dict[str, int], ...], n_frames: int
 ) -> Iterator[str]:
-    if n_frames < video.n_frames:
+    if video.n_undecodable:
+        yield f"{video.n_undecodable} frames cannot be decoded and are missing: the file is damaged"
+    if n_frames + video.n_undecodable < video.n_frames:
         yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
     if video.n_times is not None and video.n_times > n_frames:
         yield (

@@ -4,8 +4,9 @@ Fast cameras and telephones leave a file afterwards. Its frame rate may be the o
 for slow replay, or none at all; times that the user gives always come first. Where the container holds a time for
 every frame, as Matroska and MP4 do, these are read: they tell a variable rate, and frames that are missing.
 
-A damaged file is decoded as far as it goes. What the decoder complains about, it writes to the standard error of
-the process; this is caught, and counted for the frame that was being read.
+A damaged file is decoded as far as it goes: a frame that cannot be decoded is missing, those behind it keep their
+times. What the decoder complains about, it writes to the standard error of the process; this is caught, and counted
+for the frame that was being read.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _RESOLUTION_NS = 520_000
 _EXACT_NS = 2_000
 _MAX_STATED_HZ = 50_000.0
 """Where a file states a higher rate, it states its clock's."""
-_FFV1 = int.from_bytes(b"FFV1", "little")
+_FFV1, _MOTION_JPEG = b"ffv1", b"mjpg"
 _PICTURE, _PICTURE_RAW, _IS_KEY = (int.from_bytes(word, "little") for word in (b"dc", b"db", b"\x10"))
 _MAX_STAMP_S = 9_150_000_000
 """Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
@@ -63,6 +64,7 @@ class VideoFile:
     is_turned : bool -- the file says that its pictures lie on their side or are mirrored
     n_frames : int -- what the file claims; 0 where it does not say
     n_times : int or None -- how many frame times were given
+    n_undecodable : int -- frames between others that could not be decoded, as far as the file was read
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class VideoFile:
         self.path = Path(path)
         self._complaints = _Complaints() if heeds_decoder else None
         self._damaged: list[int] = []
+        self.n_undecodable = 0
         self._keys: frozenset[int] | None = None
         capture = self._open()
         try:
@@ -169,31 +172,34 @@ class VideoFile:
     def _decoded(self) -> Generator[tuple[int, ImageArray], None, None]:
         """Decode the frames where they are asked for."""
         capture = self._open()
-        count, first_ns, last_ns, is_broken = 0, 0, -1, False
-        self._damaged = []
+        count, first_ns, last_ns, is_broken, failed = 0, 0, -1, False, 0
+        self._damaged, self.n_undecodable = [], 0
+        torn = self._torn_pictures(capture) if self._complaints is not None else frozenset()
         try:
             while True:
-                try:
-                    with self._heeded():
-                        is_read, frame = capture.read()
-                    image = grey_frame(frame) if is_read else None
-                except (cv2.error, ImageFormatError) as err:
-                    raise VideoError(
-                        f"{self.path}: frame {count} cannot be decoded ({err}); convert the video, for example with "
-                        "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
-                    ) from err
+                image = self._read(capture, count)
                 if image is None:
-                    break
+                    # Behind a frame that cannot be decoded there may be others, as many as the file says.
+                    failed += 1
+                    is_broken = True
+                    if self._complaints is not None:
+                        self._complaints.have_grown()
+                    if count + self.n_undecodable + failed >= self.n_frames:
+                        break
+                    continue
+                self.n_undecodable, failed = self.n_undecodable + failed, 0
+                shown_ns = round(float(capture.get(cv2.CAP_PROP_POS_MSEC)) * _MILLISECOND_NS)
                 if self._complaints is not None:
                     # A picture that builds on a damaged one is damaged, too, up to the next that stands by itself.
+                    number = self._number(count + self.n_undecodable, shown_ns)
                     is_broken = self._complaints.have_grown() or (
-                        is_broken and not self._stands_alone(count, capture)
+                        is_broken and not self._stands_alone(number, capture)
                     )
+                    is_broken |= number in torn
                     self._damaged += [count] if is_broken else []
-                shown_ns = round(float(capture.get(cv2.CAP_PROP_POS_MSEC)) * _MILLISECOND_NS)
                 if count == 0:
                     first_ns = shown_ns
-                last_ns = self._time(count, shown_ns - first_ns, last_ns)
+                last_ns = self._time(count + self.n_undecodable, shown_ns - first_ns, last_ns)
                 yield last_ns, image if self._matrix is None else upright(image, self._matrix)
                 count += 1
         finally:
@@ -201,9 +207,49 @@ class VideoFile:
         if count == 0:
             raise VideoError(f"{self.path}: not one frame can be read; the file may be cut short")
 
+    def _number(self, k: int, shown_ns: int) -> int:
+        """Number of a picture in the file, by the time that the container gives it; else k, as many as were read."""
+        return round(shown_ns * self._stated_hz / _NS) if math.isfinite(self._stated_hz) else k
+
+    def _read(self, capture: Any, count: int) -> ImageArray | None:
+        """Read the next frame; None where there is none, or it cannot be decoded."""
+        try:
+            with self._heeded():
+                is_read, frame = capture.read()
+            return grey_frame(frame) if is_read else None
+        except (cv2.error, ImageFormatError) as err:
+            raise VideoError(
+                f"{self.path}: frame {count} cannot be decoded ({err}); convert the video, for example with "
+                "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
+            ) from err
+
+    def _torn_pictures(self, capture: Any) -> frozenset[int]:
+        """Numbers of the pictures of a Motion-JPEG film that a second decoder complains about.
+
+        A JPEG has no checksum, and FFmpeg passes over some of what the library for JPEG notices. What neither does, a
+        flipped bit that leaves every code as long as it was, cannot be told from a picture.
+        """
+        if self._complaints is None or _codec(capture) != _MOTION_JPEG:
+            return frozenset()
+        packets = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+        torn, number = [], 0
+        try:
+            while packets.isOpened():
+                is_read, packet = packets.read()
+                if not is_read:
+                    break
+                with self._heeded():
+                    picture = cv2.imdecode(np.asarray(packet).ravel(), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+                if self._complaints.have_grown() or picture is None:
+                    torn.append(number)
+                number += 1
+        finally:
+            packets.release()
+        return frozenset(torn)
+
     def _stands_alone(self, k: int, capture: Any) -> bool:
         """Whether frame k, read last, is known to need no other."""
-        if int(capture.get(cv2.CAP_PROP_FOURCC)) == _FFV1:
+        if _codec(capture) == _FFV1:
             # Its pictures are of one type, though they build on what was learned since the last key frame.
             if self._keys is None:
                 self._keys = _key_frames(self.path)
@@ -304,6 +350,11 @@ def _ahead(frames: Generator[tuple[int, ImageArray], None, None]) -> Iterator[tu
         while decoder.is_alive():  # one that waits for room sees that nobody wants more
             with contextlib.suppress(Empty):
                 waiting.get(timeout=0.01)
+
+
+def _codec(capture: Any) -> bytes:
+    """Four letters of the codec; OpenCV 5 writes some small that were large in OpenCV 4."""
+    return (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little").lower()
 
 
 def _key_frames(path: Path) -> frozenset[int]:

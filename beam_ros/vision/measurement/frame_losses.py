@@ -34,6 +34,8 @@ _CERTAIN = 1e-3
 _DOUBT = 2.0
 """What no model holds (the beam's own bending, the hub between its samples) may be as large as the noise."""
 _MIN_TELLING = 6
+_MOVING, _MIN_MOVING = 3.0, 40
+"""Frames between which the marker moves by so many standard deviations, and how many of them are needed."""
 _TURNS = 6
 _WINDOW_S = 0.6
 _GOOD_CORRELATION = 0.97
@@ -317,6 +319,11 @@ class _Search:
                     "mended; give the camera's own with --times, or film at a constant rate"
                 )
         # r = -v delta + noise: what the squares gain with the speed is the jitter's variance.
+        # A marker at rest shows one and the same error of its place among the pixels, one that moves shows all of
+        # them: only frames in motion are compared with each other.
+        moves = np.abs(v) * float(np.median(np.diff(times))) > _MOVING * _spread(r)
+        if np.count_nonzero(moves) >= _MIN_MOVING:
+            r, v = r[moves], v[moves]
         clipped = np.minimum(r**2, np.quantile(r**2, 0.995))
         design = np.stack([np.ones_like(v), v**2], axis=1)
         (_, slope), *_ = np.linalg.lstsq(design, clipped, rcond=None)

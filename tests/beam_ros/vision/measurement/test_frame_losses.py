@@ -158,6 +158,7 @@ def run(experiment: Experiment, seed: int) -> str:
 
 @pytest.mark.verify
 def test_of_two_hundred_films_none_is_wrong(experiment):
-    outcomes = [run(experiment, seed) for seed in range(200)]
+    # Seeds from a thousand on: nothing was tried out on them.
+    outcomes = [run(experiment, seed) for seed in range(1000, 1200)]
     assert outcomes.count("wrong") == 0
     assert outcomes.count("ok") > 100
