@@ -499,6 +499,14 @@ def _find_namespace(bag: Bag) -> str:
         if row.name.endswith(f"/{name}")
     }
     if len(found) > 1:
+        # A camera in a namespace of its own is no rig: a hub makes one.
+        has_hub = {
+            name
+            for name in found
+            if any(row.name.startswith(f"/{name}/hub/".replace("//", "/")) for row in bag.topics)
+        }
+        found = has_hub if len(has_hub) == 1 else found
+    if len(found) > 1:
         names = ", ".join(sorted(f"/{name}" for name in found))
         bag.close()
         raise MissingTopicsError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from beam_ros import messages
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
+from beam_ros.cli.main import main
 from beam_ros.messages import BagTypes
 from beam_ros.offline.identification import identify_bag
 
@@ -44,3 +46,30 @@ def test_a_camera_that_is_late_by_six_tenths_of_a_second_changes_the_latency_alo
         assert one["frequency_sd_hz"] == pytest.approx(other["frequency_sd_hz"], rel=0.2)
     assert any("stamps are late by 0.6" in note for note in late["notes"])
     assert not any("late by" in note for note in on_time["notes"])
+
+
+def test_two_cameras_in_namespaces_are_one_fit_with_a_delay_of_its_own_for_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    types, path = BagTypes(), tmp_path / "two"
+    with Bag(RECORDING) as bag, BagWriter(path) as writer:
+        for message in bag.raw_messages():
+            if message.topic != "/beam/displacement":
+                writer.add_topic(message.topic, message.type_name)
+                writer.write(message.topic, message.receive_ns, message.data)
+                continue
+            seen = messages.read_displacement(types.deserialize(message.data, message.type_name))
+            for side, late_ms, marker in (("left", 12, 1), ("right", 31, 2)):
+                stamp_ns = seen.stamp_ns + late_ms * 1_000_000
+                shown = messages.displacement(types, stamp_ns, [seen.names[marker]], [seen.positions[marker]])
+                writer.add_topic(f"/{side}/beam/displacement", message.type_name)
+                writer.write_message(f"/{side}/beam/displacement", message.receive_ns, shown)
+    sides = ("left/beam/displacement:position[z225]", "right/beam/displacement:position[z285]")
+    assert (
+        main(["identify", str(path), "--json", *(word for side in sides for word in ("--output", side))]) == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert [abs(mode["frequency_z"]) < 3 for mode in found["modes"]] == [True, True]
+    assert any(
+        "19 ms later than those of the other" in note for note in [*found["warnings"], *found["notes"]]
+    )
