@@ -28,6 +28,7 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray
@@ -76,6 +77,14 @@ _BENT = 0.1
 """Square of a bend that is expected, over the length of the smear."""
 _NOISE_EVERY_FRAMES = 8
 """The noise is measured anew once in so many frames, after the first as many."""
+_BESIDE_PX = 60
+"""So far to either side of the fit the background is looked at for a texture [px], ..."""
+_BESIDE_ROWS_PX = (-8, 0, 8)
+"""... in the rows of the fit, and in those so far below [px]."""
+_TEXTURES = 16
+"""Looks at the background over which its texture is averaged."""
+_MEDIAN = 0.6745
+"""Median of the absolute value of a normal variable of unit variance."""
 _PRIOR_FRAMES = 4
 """Frames' weight of what is expected of a marker that has just been found."""
 
@@ -97,6 +106,7 @@ class DiscTable(NamedTuple):
     variances : two lists of 12 float -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
+    behind : ndarray of float32, shape (height, width) -- A du, the slopes taken off, by what the disc does not hide
     """
 
     left: int
@@ -112,6 +122,7 @@ class DiscTable(NamedTuple):
     variances: tuple[list[float], list[float]]
     noise: FloatArray
     beyond: Float32Array
+    behind: Float32Array
 
 
 @lru_cache(maxsize=1024)
@@ -186,6 +197,7 @@ def _tabulated(
         (squared.sum(axis=1).tolist(), (squared @ disc).tolist()),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
         np.where(disc > _OUTSIDE, math.inf, 0.0).astype(np.float32),
+        ((1.0 - disc) * (weights[0] - pulls[:2] @ weights[4:6])).reshape(y.size, x.size).astype(np.float32),
     )
 
 
@@ -282,6 +294,8 @@ class DiscModel:
         self._modes: list[float] = []
         self._last: list[float] = []
         self._roughness = [1.0, 1.0]
+        self._texture = 0.0
+        self._textures = 0
 
     def fit(
         self,
@@ -352,10 +366,13 @@ class DiscModel:
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
             self._look_closely(table, grey, light)
+        if self._frames & (self._frames - 1) == 0 or self._frames % _SLOW_FRAMES == 0:
+            self._look_beside(table, image, left, top, ground, contrast)
         unit, lit = table.variances
         alpha, beta = self.alpha, self.beta
         squared = contrast * contrast
-        variance = self.rim * (alpha * unit[0] + beta * lit[0]) / squared
+        white = alpha * unit[0] + beta * lit[0]
+        variance = max(self.rim * white / squared, white / squared + self._texture)
         bend = sums[_BEND] / contrast
         for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
             slope, slope_variance = habit.expect(
@@ -397,6 +414,39 @@ class DiscModel:
         self._edge += share * (edge - self._edge)
         if self._noise_frames >= _PRIOR_FRAMES:
             self.disc = disc_steps(self._radius, self._edge, self.disc)
+
+    def _look_beside(
+        self,
+        table: DiscTable,
+        image: ImageArray,
+        left: int,
+        top: int,
+        ground: tuple[float, float],
+        contrast: float,
+    ) -> None:
+        """Measure what the background on either side, were it behind the disc, would add to the variance of du.
+
+        Where something else than background lies, nothing is measured.
+        """
+        height, width = table.behind.shape
+        seen = []
+        for first in (max(0, left - width - _BESIDE_PX), left + width):
+            last = min(first + width + _BESIDE_PX, left if first < left else image.shape[1])
+            for row in _BESIDE_ROWS_PX:
+                band = image[max(0, top + row) : top + row + height, max(0, first) : last].astype(np.float32)
+                if band.shape[0] < height or band.shape[1] < width:
+                    continue
+                other = np.abs(band - 0.5 * (ground[0] + ground[1])).max(axis=0) > ground[1] - ground[0]
+                others = np.concatenate([[0], np.cumsum(other)])
+                pulls = cv2.matchTemplate(band, table.behind, cv2.TM_CCORR)[0]
+                seen.append(np.abs(pulls[others[width:] == others[:-width]]))
+        found = np.concatenate(seen) if seen else np.empty(0)
+        if found.size < _BESIDE_PX:
+            return
+        squared = (float(np.median(found)) / _MEDIAN) ** 2
+        self._textures += 1
+        texture = (squared - self.alpha * float(np.sum(table.behind**2))) / (contrast * contrast)
+        self._texture += max(1.0 / self._textures, 1.0 / _TEXTURES) * (texture - self._texture)
 
     def _learn_rim(self, table: DiscTable, sums: list[float]) -> float:
         """Compare how the modes of the rim vary with what the noise makes of them.

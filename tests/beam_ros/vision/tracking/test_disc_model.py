@@ -202,6 +202,38 @@ def test_an_edge_of_the_image_and_an_empty_place_give_nothing():
     assert film.model.fit(np.full_like(image, 30), u, v, **given) is None
 
 
+@pytest.mark.parametrize(("grain", "size"), [(0.0, 1), (6.0, 3), (6.0, 9)])
+def test_a_texture_behind_a_disc_at_rest_is_stated(grain, size):
+    rng = np.random.default_rng(5)
+    errors = []
+    for _ in range(40):
+        u, v = rng.random(2) - 0.5
+        disc = drawn(6.0, 13, u, v, np.zeros(1))
+        rough = rng.standard_normal((80 + size, 220 + size))
+        sums = np.pad(np.cumsum(np.cumsum(rough, axis=0), axis=1), ((1, 0), (1, 0)))
+        blocks = sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size]
+        clean = BACKGROUND + grain * blocks[:80, :220] / size
+        place = clean[27:54, 97:124]
+        place += disc * (BACKGROUND + CONTRAST - place)
+        model = DiscModel()
+        for _ in range(4):
+            image = np.clip(np.rint(clean + 2.0 * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
+            noise = math.hypot(2.0, grain)
+            found = model.fit(
+                image,
+                110.0 + u,
+                40.0 + v,
+                radius=6.0,
+                edge=EDGE,
+                smear=0.0,
+                least=90.0,
+                ground=(BACKGROUND - 2.5 * noise, BACKGROUND + 2.5 * noise),
+            )
+        errors.append((found.u - 110.0 - u) / found.sigma_u)
+    # Forty values: the RMS is known to 11 %, and each texture's size to a quarter where it is coarse.
+    assert 0.75 < rms(np.array(errors)) < 1.3
+
+
 def seen_once(film: Film, spoil, noise: float = 2.0):
     """Error of one frame that was spoilt after forty which were not, and what the model says of it and the next."""
     film.errors(noise, n_frames=40)
