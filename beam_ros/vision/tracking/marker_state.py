@@ -44,6 +44,8 @@ class MarkerState:
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
     rivals : list of Track -- other spots of its kind in its row
     is_mixed : bool -- it met a rival, and which of the two is which is not known
+    is_joined : bool -- since they met, the two have not been seen apart
+    is_blind : bool -- since they met, nothing of the two was to be seen for a while
     lost_at : int -- number of the frame in which it last was not where it should have been
     lost_u : float -- where it had been seen before that [px]
     company_u : tuple of float -- where all markers had been seen then [px]
@@ -70,6 +72,8 @@ class MarkerState:
     swing: float = 0.0
     rivals: list[Track] = field(default_factory=list)
     is_mixed: bool = False
+    is_joined: bool = False
+    is_blind: bool = False
     lost_at: int = NEVER
     lost_u: float = math.nan
     company_u: tuple[float, ...] = ()

@@ -13,7 +13,7 @@ FORGET_AFTER_FRAMES = 100
 """A rival unseen for longer is forgotten; a marker lost for longer is looked for in its whole row and in any
 light."""
 _MEMORY_FRAMES = 10
-"""A rival that has gone from view while the marker is seen is remembered for so many frames."""
+"""A rival that has gone from view says for so many frames where not to look for the marker that is seen."""
 
 
 @dataclass
@@ -56,11 +56,16 @@ def associated(
 
 
 def continued(tracks: list[Track], spots: list[Spot], frame: int, reach: float) -> list[Track]:
-    """Tracks of these spots, with velocities where an earlier track leads to them; and of those just gone."""
+    """Tracks of these spots, with velocities where an earlier track leads to them; and of those gone from view."""
     tracks, free = associated(tracks, spots, frame, reach)
-    return [track for track in tracks if frame - track.frame <= _MEMORY_FRAMES] + [
+    return [track for track in tracks if frame - track.frame <= FORGET_AFTER_FRAMES] + [
         Track(spot.u, 0.0, frame) for spot in free
     ]
+
+
+def recent(tracks: list[Track], frame: int) -> list[Track]:
+    """Tracks whose prediction still says where they are."""
+    return [track for track in tracks if frame - track.frame <= _MEMORY_FRAMES]
 
 
 def present(tracks: list[Track], frame: int, left: float, right: float, reach: float) -> list[Track]:

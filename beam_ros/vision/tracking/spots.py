@@ -223,6 +223,24 @@ class SpotMeter:
         variance = 0.5 * (float(at_left.item()) ** 2 + float(at_right.item()) ** 2) * count / (count - 1)
         return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, QUANTISATION_VARIANCE))
 
+    def is_dim(self, image: ImageArray, u: float, v: float, contrast: float) -> bool:
+        """True when nothing near a place, as far as a lost marker is believed, is as bright as a marker."""
+        parameters = self.parameters
+        reach, across = round(parameters.max_gate_px), round(parameters.row_gate_px)
+        top, left = max(0, round(v) - across), max(0, round(u) - reach)
+        band = image[top : round(v) + across + 1, left : round(u) + reach + 1]
+        background, extreme = self.levels(band)
+        return abs(extreme - background) < (1.0 - parameters.brightness_tolerance) * contrast
+
+    def is_compact(self, image: ImageArray, spot: Spot, light: Light) -> bool:
+        """True when a spot ends within its region above and below, as discs do that touch; a bar does not."""
+        left, top, right, bottom = spot.region
+        edges = image[[top, bottom - 1], left:right]
+        half = 0.5 * light.contrast
+        if self._is_dark:
+            return bool(edges.min() > light.background - half)
+        return bool(edges.max() < light.background + half)
+
     def centre(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
     ) -> tuple[float, float, float] | Reason:

@@ -38,6 +38,7 @@ from beam_ros.vision.tracking.rivals import (
     continued,
     may_be,
     present,
+    recent,
     recognised,
     unseen,
 )
@@ -257,8 +258,8 @@ class MarkerTracker:
             reason = self._meter.judge(spot, gates)
             if reason == "ok" and not self._is_own(spot.u, predicted, marker):
                 reason = "ambiguous"
-        if reason != "ok" and spot is not None and self._may_have_met(spot, marker, appearance):
-            marker.is_mixed = True
+        if reason != "ok" and spot is not None and self._may_have_met(image, spot, marker, light, appearance):
+            marker.is_mixed, marker.is_joined, marker.is_blind = True, not marker.rivals, False
             marker.rivals.append(Track(marker.u, 0.0, self._frame - 1))
         return spot, reason
 
@@ -273,7 +274,8 @@ class MarkerTracker:
         is_fresh = marker.lost_frames > 0 or marker.lost_at == self._frame
         is_new = self._frame - marker.acquired_at < _PROBATION_FRAMES
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-        if is_due or is_fresh or is_new or marker.rivals:
+        is_accompanied = bool(recent(marker.rivals, self._frame))
+        if is_due or is_fresh or is_new or is_accompanied:
             row = self._in_row(image, k, own=spot.u)
             if is_new and self._has_company(marker, row):
                 marker.forget()
@@ -292,7 +294,7 @@ class MarkerTracker:
         appearance.row = spot.v
         if not appearance.is_settled:
             meter.settle(spot, light, appearance)
-        if is_due and not marker.rivals:
+        if is_due and not is_accompanied:
             light.absorb(spot.plateau, *meter.sides(image, spot))
         if is_due or is_fresh or not appearance.is_settled:
             marker.gates = meter.gates(light, appearance)
@@ -305,21 +307,24 @@ class MarkerTracker:
         distance = abs(u - predicted)
         if distance > self.parameters.max_jump_px:
             return False
-        if not marker.rivals:
-            return True
-        return all(2 * distance < abs(u - rival.predicted(self._frame)) for rival in marker.rivals)
+        rivals = recent(marker.rivals, self._frame)
+        return all(2 * distance < abs(u - rival.predicted(self._frame)) for rival in rivals)
 
-    def _may_have_met(self, spot: Spot, marker: MarkerState, appearance: Appearance) -> bool:
+    def _may_have_met(
+        self, image: ImageArray, spot: Spot, marker: MarkerState, light: Light, appearance: Appearance
+    ) -> bool:
         """True when a spot that failed its gates may be the marker and a rival in one."""
         near = 2 * self.parameters.marker_diameter_px
-        return spot.area > 1.1 * appearance.area or any(
-            abs(rival.predicted(self._frame) - marker.u) < near for rival in marker.rivals
+        rivals = recent(marker.rivals, self._frame)
+        return (spot.area > 1.1 * appearance.area and self._meter.is_compact(image, spot, light)) or any(
+            abs(rival.predicted(self._frame) - marker.u) < near for rival in rivals
         )
 
     def _is_crowded(self, marker: MarkerState, u: float) -> bool:
         """True when a rival may reach into the region about u."""
         near = self._meter.half + self._meter.radius + 4
-        return any(abs(rival.predicted(self._frame) - u) < near for rival in marker.rivals)
+        rivals = recent(marker.rivals, self._frame)
+        return any(abs(rival.predicted(self._frame) - u) < near for rival in rivals)
 
     def _is_taken(self, spot: Spot, k: int) -> bool:
         """True when another marker is followed on this very spot."""
@@ -391,6 +396,8 @@ class MarkerTracker:
             unlike = [u for u, _ in row.others] + [spot.u for spot, _ in row.alike if spot not in dict(lit)]
             nearest_unlike = min((abs(u - marker.u) for u in unlike), default=math.inf)
             farthest = min(farthest, nearest_unlike + SAME_PLACE_PX)
+            if marker.is_joined and self._meter.is_dim(image, marker.u, marker.v, expected):
+                marker.is_blind = True
             chosen = self._choose(marker, lit, farthest, nearest_unlike)
             if chosen is not None:
                 spots[k], marker.light = chosen
@@ -484,10 +491,15 @@ class MarkerTracker:
             if (
                 len(spots) == len(marker.rivals) == 1
                 and abs(spots[0].u - marker.u) <= parameters.max_gate_px < nearest_unlike
+                and not marker.is_blind
             ):
                 marker.rivals, chosen = [], spots[0]
+            # Two that vanish as one may come back one by one.
+            if len(marker.rivals) > 1:
+                marker.is_joined = marker.is_blind = False
         else:
             marker.is_mixed = len(near) > 1
+            marker.is_joined = marker.is_blind = False
         return None if chosen is None else (chosen, light_of[chosen])
 
     def _contrasts(

@@ -7,7 +7,16 @@ import pytest
 
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.tracking.rivals import Track, associated, continued, may_be, present, recognised, unseen
+from beam_ros.vision.tracking.rivals import (
+    Track,
+    associated,
+    continued,
+    may_be,
+    present,
+    recent,
+    recognised,
+    unseen,
+)
 from beam_ros.vision.tracking.spots import Spot
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
@@ -58,10 +67,12 @@ def test_one_spot_continues_one_track():
     assert free == []
 
 
-def test_a_rival_that_has_gone_while_the_marker_is_seen_is_remembered_for_ten_frames():
+def test_a_rival_that_has_gone_while_the_marker_is_seen_is_remembered_and_predicted_for_ten_frames_only():
     gone = Track(100.0, 1.0, 20)
-    assert continued([gone], [], 30, REACH) == [gone]
-    assert continued([gone], [], 31, REACH) == []
+    assert continued([gone], [], 120, REACH) == [gone]
+    assert continued([gone], [], 121, REACH) == []
+    assert recent([gone], 30) == [gone]
+    assert recent([gone], 31) == []
 
 
 @pytest.mark.parametrize(("u", "is_kept"), [(5.0, False), (15.0, True), (185.0, True), (195.0, False)])
@@ -92,7 +103,7 @@ def test_a_hidden_rival_is_continued_by_the_one_spot_that_only_it_can_be():
 HEIGHTS = (0.010, 0.225, 0.285)
 
 
-def followed(x_px, twin_px, cover_px, n_frames: int) -> list[float]:
+def followed(x_px, twin_px, cover_px, n_frames: int, grey: float = 20.0) -> list[float]:
     """Errors of the middle marker where it is valid [px]; x, twin and cover's two edges are given by frame."""
     camera = packaged_camera(noise_grey=1.0)
     renderer, tracker = (
@@ -108,7 +119,7 @@ def followed(x_px, twin_px, cover_px, n_frames: int) -> list[float]:
             spots=() if at is None else (SecondSpot(320.0 + at, row),),
             occluders=()
             if cover is None
-            else (Occluder(320.0 + cover[0], row - 30, 320.0 + cover[1], row + 30, 20.0),),
+            else (Occluder(320.0 + cover[0], row - 30, 320.0 + cover[1], row + 30, grey),),
         )
         way = np.array([x_px(k + instant / 4) for instant in instants])  # half of the time between two frames
         frame = renderer.render(np.repeat(way[:, None], 3, axis=1) / 1500, rng, disturbances=disturbances)
@@ -156,4 +167,34 @@ def test_a_twin_that_was_covered_with_the_marker_and_comes_first_is_not_taken_fo
         60,
     )
     assert len(errors) >= 34
+    assert np.abs(errors).max() < 0.05
+
+
+def test_a_twin_that_touched_the_marker_before_both_were_covered_is_not_taken_for_it():
+    # The marker moves on by 20 px under the cover, and the twin, which rests, comes out first.
+    errors = followed(
+        lambda k: 0.0 if k < 42 else min(2.0 * (k - 42), 20.0),
+        lambda k: 4.0 if k >= 30 else None,
+        lambda k: (-60.0, 60.0) if 38 <= k < 54 else (12.0, 60.0) if 54 <= k < 60 else None,
+        64,
+    )
+    assert len(errors) >= 30
+    assert np.abs(errors).max() < 0.05
+
+
+def test_a_twin_that_was_covered_long_before_the_marker_and_comes_first_is_not_taken_for_it():
+    errors = followed(
+        lambda k: 0.0,
+        lambda k: -24.0 if k >= 20 else None,
+        lambda k: (
+            (-60.0, min(-12.0 + 2.0 * max(0, k - 44), 30.0))
+            if 30 <= k < 66
+            else (-10.0, 30.0)
+            if k >= 66
+            else None
+        ),
+        72,
+        grey=120.0,
+    )
+    assert len(errors) >= 44
     assert np.abs(errors).max() < 0.05
