@@ -60,7 +60,6 @@ from beam_ros.offline.axis_bag import (
     rig_values,
 )
 from beam_ros.offline.best_linear import best_linear_of
-from beam_ros.offline.camera_lateness import CameraLateness, camera_lateness, on_time
 from beam_ros.offline.options import FitOptions
 from beam_ros.offline.seen_data import refuse_shared
 from beam_ros.process.folders import new_folder
@@ -68,6 +67,7 @@ from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.film_points import rig_with_points
 from beam_ros.rig.rig import Rig
+from beam_ros.signals.camera_lateness import CameraLateness, camera_lateness, on_time
 from beam_ros.signals.descriptions import Signals, SignalSource
 from beam_ros.signals.fields import read_field
 from beam_ros.signals.records import SensorOutput, input_signal, output_signal, records_of_one_model
