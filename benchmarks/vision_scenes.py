@@ -8,8 +8,8 @@ own renderer without noise; light, texture, sensor noise, saturation and compres
 measuring chain gets frames and stamps as from a camera. Printed for each class:
 
 * valid: share of the marker's frames that are valid, of those in which nothing touches it ("in sight")
-* wrong: valid measurements that are off by more than six stated standard deviations and 0.35 px, and how many scenes
-  have one; the largest error
+* wrong: valid measurements that are off by more than six stated standard deviations or 0.35 px, whichever is larger,
+  and how many scenes have one; the largest error
 * z: RMS of error over stated standard deviation; a constant offset of a marker over its scene is a part of it
 * wait: frames in sight before a marker is valid, from its first frame, a loss, or the end of a cover: 95 % and most
 

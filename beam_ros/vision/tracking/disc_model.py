@@ -366,7 +366,7 @@ class DiscModel:
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
             self._look_closely(table, grey, light)
-        if self._frames & (self._frames - 1) == 0 or self._frames % _SLOW_FRAMES == 0:
+        if self._frames & (self._frames - 1) == 0 or self._frames % _CONSTANT_FRAMES == 0:
             self._look_beside(table, image, left, top, ground, contrast)
         unit, lit = table.variances
         alpha, beta = self.alpha, self.beta
