@@ -110,15 +110,18 @@ class DrivenProblem:
         self.pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
         regression = ModalRegression(records, ModalStructure(model.structure), model.input_names)
         blocks = regression.blocks(
-            model.natural_frequencies, model.damping_ratios, model.clock, gradients=False
+            model.natural_frequencies, model.damping_ratios, model.clock, gradients=True
         )
         self._seen: list[_Seen] = []
         shares = []
         for j, values in enumerate(regression.values):
-            matrix, at = blocks[regression.block_of[j]].matrix, int(self._column_of(regression))
+            block, at = blocks[regression.block_of[j]], self._column_of(regression)
+            matrix = block.matrix
+            assert block.by_time is not None
             found, _, _, _ = np.linalg.lstsq(matrix, values, rcond=None)
             shares.append(float(found[at]))
-            fixed = np.delete(matrix, at, axis=1)
+            # The latency was found with the linear model, and errs as that does: the speed is projected out, too.
+            fixed = np.column_stack([np.delete(matrix, at, axis=1), block.by_time @ found])
             length = np.linalg.norm(fixed, axis=0)
             U, s, _ = np.linalg.svd(fixed / np.where(length > 0.0, length, 1.0), full_matrices=False)
             known = U[:, s > 1e-10 * s[0]]
