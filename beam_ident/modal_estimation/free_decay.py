@@ -46,6 +46,7 @@ _PEAKS = 12
 _MAX_FREQUENCIES = 2000
 _MIN_SAMPLES = 12
 _QUIETER = 10.0  # times in power: what a structure that stands still is below one that rings
+_AT_ONCE = 1.5  # cycles after a rest in which a decay has its largest swing
 _STRAIGHT, _BENT = 1, 3  # degrees of a drift; anything quicker has cycles enough to be a mode
 
 
@@ -160,7 +161,7 @@ def _end_of_rest(signals: Sequence[OutputSignal]) -> float | None:
     -----
     Rest and ringing are normal samples of two means and two variances: the likelihood of the best cut between them
     decides (Maeda 1985, for the onset of seismic waves).  Rest may be under a static load, whose release begins the
-    decay.  What rings does not stand still for a whole cycle.
+    decay.  What rings does not stand still for a whole cycle, and a decay does not swell.
     """
     best, begin = 0.0, None
     for signal in signals:
@@ -184,9 +185,11 @@ def _end_of_rest(signals: Sequence[OutputSignal]) -> float | None:
         ringing = values[cut:] - np.mean(values[cut:])
         crossings = int(np.count_nonzero(np.diff(np.signbit(ringing[np.abs(ringing) > np.ptp(rest)]))))
         stood, rang = (float(np.ptp(signal.times_s[part])) for part in (slice(cut), slice(cut, None)))
-        if gains[place] <= best or crossings < 2 or stood < 2.0 * rang / crossings:
+        if gains[place] <= best or crossings < 2 or stood < (cycle := 2.0 * rang / crossings):
             continue
-        best, begin = float(gains[place]), float(signal.times_s[cut + int(np.argmax(np.abs(ringing)))])
+        peak = float(signal.times_s[cut + int(np.argmax(np.abs(ringing)))])
+        if peak - float(signal.times_s[cut]) < _AT_ONCE * cycle:  # what swells does not decay
+            best, begin = float(gains[place]), peak
     return begin
 
 

@@ -155,7 +155,7 @@ def test_an_unknown_interpreter_extra_or_constraint_is_refused(clone: Path) -> N
     assert_refused(
         call(clone, "--extras", "ros,everything"),
         "'everything'",
-        "rig,ros,dask,compiled,remote,study,test,dev,docs, or none",
+        "rig,ros,dask,compiled,remote,study,test,dev,browser,docs, or none",
     )
     assert_refused(call(clone, "--constraint", "none.txt"), "none.txt")
     assert not (clone / ".venv").exists()

@@ -42,7 +42,8 @@ def test_the_table_has_more_than_three_hundred_cases_and_names_those_that_are_op
 def test_a_sound_record_is_neither_refused_nor_doubted(name):
     found = sound(name)
     assert found.converged
-    assert all("neighbouring lines" in said for said in found.warnings)
+    known = ("neighbouring lines", "held between its samples")  # of how responses are made, and true
+    assert all(any(words in said for words in known) for said in found.warnings)
 
 
 @pytest.mark.parametrize(("name", "fault"), TABLE)

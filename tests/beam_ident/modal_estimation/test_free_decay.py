@@ -93,6 +93,14 @@ def test_what_rings_from_the_beginning_is_taken_whole(frequencies, phase):
     assert _end_of_rest([OutputSignal("tip", "m", times, noisy)]) is None
 
 
+def test_what_swells_is_not_taken_for_a_decay_after_a_rest():
+    times = 0.01 * np.arange(400)
+    for seed in range(3):
+        noise = 0.1 * np.random.default_rng(seed).standard_normal(400)
+        swelling = np.exp(0.5 * times) * np.cos(20.0 * times + seed) + noise
+        assert _end_of_rest([OutputSignal("tip", "m", times, swelling)]) is None
+
+
 def test_many_points_find_what_the_best_of_them_finds_alone():
     case = ManyPoints()
     points = case.signals(3)

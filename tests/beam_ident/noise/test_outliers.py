@@ -55,8 +55,8 @@ def test_one_sample_in_a_hundred_is_counted_and_named(size):
 def test_identify_names_every_output_in_one_warning():
     record = beam_record(1)
     assert not named(identify(record, n_modes=3).warnings)
-    (said,) = named(identify(spoiled(record, 0.01, 2e-4), n_modes=3).warnings)
-    assert said.count(" of 1398 samples of z") == 3
+    said = named(identify(spoiled(record, 0.01, 2e-4), n_modes=3).warnings)
+    assert [own.count(" of 1398 samples of z") for own in said if "left out" in own] == [3]
 
 
 def test_a_student_t_likelihood_is_as_good_as_leaving_out_what_was_named():

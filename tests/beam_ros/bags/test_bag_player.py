@@ -196,6 +196,6 @@ def test_a_tracker_on_replayed_images_finds_the_displacements_that_it_found_live
     replayed = np.array([found[int(live.stamps_ns[k])].positions for k in both])
     off = np.abs(replayed - live.positions[both][:, columns])
     # The same pixels. The windows in them, and what was learned of the noise, depend on the frame in which the
-    # markers were found first: a tenth of a displacement's standard deviation.
-    assert np.nanmedian(off) < 3e-7
+    # markers were found first: a fifth of a displacement's standard deviation.
+    assert np.nanmedian(off) < 6e-7
     assert np.nanmax(off) < 1e-5  # in the first frames, when little is learned

@@ -22,7 +22,7 @@ OF_ROS_SERVICES = ("_parameters", "_parameter_types", "_parameters_atomically", 
 ONLY_OTHERWISE_READ = {
     *(f"tracker.{name}" for name in ("device", "device_format", "sets_exposure", "retry_period")),
     *("tracker.video", "tracker.video_rate", "tracker.save_calibration"),
-    *("hub.max_tip_deflection", "beam.max_root_strain"),
+    *("hub.max_tip_deflection", "beam.max_root_strain", "beam.air_temperature", "beam.air_pressure"),
     *(name for name in NODES["excitation_generator"].parameters if name.startswith("excitation.")),
     *(
         name
@@ -31,7 +31,7 @@ ONLY_OTHERWISE_READ = {
     ),
     *("emulator.controller_rate", "faults.request", "camera.clock_tolerance"),
 }
-"""Parameters whose reading takes another camera source, excitation or axis link than those of this test."""
+"""Parameters whose reading takes another camera source, excitation, axis link or beam than those of this test."""
 PLAYED = ("bag_player", "publishes")
 IN_THE_BAG = {"hub/measured", "beam/displacement", "excitation/info", "/diagnostics"}
 """A player publishes what is in its bag."""

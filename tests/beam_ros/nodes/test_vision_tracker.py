@@ -165,12 +165,13 @@ def test_a_marker_with_a_twin_is_nobody_until_the_twin_has_gone(scene) -> None:
     frame = scene.pixels(0.0)
     twin = frame.copy()
     row = round(465 - 1500 * 0.225)
-    twin[row - 20 : row + 20, 100:160] = frame[row - 20 : row + 20, 290:350]
+    # Within the beam's reach: what it cannot bend to is told from the marker at once.
+    twin[row - 20 : row + 20, 350:410] = frame[row - 20 : row + 20, 290:350]
     assert scene.graph.call("tracker/reset", "/plain").success
     for _ in range(5):
         assert _is_seen(scene.answer("plain", scene.image(twin))) == [True, False, True]
     # One of two was never known to be the marker: what is left has to stay for a while.
-    later = [scene.answer("plain", scene.image(frame)) for _ in range(25)]
+    later = [scene.answer("plain", scene.image(frame)) for _ in range(105)]
     assert later[-1].positions == pytest.approx([0.0] * 3, abs=3e-5)
 
 
@@ -194,7 +195,7 @@ def test_diagnostics_say_rate_latency_noise_and_losses_once_a_second(scene) -> N
         scene.camera("plain").publish(scene.image(scene.pixels(0.0)))
         scene.graph.spin(0.005)
     assert 1 <= len(seen.health) <= 4
-    values = {name: float(value) for name, value in seen.health[-1].values.items()}
+    values = {name: float(value) for name, value in seen.health[-1].values.items() if value}
     assert values["rate_hz"] > 5.0
     assert 0.0 < values["latency_median_ms"] <= values["latency_p99_ms"]
     for name in ("z010", "z225", "z285"):

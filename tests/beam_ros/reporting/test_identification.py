@@ -147,7 +147,7 @@ def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> No
     assert (tmp_path / "report" / "figures" / "amplitude.svg").exists()
     page = (tmp_path / "report" / "report.html").read_text()
     assert "hold at one amplitude only" in page
-    assert "one pole does not describe mode 1" in page
+    assert "One pole does not describe mode 1" in page
     assert "Dotted: what the rig" in page
     stored = json.loads((tmp_path / "report" / "model.json").read_text())["summary"]["amplitude"]
     assert AmplitudeCurves.from_dict(stored).verdict == curves.verdict
