@@ -189,12 +189,10 @@ def test_a_repeated_frame_is_answered_once_and_counted(scene) -> None:
 
 def test_diagnostics_say_rate_latency_noise_and_losses_once_a_second(scene) -> None:
     seen = scene.seen["plain"]
-    time.sleep(max(0.0, (scene.stamp() - time.time_ns()) * 1e-9))  # stamps of quick frames lead the clock
     seen.clear()
     end = time.monotonic() + 2.2
     while time.monotonic() < end:
-        scene.camera("plain").publish(scene.image(scene.pixels(0.0)))
-        scene.graph.spin(0.01)
+        scene.answer("plain", scene.image(scene.pixels(0.0)))
     assert 1 <= len(seen.health) <= 4
     values = {name: float(value) for name, value in seen.health[-1].values.items() if value}
     assert values["rate_hz"] > 5.0

@@ -94,8 +94,9 @@ class TrackerScene:
         self.graph.node.destroy_publisher(self._cameras.pop(namespace))
 
     def stamp(self) -> int:
-        """Stamp of the next frame: now, or later than the last one [ns]."""
+        """Stamp of the next frame: now, a period after the last one at least [ns]."""
         self._stamp_ns = max(self._stamp_ns + PERIOD_NS, time.time_ns())
+        time.sleep(max(0.0, (self._stamp_ns - time.time_ns()) * 1e-9))
         return self._stamp_ns
 
     def pixels(self, x: float | Sequence[float]) -> Any:
