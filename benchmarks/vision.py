@@ -1,6 +1,6 @@
 """Position error and time per frame of marker trackers, side by side on the same rendered frames.
 
-    python benchmarks/vision.py [--frames N] [--json FILE] [--only METHOD ...] [--speed]
+    python benchmarks/vision.py [--frames N] [--json FILE] [--only METHOD ...] [--speed | --bound]
 
 Four markers move along u by a few pixels; the error is the RMS per marker after its constant offset is taken away,
 in pixels and in units of the Cramer-Rao bound of a disc,
@@ -12,8 +12,11 @@ trackpy and pyidi are optional: a method that is not installed is said to be abs
 and belongs in an environment of its own: `--only pyidi` there. Times are processor time of one thread; set
 OPENBLAS_NUM_THREADS=1.
 
+`--bound` compares the tracker's default with the whole Cramer-Rao bound, of place, height and background of a smeared
+disc in noise that grows with the light, for diameters, smears, noises, shot noise and bits of its own.
+
 `--speed` measures the tracker alone at two image sizes, the search for markers, the renderer, the reading of
-images, and the tracking of whole files.
+images, and the tracking of whole files, as `beam track` does it, beside the decoder alone in the same rounds.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -235,6 +238,8 @@ def compare(n_frames: int, names: Sequence[str]) -> list[dict[str, Any]]:
         )
         for name in names:
             try:
+                # What is loaded or compiled at the first call is no part of the time.
+                METHODS[name](replace(scene, frames=scene.frames[:WARM_UP]))
                 started = time.process_time()
                 columns = METHODS[name](scene)
                 seconds = (time.process_time() - started) / n_frames
@@ -260,6 +265,84 @@ def compare(n_frames: int, names: Sequence[str]) -> list[dict[str, Any]]:
                 f"{1e3 * seconds:8.3f} ms a frame"
             )
     return rows
+
+
+def information_bound(renderer: SceneRenderer, way: np.ndarray, alpha: float, beta: float) -> np.ndarray:
+    """Bound of every marker's column [px] where row, contrast and background are unknown, too."""
+    camera, step = renderer.camera, 1.0 / 16 / renderer.camera.pixels_per_metre
+    heights = np.broadcast_to(HEIGHTS, (renderer.sub_instants, len(HEIGHTS)))
+    positions = np.repeat(way[:, None], len(HEIGHTS), axis=1) / camera.pixels_per_metre
+
+    def light(aside: float, above: float) -> np.ndarray:
+        return renderer.light(positions + aside, marker_z=heights + above).astype(float)
+
+    disc = light(0.0, 0.0)
+    columns = [light(step, 0.0) - light(-step, 0.0), light(0.0, step) - light(0.0, -step)]
+    reach = math.ceil(camera.marker_diameter_px / 2 + np.ptp(way) / 2 + 8)
+    bounds = []
+    for row in np.rint(camera.rows(HEIGHTS)).astype(int):
+        part = slice(row - reach, row + reach + 1), slice(320 - reach, 320 + reach + 1)
+        changes = [8 * column[part].ravel() for column in columns]  # over an eighth of a pixel
+        own = np.stack([*changes, disc[part].ravel() - camera.background, np.ones(changes[0].size)])
+        variance = alpha + 1 / 12 + beta * disc[part].ravel()
+        bounds.append(math.sqrt(np.linalg.inv((own / variance) @ own.T)[0, 0]))
+    return np.array(bounds)
+
+
+def at_the_bound(n_frames: int) -> list[dict[str, Any]]:
+    """Run the tracker's default over discs of all sizes, and print error over bound and over stated deviation."""
+    rows: list[dict[str, Any]] = []
+    kinds = ((1.0, 0.0, 8), (10.0, 0.0, 8), (2.0, 0.1, 8), (2.0, 0.1, 16))
+    print("error over bound / over stated deviation (found); columns: noise, variance per grey level, bits")
+    print(
+        "  D smear " + "".join(f"{f'{noise:g}, {beta:g}, {bits} bits':>26s}" for noise, beta, bits in kinds)
+    )
+    for diameter in (6, 8, 12, 20, 30):
+        for smear in (0.0, 3.0, 9.0):
+            shown = []
+            for noise, beta, bits in kinds:
+                row = {"D": diameter, "smear": smear, "noise": noise, "per_grey": beta, "bits": bits}
+                row |= _at_the_bound(diameter, smear, noise, beta, bits, n_frames)
+                rows.append(row)
+                shown.append(f"{row['bounds']:13.3f} /{row['z']:5.2f} ({100 * row['found']:3.0f} %)")
+            print(f"{diameter:3d} {smear:5g} " + "".join(shown), flush=True)
+    return rows
+
+
+def _at_the_bound(
+    diameter: int, smear: float, noise: float, beta: float, bits: int, n_frames: int
+) -> dict[str, float]:
+    """One cell: markers that rest but for parts of a pixel, then go to and fro at the speed of their smear."""
+    camera = replace(CAMERA, marker_diameter_m=diameter / 1500, noise_grey=0.0)
+    renderer = SceneRenderer(camera, HEIGHTS, sub_instants=12)
+    tracker = MarkerTracker(expectations(camera, "disc_model"), len(HEIGHTS))
+    rng, scale = np.random.default_rng([diameter, int(smear), int(noise), bits]), 256 if bits == 16 else 1
+    nodes = np.polynomial.legendre.leggauss(renderer.sub_instants)[0] / 2
+    alpha = noise**2
+    errors, stated = [], []
+    for k in range(n_frames + WARM_UP + 24):
+        is_moving, phase = k > WARM_UP and smear > 0, (k - WARM_UP) % 48
+        at = 1.01 * smear * (abs(phase - 24) - 12) if is_moving else 0.0
+        positions = at + rng.uniform(-0.5, 0.5, len(HEIGHTS)) + is_moving * smear * nodes[:, None]
+        light = renderer.light(positions / 1500)
+        sd = np.sqrt(alpha + beta * light, dtype=np.float32)
+        noisy = light + sd * rng.standard_normal(light.shape, dtype=np.float32)
+        picture = np.clip(np.rint(scale * noisy), 0, 256 * scale - 1)
+        found = tracker.process(picture.astype(np.uint16 if bits == 16 else np.uint8), k).markers
+        if k >= WARM_UP + 24 and phase not in (0, 24):
+            errors.append(
+                [m.u_px for m in found] - (renderer.exposure_weights @ camera.columns(positions / 1500))
+            )
+            stated.append([m.sigma_px for m in found])
+    error, sigma = np.array(errors), np.array(stated)
+    if not np.isfinite(error).any():
+        return {"bounds": math.nan, "z": math.nan, "found": 0.0}
+    bound = information_bound(renderer, smear * nodes, alpha if bits == 8 else alpha - 1 / 12, beta)
+    return {
+        "bounds": float(np.sqrt(np.nanmean((error / bound) ** 2))),
+        "z": float(np.sqrt(np.nanmean((error / sigma) ** 2))),
+        "found": float(np.isfinite(error).mean()),
+    }
 
 
 def best_ms(action: Callable[[], object], repeats: int) -> float:
@@ -324,28 +407,29 @@ def speed() -> list[dict[str, Any]]:
 
 
 def file_speed() -> list[dict[str, Any]]:
-    """Measure reading and tracking of files at 640x480, decoding included, and of frames that are there already."""
-    camera = CAMERA
+    """Measure tracking at 640x480: frames in memory, and files beside OpenCV's decoder alone (elapsed time)."""
     rng = np.random.default_rng(1)
-    renderer = SceneRenderer(camera, HEIGHTS)
-    x = 0.01 * np.sin(0.2 * np.arange(100)[:, None] + np.arange(4.0))
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    x = 0.01 * np.sin(0.2 * np.arange(200)[:, None] + np.arange(4.0))
     frames = [renderer.render(row, rng) for row in x]
     rows: list[dict[str, Any]] = []
 
-    def note(what: str, milliseconds: float) -> None:
+    def note(what: str, milliseconds: float, remark: str = "") -> None:
         rows.append({"what": what, "size": "640x480", "ms": milliseconds})
-        print(f"  {what:44s} 640x480    {milliseconds:8.3f} ms  {1e3 / milliseconds:6.0f} frames/s")
+        print(f"  {what:44s} 640x480    {milliseconds:8.3f} ms  {1e3 / milliseconds:6.0f} frames/s  {remark}")
 
-    def track(source: Callable[[], Any]) -> float:
-        chain = MeasuringChain(
-            camera,
-            expectations(camera, "disc_model"),
-            HEIGHTS,
-            LinearCalibration.from_camera(camera, len(HEIGHTS)),
-        )
-        return best_ms(lambda: [chain.measure(*frame) for frame in source()], 10) / len(frames)
+    def track(source: Iterable[tuple[int, np.ndarray]]) -> None:
+        scale = LinearCalibration.from_camera(CAMERA, len(HEIGHTS))
+        chain = MeasuringChain(CAMERA, expectations(CAMERA, "disc_model"), HEIGHTS, scale)
+        for frame in source:
+            chain.measure(*frame)
 
-    note("track frames in memory", track(lambda: enumerate(frames)))
+    def decode(path: Path) -> None:
+        capture = cv2.VideoCapture(str(path))
+        while capture.grab():
+            pass
+
+    note("track frames in memory", best_ms(lambda: track(enumerate(frames)), 5) / len(frames))
     with tempfile.TemporaryDirectory() as folder:
         for code in ("MJPG", "FFV1"):
             path = Path(folder) / f"{code}.avi"
@@ -353,8 +437,28 @@ def file_speed() -> list[dict[str, Any]]:
             for frame in frames:
                 writer.write(frame)
             writer.release()
-            note(f"read and track a grey {code} file", track(VideoFile(path).frames))
+            alone, both = (
+                np.array(times) * 1e3 / len(frames)
+                for times in paired_times(
+                    lambda path=path: decode(path),
+                    lambda path=path: track(VideoFile(path, heeds_decoder=True).frames()),
+                )
+            )
+            note(f"decode a grey {code} file", float(np.median(alone)))
+            ratio = f"{np.median(alone / both):.2f} of the decoder's rate"
+            note(f"read and track a grey {code} file", float(np.median(both)), ratio)
     return rows
+
+
+def paired_times(*actions: Callable[[], None], rounds: int = 9) -> list[list[float]]:
+    """Elapsed times of some actions, in turns [s]."""
+    times: list[list[float]] = [[] for _ in actions]
+    for _ in range(rounds):
+        for own, action in zip(times, actions, strict=True):
+            started = time.perf_counter()
+            action()
+            own.append(time.perf_counter() - started)
+    return times
 
 
 def main() -> int:
@@ -365,15 +469,17 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=300, help="frames a scene (default 300)")
     parser.add_argument("--only", nargs="+", choices=sorted(METHODS), help="methods to run (default: all)")
     parser.add_argument("--speed", action="store_true", help="measure times only")
+    parser.add_argument("--bound", action="store_true", help="the default against the whole bound only")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     print(f"OpenCV {cv2.__version__}, NumPy {np.__version__}, Python {sys.version.split()[0]}")
-    rows = (
-        speed() + file_speed()
-        if arguments.speed
-        else compare(arguments.frames, arguments.only or list(METHODS))
-    )
+    if arguments.speed:
+        rows = speed() + file_speed()
+    elif arguments.bound:
+        rows = at_the_bound(arguments.frames)
+    else:
+        rows = compare(arguments.frames, arguments.only or list(METHODS))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return 0

@@ -10,11 +10,15 @@ measuring chain gets frames and stamps as from a camera. Printed for each class:
 * valid: share of the marker's frames that are valid, of those in which nothing touches it ("in sight")
 * wrong: valid measurements that are off by more than six stated standard deviations or 0.35 px, whichever is larger,
   and how many scenes have one; the largest error
+* off: RMS of the error of what is not wrong [px]
 * z: RMS of error over stated standard deviation; a constant offset of a marker over its scene is a part of it
-* wait: frames in sight before a marker is valid, from its first frame, a loss, or the end of a cover: 95 % and most
+* wait: frames in sight before a marker is valid, from its first frame, a loss, or the end of a cover: 95 % and most;
+  those with a second disc of its kind in its row (then, or in the 25 frames before) are counted as *ambiguous*, apart
 
 `--trackers opencv trackpy` gives frames to detectors that know no time: a marker is the one spot within the tolerance
-of its row. They state no standard deviation; wrong is then what is off by more than 0.35 px.
+of its row. `pyidi` gets the whole film and the markers' places in its first frame. They state no standard deviation;
+wrong is then what is off by more than 0.35 px. trackpy and pyidi belong in an environment of their own, as for
+`benchmarks/vision.py`.
 """
 
 from __future__ import annotations
@@ -51,6 +55,8 @@ UNDISTURBED = 12
 """So many frames show a marker that is then hidden beside a twin: hidden from the first on, it is told by nobody."""
 EDGE_PX = 20.0
 """A marker so near to the edge of the picture does not count as in sight [px]."""
+MEMORY_FRAMES = 25
+"""A twin that was in a marker's row so many frames ago may still be one of two that nobody can tell apart."""
 ROW_PX = 15.0
 """A detector that knows no time may look so far from a marker's row [px]."""
 
@@ -397,6 +403,25 @@ def gaps(rng: np.random.Generator) -> Scene:
     return scene
 
 
+def leaving(rng: np.random.Generator) -> Scene:
+    """A beam that leaves the picture for a while, and a disc in a marker's row that comes in meanwhile."""
+    scene = plain(rng)
+    side, speed, far = rng.choice([-1, 1]), rng.uniform(8, 25), rng.uniform(300, 380)
+    towards, twin_speed, first = side * rng.choice([-1, 1]), rng.uniform(3, 15), rng.uniform(0, 20)
+    back = UNDISTURBED + int(far / speed) + int(rng.integers(2, 20))
+    for i, frame in enumerate(disturbed(scene)):
+        away = min(max(0, i - UNDISTURBED) * speed, far, max(0.0, far - (i - back) * speed))
+        frame.x = frame.x + side * away / scene.camera.pixels_per_metre
+    add_twin(
+        scene,
+        rng,
+        lambda i, u: 320 + towards * (340 - twin_speed * max(0.0, i - first)),
+        int(rng.integers(N_MARKERS)),
+        rng.uniform(-1, 1),
+    )
+    return scene
+
+
 CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
     kind.__name__: kind
     for kind in (
@@ -425,6 +450,7 @@ CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
         textured,
         shot_noise,
         gaps,
+        leaving,
     )
 }
 
@@ -505,21 +531,23 @@ def pictures(
 Answer = tuple[np.ndarray, np.ndarray, tuple[str, ...]]
 
 
-def suite(scene: Scene) -> Callable[[int, np.ndarray], Answer]:
+Shown = list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]
+"""A scene's frames as they come from ``pictures``."""
+
+
+def suite(scene: Scene, film: Shown) -> Iterator[Answer]:
     """The suite's own measuring chain, with the packaged rig's settings."""
     camera = replace(RIG.camera_parameters(), exposure_s=scene.camera.exposure_s)
     rig = RIG
     chain = MeasuringChain(
         camera, rig.tracker_parameters(), HEIGHTS.tolist(), LinearCalibration.from_camera(camera, 3)
     )
-
-    def answer(stamp_ns: int, picture: np.ndarray) -> Answer:
-        if not chain.admit(stamp_ns):
-            return np.full(N_MARKERS, np.nan), np.full(N_MARKERS, np.nan), ("not admitted",) * N_MARKERS
-        measured = chain.measure(stamp_ns, picture)
-        return measured.u_px, measured.sigma_px, measured.reasons
-
-    return answer
+    for stamp_ns, picture, _, _ in film:
+        if chain.admit(stamp_ns):
+            measured = chain.measure(stamp_ns, picture)
+            yield measured.u_px, measured.sigma_px, measured.reasons
+        else:
+            yield np.full(N_MARKERS, np.nan), np.full(N_MARKERS, np.nan), ("not admitted",) * N_MARKERS
 
 
 def _in_rows(scene: Scene, spots: list[tuple[float, float]]) -> Answer:
@@ -529,7 +557,7 @@ def _in_rows(scene: Scene, spots: list[tuple[float, float]]) -> Answer:
     return columns, np.zeros(N_MARKERS), tuple(f"{len(near)} spots" for near in found)
 
 
-def opencv(scene: Scene) -> Callable[[int, np.ndarray], Answer]:
+def opencv(scene: Scene, film: Shown) -> Iterator[Answer]:
     """OpenCV's SimpleBlobDetector at a threshold step of 2."""
     settings = cv2.SimpleBlobDetector_Params()
     settings.filterByColor, settings.blobColor = True, 255
@@ -538,26 +566,41 @@ def opencv(scene: Scene) -> Callable[[int, np.ndarray], Answer]:
     settings.filterByArea, settings.minArea, settings.maxArea = True, 0.4 * area, 2.5 * area
     settings.filterByConvexity = settings.filterByInertia = settings.filterByCircularity = False
     detector = cv2.SimpleBlobDetector_create(settings)
-    return lambda _, picture: _in_rows(scene, [p.pt for p in detector.detect(picture)])
+    for _, picture, _, _ in film:
+        yield _in_rows(scene, [p.pt for p in detector.detect(picture)])
 
 
-def trackpy(scene: Scene) -> Callable[[int, np.ndarray], Answer]:
+def trackpy(scene: Scene, film: Shown) -> Iterator[Answer]:
     """trackpy.locate without preprocessing."""
     import trackpy as package
 
     package.quiet()
     size = 2 * math.ceil(scene.camera.marker_diameter_px / 2 + 2) + 1
-
-    def answer(_: int, picture: np.ndarray) -> Answer:
+    for _, picture, _, _ in film:
         level = float(np.median(picture[::8, ::8])) + 15.0
         above = np.clip(picture.astype(np.float32) - level, 0, None)
         spots = package.locate(above, size, minmass=3000, preprocess=False)
-        return _in_rows(scene, list(zip(spots["x"], spots["y"], strict=True)))
-
-    return answer
+        yield _in_rows(scene, list(zip(spots["x"], spots["y"], strict=True)))
 
 
-TRACKERS = {"suite": suite, "opencv": opencv, "trackpy": trackpy}
+def pyidi(scene: Scene, film: Shown) -> Iterator[Answer]:
+    """Lucas-Kanade of pyidi from the true places in the first frame on, to a whole pixel."""
+    import pyidi as package
+
+    method = package.LucasKanade(
+        package.VideoReader(np.stack([shown[1] for shown in film]), root=".", fps=100)
+    )
+    start = film[0][2][0]
+    points = np.rint(np.stack([scene.camera.rows(scene.frames[0].z), start], axis=1)).astype(int)
+    size = 2 * math.ceil(scene.camera.marker_diameter_px / 2 + 3) + 1
+    method.set_points(points)
+    method.configure(roi_size=(size, size), verbose=0, show_pbar=False)
+    columns = start + method.get_displacements(autosave=False)[:, :, 1].T
+    for row in columns:
+        yield row, np.zeros(N_MARKERS), ("followed",) * N_MARKERS
+
+
+TRACKERS = {"suite": suite, "opencv": opencv, "trackpy": trackpy, "pyidi": pyidi}
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------
@@ -575,21 +618,42 @@ class Verdict:
     wrong_scenes: list[int] = field(default_factory=list)
     largest_px: float = 0.0
     squares: float = 0.0
+    squares_px: float = 0.0
     counted: int = 0
     waits: list[int] = field(default_factory=list)
+    ambiguous: list[int] = field(default_factory=list)
     reasons: dict[str, int] = field(default_factory=dict)
+
+
+def twins(scene: Scene) -> np.ndarray:
+    """For which markers a second disc is in the row, or was of late, shape (n_frames, n_markers)."""
+    camera = scene.camera
+    shown = np.zeros((len(scene.frames), N_MARKERS), dtype=bool)
+    for k, frame in enumerate(scene.frames):
+        for spot in frame.disturbances.spots:
+            if 0 <= spot.u_px < camera.width:
+                shown[k : k + MEMORY_FRAMES + 1] |= np.abs(camera.rows(frame.z) - spot.v_px) < ROW_PX
+    return shown
 
 
 def judge(name: str, kind: str, seed: int, verdict: Verdict, *, is_verbose: bool = False) -> None:
     """Run a tracker over one scene."""
     rng = np.random.default_rng([list(CLASSES).index(kind), seed])
     scene = CLASSES[kind](rng)
-    track = TRACKERS[name](scene)
-    wait = np.zeros(N_MARKERS, dtype=int)
+    film = list(pictures(scene, rng))
+    beside = twins(scene)
+    wait, has_twin = np.zeros(N_MARKERS, dtype=int), np.zeros(N_MARKERS, dtype=bool)
     verdict.scenes += 1
+
+    def end(m: int) -> None:
+        (verdict.ambiguous if has_twin[m] else verdict.waits).append(int(wait[m]))
+        wait[m], has_twin[m] = 0, False
+
     n_wrong = 0
-    for k, (stamp_ns, picture, truth, in_sight) in enumerate(pictures(scene, rng)):
-        u, sigma, reasons = track(stamp_ns, picture)
+    answers = TRACKERS[name](scene, film)
+    for k, ((stamp_ns, _, truth, in_sight), (u, sigma, reasons)) in enumerate(
+        zip(film, answers, strict=True)
+    ):
         errors = u - truth
         error = np.where(np.abs(errors[0]) < np.abs(errors[1]), errors[0], errors[1])
         # A marker that is hidden has no place: whatever is valid there is wrong.
@@ -602,16 +666,18 @@ def judge(name: str, kind: str, seed: int, verdict: Verdict, *, is_verbose: bool
         n_wrong += int(is_wrong.sum())
         if is_wrong.any():
             verdict.largest_px = max(verdict.largest_px, float(np.abs(error[is_wrong]).max()))
-        good = is_valid & ~is_wrong & (sigma > 0)
-        verdict.squares += float(np.sum((error[good] / sigma[good]) ** 2))
+        good = is_valid & ~is_wrong
+        verdict.squares_px += float(np.sum(error[good] ** 2))
+        if (sigma[good] > 0).all():
+            verdict.squares += float(np.sum((error[good] / sigma[good]) ** 2))
         verdict.counted += int(good.sum())
         for m in range(N_MARKERS):
             if in_sight[m] and not is_valid[m]:
                 wait[m] += 1
+                has_twin[m] |= beside[(stamp_ns - film[0][0]) // PERIOD_NS, m]
                 verdict.reasons[reasons[m]] = verdict.reasons.get(reasons[m], 0) + 1
             elif wait[m]:
-                verdict.waits.append(int(wait[m]))
-                wait[m] = 0
+                end(m)
         if is_verbose:
             shown = " ".join(
                 f"{'!' if is_wrong[m] else ''}{error[m]:+.2f}"
@@ -620,7 +686,9 @@ def judge(name: str, kind: str, seed: int, verdict: Verdict, *, is_verbose: bool
                 for m in range(N_MARKERS)
             )
             print(f"    {k:3d} {shown}")
-    verdict.waits.extend(int(w) for w in wait if w)
+    for m in range(N_MARKERS):
+        if wait[m]:
+            end(m)
     if n_wrong:
         verdict.wrong += n_wrong
         verdict.wrong_scenes.append(seed)
@@ -642,7 +710,8 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     for name in arguments.trackers:
         print(
-            f"{name:20s} in sight  valid of it   wrong (scenes)  largest      z   wait 95 %, most   lost by"
+            f"{name:20s} in sight  valid of it   wrong (scenes)  largest     off      z   "
+            "wait 95 %, most, ambiguous   lost by"
         )
         for kind in arguments.only or CLASSES:
             verdict = Verdict()
@@ -657,16 +726,19 @@ def main() -> int:
                 "wrong_scenes": verdict.wrong_scenes,
                 "largest_px": verdict.largest_px,
                 "z": math.sqrt(verdict.squares / max(verdict.counted, 1)),
+                "off_px": math.sqrt(verdict.squares_px / max(verdict.counted, 1)),
                 "wait_95": float(np.percentile(waits, 95)),
                 "wait_most": int(waits.max()),
+                "wait_ambiguous": max(verdict.ambiguous, default=0),
                 "reasons": verdict.reasons,
             }
             rows.append(row)
             why = sorted(verdict.reasons.items(), key=lambda item: -item[1])[:3]
             print(
                 f"  {kind:18s} {verdict.in_sight:8d} {100 * row['valid']:9.1f} %  {verdict.wrong:6d} "
-                f"({len(verdict.wrong_scenes):3d})  {verdict.largest_px:8.2f}  {row['z']:6.2f}  "
-                f"{row['wait_95']:6.0f} {row['wait_most']:5d}    {', '.join(f'{w} {n}' for w, n in why)}"
+                f"({len(verdict.wrong_scenes):3d})  {verdict.largest_px:8.2f}  {row['off_px']:.4f}  {row['z']:5.2f}  "
+                f"{row['wait_95']:6.0f} {row['wait_most']:5d} {row['wait_ambiguous']:5d}    "
+                f"{', '.join(f'{w} {n}' for w, n in why)}"
                 + (f"   wrong in {verdict.wrong_scenes[:8]}" if verdict.wrong_scenes else ""),
                 flush=True,
             )

@@ -6,6 +6,7 @@ the tracker found there is no measurement.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -123,9 +124,7 @@ def track_video(
     if calibration is None and rig.tracker.calibration:
         calibration = load_calibration(Path(rig.tracker.calibration))
     if is_whole:
-        tracked = follow_strip(
-            video, camera, rig.beam.length, calibration, rig.markers.heights, row_step, progress
-        )
+        tracked = follow_strip(video, camera, rig.beam.length, rig.markers, calibration, row_step, progress)
         notes = [f"the strip was followed at {len(tracked.names)} heights, every {row_step} rows"]
     else:
         tracked, doubt = _track_markers(video, camera, rig, calibration, progress)
@@ -182,9 +181,10 @@ def _track_markers(
     if chain.calibration_fault:
         raise CalibrationError(chain.calibration_fault)
     measured = []
-    for time_ns, image in video.frames():
-        measured.append(chain.measure(time_ns, image))
-        progress(len(measured) / max(video.n_frames, len(measured)))
+    with contextlib.closing(video.frames()) as frames:
+        for time_ns, image in frames:
+            measured.append(chain.measure(time_ns, image))
+            progress(len(measured) / max(video.n_frames, len(measured)))
     reasons: tuple[dict[str, int], ...] = tuple({} for _ in names)
     for frame in measured:
         for counts, reason in zip(reasons, frame.reasons, strict=True):

@@ -29,7 +29,8 @@ from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.interfaces import graph
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import VIDEO_TOPIC, described_rig
+from beam_ros.offline.loading.described_rig import described_rig
+from beam_ros.offline.loading.experiment import VIDEO_TOPIC
 from beam_ros.offline.tracked_film import TrackedVideo, track_video
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import LinearCalibration

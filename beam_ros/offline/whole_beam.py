@@ -6,14 +6,17 @@ of the experiment has these points for markers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.interfaces.rig_parameters import MarkerSettings
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration
+from beam_ros.vision.calibration.perspective import Perspective
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError
 from beam_ros.vision.parameters import CameraParameters
@@ -75,8 +78,8 @@ def follow_strip(
     video: VideoFile,
     camera: CameraParameters,
     length_m: float,
+    markers: MarkerSettings,
     calibration: LinearCalibration | None = None,
-    marker_heights: Sequence[float] = (),
     row_step: int = 10,
     progress: Callable[[float], None] = lambda share: None,
 ) -> FollowedPoints:
@@ -87,8 +90,10 @@ def follow_strip(
     video : VideoFile
     camera : CameraParameters -- the rig's, at the film's rate
     length_m : float -- of the strip [m]
-    calibration : LinearCalibration, optional -- of the markers at ``marker_heights`` [m], between which it is
-        interpolated; None: the nominal scale
+    markers : MarkerSettings -- those that the calibration was made with
+    calibration : LinearCalibration, optional -- interpolated between the markers; where it says in which rows they
+        were, heights and scales follow the camera's perspective (``vision.calibration.perspective``); None: the
+        nominal scale
     row_step : int -- rows of a point
     progress : callable -- called with the share done
 
@@ -101,24 +106,33 @@ def follow_strip(
     VisionParameterError
         The strip is too short in the image for points of so many rows.
     """
-    follower = StripFollower(strip_parameters(camera, length_m, row_step), (camera.height, camera.width))
+    expected = strip_parameters(camera, length_m, row_step)
+    perspective = None if calibration is None else Perspective.of(calibration, markers.height_uncertainties)
+    if perspective is not None:
+        tip, clamp = perspective.rows([length_m, 0.0])
+        expected = replace(expected, first_row=float(tip), last_row=float(clamp))
+    follower = StripFollower(expected, (camera.height, camera.width))
     rows = follower.rows_px
-    heights = (camera.origin_px[1] - rows) / camera.pixels_per_metre
-    scale = (
-        LinearCalibration.from_camera(camera, len(rows))
-        if calibration is None
-        else between_markers(calibration, camera, marker_heights, heights)
-    )
+    scale = calibration or LinearCalibration.from_camera(camera, len(rows))
     lens = Lens.from_dict(scale.provenance["lens"]) if "lens" in scale.provenance else None
+    heights = (camera.origin_px[1] - rows) / camera.pixels_per_metre
+    if perspective is not None:
+        at_rest = np.full(len(rows), expected.rest_column), rows
+        heights = perspective.heights(scale.travel_axes(*(lens.undistort(*at_rest) if lens else at_rest))[1])
+    if calibration is not None:
+        scale = between_markers(calibration, camera, markers.heights, heights)
+        if perspective is not None:
+            scale = replace(scale, pixels_per_metre=tuple(perspective.scales(heights).tolist()))
     timing = FrameTiming(camera)
     times, u, sigma, reasons = [], [], [], []
-    for time_ns, image in video.frames():
-        frame = follower.process(image)
-        times.append(time_ns)
-        u.append(frame.u_px)
-        sigma.append(frame.sigma_px)
-        reasons.append(frame.reasons)
-        progress(len(times) / max(video.n_frames, len(times)))
+    with contextlib.closing(video.frames()) as frames:
+        for time_ns, image in frames:
+            frame = follower.process(image)
+            times.append(time_ns)
+            u.append(frame.u_px)
+            sigma.append(frame.sigma_px)
+            reasons.append(frame.reasons)
+            progress(len(times) / max(video.n_frames, len(times)))
     columns, spread, why = np.array(u), np.array(sigma), np.array(reasons)
     seen = np.isfinite(columns)
     chosen = np.flatnonzero(seen.mean(axis=0) >= _MIN_SEEN)
@@ -160,7 +174,7 @@ def follow_strip(
 def between_markers(
     calibration: LinearCalibration,
     camera: CameraParameters,
-    marker_heights: Sequence[float],
+    marker_heights: tuple[float, ...],
     heights: FloatArray,
 ) -> LinearCalibration:
     """Calibration of points between calibrated markers: scale and zero run straight from marker to marker.
@@ -169,7 +183,7 @@ def between_markers(
     ----------
     calibration : LinearCalibration -- of the markers
     camera : CameraParameters
-    marker_heights : sequence of float -- of the calibrated markers, rising [m]
+    marker_heights : tuple of float -- of the calibrated markers, rising [m]
     heights : ndarray, shape (n_points,) -- of the points, rising [m]
 
     Raises

@@ -394,6 +394,7 @@ class CalibrationProcedure:
             )
         flip = signs == {-1.0}
         direction = -1.0 if flip else 1.0
+        rows = [float(np.mean([point.across_px for point in points])) for points in by_marker]
         sign = np.diag([direction, 1.0])
         calibration = LinearCalibration(
             pixels_per_metre=tuple(abs(line.slope) for line in lines),
@@ -412,6 +413,7 @@ class CalibrationProcedure:
                 "reduced_chi_squared": [line.chi_squared / line.degrees_of_freedom for line in lines],
                 "is_curved": [line.is_curved for line in lines],
                 "has_hysteresis": [line.has_hysteresis for line in lines],
+                **({"rows_px": rows} if np.all(np.isfinite(rows)) else {}),
             },
             angle=angle + turn,
             angle_sd=turn_sd,

@@ -4,44 +4,30 @@ Fast cameras and telephones leave a file afterwards. Its frame rate may be the o
 for slow replay, or none at all; times that the user gives always come first. Where the container holds a time for
 every frame, as Matroska and MP4 do, these are read: they tell a variable rate, and frames that are missing.
 
-A damaged file is decoded as far as it goes: a frame that cannot be decoded is missing, those behind it keep their
-times. What the decoder complains about, it writes to the standard error of the process; this is caught, and counted
-for the frame that was being read.
+A damaged file is decoded as far as it goes (``vision.camera.decoding``): a frame that cannot be decoded is missing,
+those behind it keep their times.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-import os
-import sys
-import tempfile
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from queue import Empty, Queue
-from threading import Event, Thread
-from typing import Any
 
-import cv2
 import numpy as np
 
 from beam_ros.arrays import ImageArray, StampArray
+from beam_ros.vision.camera.decoding import Decoder
 from beam_ros.vision.camera.display_matrix import display_matrix, upright
-from beam_ros.vision.camera.images import grey_frame
-from beam_ros.vision.errors import ImageFormatError, VideoError
+from beam_ros.vision.errors import VideoError
 
 _NS = 1_000_000_000
-_DECODED_AHEAD = 8
-"""Frames that a file's decoder may be ahead of who takes them."""
 _MILLISECOND_NS = 1_000_000
 _RESOLUTION_NS = 520_000
 """Containers that count milliseconds round by half of one; a time may be so far off a frame's [ns]."""
 _EXACT_NS = 2_000
-_MAX_STATED_HZ = 50_000.0
-"""Where a file states a higher rate, it states its clock's."""
-_FFV1, _MOTION_JPEG = b"ffv1", b"mjpg"
-_PICTURE, _PICTURE_RAW, _IS_KEY = (int.from_bytes(word, "little") for word in (b"dc", b"db", b"\x10"))
 _MAX_STAMP_S = 9_150_000_000
 """Stamps are 64-bit nanoseconds since 1970, which end in 2262 [s]."""
 
@@ -76,25 +62,21 @@ class VideoFile:
         heeds_decoder: bool = False,
     ) -> None:
         self.path = Path(path)
-        self._complaints = _Complaints() if heeds_decoder else None
+        self._decoder = Decoder(self.path, is_heeded=heeds_decoder)
+        self.width, self.height, self.n_frames = (
+            self._decoder.width,
+            self._decoder.height,
+            self._decoder.n_frames,
+        )
         self._damaged: list[int] = []
         self.n_undecodable = 0
-        self._keys: frozenset[int] | None = None
-        capture = self._open()
-        try:
-            self.width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-            self.height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-            self.n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-            stated = float(capture.get(cv2.CAP_PROP_FPS))
-        finally:
-            capture.release()
         self._matrix = display_matrix(self.path)
         self.is_turned = self._matrix is not None
         if self._matrix is not None and self._matrix[0][0] == 0:
             self.width, self.height = self.height, self.width
         self._times = None if frame_times_ns is None else [int(time) for time in frame_times_ns]
         self.n_times = None if self._times is None else len(self._times)
-        self._stated_hz = stated if math.isfinite(stated) and 0 < stated <= _MAX_STATED_HZ else math.nan
+        self._stated_hz = self._decoder.stated_hz
         self._is_rate_given = rate_hz is not None
         if self._times is not None:
             if any(
@@ -105,7 +87,7 @@ class VideoFile:
                 )
             self.rate_hz = math.nan
             return
-        rate = stated if rate_hz is None else float(rate_hz)
+        rate = self._decoder.rate_hz if rate_hz is None else float(rate_hz)
         if not (math.isfinite(rate) and 0 < rate <= 1e6):
             whose = "the file states" if rate_hz is None else "given is"
             raise VideoError(
@@ -113,50 +95,11 @@ class VideoFile:
             )
         self.rate_hz = self._stated_hz if rate_hz is None else rate
 
-    def _open(self) -> Any:
-        if self.path.is_dir():
-            raise VideoError(
-                f"{self.path}: this is a folder; give the video file, not the folder that it is in"
-            )
-        if not self.path.is_file():
-            raise VideoError(f"{self.path}: no such video file; check the path")
-        fault: cv2.error | None = None
-        with self._heeded():
-            try:
-                capture = self._capture()
-                # Some versions open whatever has a name, and find nothing in it.
-                if capture.isOpened() and capture.get(cv2.CAP_PROP_FRAME_WIDTH) >= 1:
-                    return capture
-                capture.release()
-            except cv2.error as err:
-                fault = err
-        raise VideoError(
-            f"{self.path}: no video that OpenCV {cv2.__version__} can read; convert it, for example with "
-            "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
-        ) from fault
-
-    def _capture(self) -> Any:
-        """Open the file; where the decoder is heeded, it works on one frame at a time."""
-        if self._complaints is not None and hasattr(cv2, "CAP_PROP_N_THREADS"):
-            capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-            if capture.isOpened():
-                return self._untouched(capture)
-            capture.release()
-        return self._untouched(cv2.VideoCapture(str(self.path)))
-
-    @staticmethod
-    def _untouched(capture: Any) -> Any:
-        """Have the pictures as they are stored: OpenCV turns them, but takes a mirror for a turn."""
-        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-        return capture
-
-    def _heeded(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext() if self._complaints is None else self._complaints.heard()
-
-    def frames(self) -> Iterator[tuple[int, ImageArray]]:
+    def frames(self) -> Generator[tuple[int, ImageArray], None, None]:
         """Read the frames, one after the other; a thread decodes some ahead while the caller works.
 
-        Where the decoder is heeded, the caller's own thread decodes: nothing else may write meanwhile.
+        Where the decoder is heeded, nothing but Python may write to the standard error until the last frame, or until
+        the generator is closed.
 
         Yields
         ------
@@ -167,95 +110,20 @@ class VideoFile:
         ------
         VideoError -- fewer times than frames, no frame at all, or one that cannot be decoded
         """
-        yield from _ahead(self._decoded()) if self._complaints is None else self._decoded()
-
-    def _decoded(self) -> Generator[tuple[int, ImageArray], None, None]:
-        """Decode the frames where they are asked for."""
-        capture = self._open()
-        count, first_ns, last_ns, is_broken, failed = 0, 0, -1, False, 0
+        count, first_ns, last_ns = 0, 0, -1
         self._damaged, self.n_undecodable = [], 0
-        torn = self._torn_pictures(capture) if self._complaints is not None else frozenset()
-        try:
-            while True:
-                image = self._read(capture, count)
-                if image is None:
-                    # Behind a frame that cannot be decoded there may be others, as many as the file says.
-                    failed += 1
-                    is_broken = True
-                    if self._complaints is not None:
-                        self._complaints.have_grown()
-                    if count + self.n_undecodable + failed >= self.n_frames:
-                        break
-                    continue
-                self.n_undecodable, failed = self.n_undecodable + failed, 0
-                shown_ns = round(float(capture.get(cv2.CAP_PROP_POS_MSEC)) * _MILLISECOND_NS)
-                if self._complaints is not None:
-                    # A picture that builds on a damaged one is damaged, too, up to the next that stands by itself.
-                    number = self._number(count + self.n_undecodable, shown_ns)
-                    is_broken = self._complaints.have_grown() or (
-                        is_broken and not self._stands_alone(number, capture)
-                    )
-                    is_broken |= number in torn
-                    self._damaged += [count] if is_broken else []
-                if count == 0:
-                    first_ns = shown_ns
-                last_ns = self._time(count + self.n_undecodable, shown_ns - first_ns, last_ns)
-                yield last_ns, image if self._matrix is None else upright(image, self._matrix)
-                count += 1
-        finally:
-            capture.release()
+        with contextlib.closing(self._decoder.pictures()) as pictures:
+            for count, picture in enumerate(pictures, start=1):
+                if count == 1:
+                    first_ns = picture.shown_ns
+                if picture.is_damaged:
+                    self._damaged.append(count - 1)
+                self.n_undecodable = picture.n_undecodable
+                number = count - 1 + picture.n_undecodable
+                last_ns = self._time(number, picture.shown_ns - first_ns, last_ns)
+                yield last_ns, picture.image if self._matrix is None else upright(picture.image, self._matrix)
         if count == 0:
             raise VideoError(f"{self.path}: not one frame can be read; the file may be cut short")
-
-    def _number(self, k: int, shown_ns: int) -> int:
-        """Number of a picture in the file, by the time that the container gives it; else k, as many as were read."""
-        return round(shown_ns * self._stated_hz / _NS) if math.isfinite(self._stated_hz) else k
-
-    def _read(self, capture: Any, count: int) -> ImageArray | None:
-        """Read the next frame; None where there is none, or it cannot be decoded."""
-        try:
-            with self._heeded():
-                is_read, frame = capture.read()
-            return grey_frame(frame) if is_read else None
-        except (cv2.error, ImageFormatError) as err:
-            raise VideoError(
-                f"{self.path}: frame {count} cannot be decoded ({err}); convert the video, for example with "
-                "`ffmpeg -i FILE -c:v ffv1 OUT.avi`"
-            ) from err
-
-    def _torn_pictures(self, capture: Any) -> frozenset[int]:
-        """Numbers of the pictures of a Motion-JPEG film that a second decoder complains about.
-
-        A JPEG has no checksum, and FFmpeg passes over some of what the library for JPEG notices. What neither does, a
-        flipped bit that leaves every code as long as it was, cannot be told from a picture.
-        """
-        if self._complaints is None or _codec(capture) != _MOTION_JPEG:
-            return frozenset()
-        packets = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-        torn, number = [], 0
-        try:
-            while packets.isOpened():
-                is_read, packet = packets.read()
-                if not is_read:
-                    break
-                with self._heeded():
-                    picture = cv2.imdecode(np.asarray(packet).ravel(), cv2.IMREAD_REDUCED_GRAYSCALE_8)
-                if self._complaints.have_grown() or picture is None:
-                    torn.append(number)
-                number += 1
-        finally:
-            packets.release()
-        return frozenset(torn)
-
-    def _stands_alone(self, k: int, capture: Any) -> bool:
-        """Whether frame k, read last, is known to need no other."""
-        if _codec(capture) == _FFV1:
-            # Its pictures are of one type, though they build on what was learned since the last key frame.
-            if self._keys is None:
-                self._keys = _key_frames(self.path)
-            return k in self._keys
-        kind = getattr(cv2, "CAP_PROP_FRAME_TYPE", None)
-        return kind is not None and int(capture.get(kind)) == ord("I")
 
     def _time(self, k: int, shown_ns: int, last_ns: int) -> int:
         """Time of frame k, which the container shows at ``shown_ns`` after the first [ns]."""
@@ -319,79 +187,6 @@ class VideoFile:
         damaged = np.zeros(n_frames, dtype=bool)
         damaged[[k for k in self._damaged if k < n_frames]] = True
         return damaged
-
-
-def _ahead(frames: Generator[tuple[int, ImageArray], None, None]) -> Iterator[tuple[int, ImageArray]]:
-    """Take frames from a thread that is some of them ahead."""
-    waiting: Queue[tuple[int, ImageArray] | VideoError | None] = Queue(_DECODED_AHEAD)
-    is_over = Event()
-
-    def decode() -> None:
-        try:
-            for frame in frames:
-                waiting.put(frame)
-                if is_over.is_set():
-                    break
-            waiting.put(None)
-        except VideoError as err:
-            waiting.put(err)
-        finally:
-            frames.close()
-
-    decoder = Thread(target=decode, name="decoder", daemon=True)
-    decoder.start()
-    try:
-        while (found := waiting.get()) is not None:
-            if isinstance(found, VideoError):
-                raise found
-            yield found
-    finally:
-        is_over.set()
-        while decoder.is_alive():  # one that waits for room sees that nobody wants more
-            with contextlib.suppress(Empty):
-                waiting.get(timeout=0.01)
-
-
-def _codec(capture: Any) -> bytes:
-    """Four letters of the codec; OpenCV 5 writes some small that were large in OpenCV 4."""
-    return (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little").lower()
-
-
-def _key_frames(path: Path) -> frozenset[int]:
-    """Numbers of the frames that need no other, as the index of an AVI file says; none where there is no index."""
-    data = path.read_bytes()
-    at = data.rfind(b"idx1")
-    if not data.startswith(b"RIFF") or at < 0:
-        return frozenset()
-    size = int.from_bytes(data[at + 4 : at + 8], "little")
-    entries = np.frombuffer(data[at + 8 : at + 8 + size - size % 16], dtype="<u4").reshape(-1, 4)
-    pictures = entries[(entries[:, 0] >> 16 == _PICTURE_RAW) | (entries[:, 0] >> 16 == _PICTURE)]
-    return frozenset(np.flatnonzero(pictures[:, 1] & _IS_KEY).tolist())
-
-
-class _Complaints:
-    """What is written to the standard error of this process while a frame is read."""
-
-    def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 -- it lives as long as its film
-        self._size = 0
-
-    @contextlib.contextmanager
-    def heard(self) -> Iterator[None]:
-        """Catch it, for the time of a call."""
-        sys.stderr.flush()
-        kept = os.dup(2)
-        try:
-            os.dup2(self._file.fileno(), 2)
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-
-    def have_grown(self) -> bool:
-        """Whether something was caught since this was asked last."""
-        before, self._size = self._size, os.fstat(self._file.fileno()).st_size
-        return self._size > before
 
 
 def read_frame_times(path: Path) -> tuple[int, ...]:

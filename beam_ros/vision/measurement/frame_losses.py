@@ -37,12 +37,15 @@ _MIN_TELLING = 6
 _MOVING, _MIN_MOVING = 3.0, 40
 """Frames between which the marker moves by so many standard deviations, and how many of them are needed."""
 _TURNS = 6
+_GROWTH_TURNS = 12
 _WINDOW_S = 0.6
 _GOOD_CORRELATION = 0.97
 _LARGEST_TIMING_S = 0.2e-3
 _SIGNIFICANT = 5.0
-_SOME, _LIKELY = 0.6, 2.5
+_SOME, _LIKELY = 0.6, 3.0
 """Jitter is refused from this share of the limit on where it is significant, from the limit on where it is likely."""
+_EVEN = 0.1
+"""Share of a period by which frames may be shown to be uneven where some are taken for lost."""
 _RECURSION = 6
 _BROKEN = 9.0
 """So many standard deviations of its innovations break the recursion of a free swing."""
@@ -115,6 +118,8 @@ def time_film(
             is_timed &= _well_placed(lost, is_timed & search.is_moving(found, times))
             # Frames whose place is doubtful pull at the clock.
             search.seen = np.where(is_timed, search.seen, np.nan)
+            if np.count_nonzero(np.isfinite(search.seen)) < _MIN_MOVING:
+                raise _uneven(period_s, math.inf)
             found = search.fit(times)
             jitter, jitter_sd = search.judge(found, times)
         if high_markers_m is not None:
@@ -122,7 +127,27 @@ def time_film(
             hub = np.interp(instants, hub_times_s, hub_positions_m)
             moving = search.is_moving(found, times)
             is_timed = _as_the_swing_tells(is_timed, lost, moving, high_markers_m, hub)
+        # Frames that nobody can time are there only where some are lost, whether they were found or not.
+        largest = _largest(jitter, jitter_sd) if np.any(is_timed) else math.inf
+        if (np.any(lost) or not np.all(is_timed)) and largest > _EVEN * period_s:
+            raise _uneven(period_s, largest)
     return FilmTimes(found, lost, is_timed, jitter, jitter_sd)
+
+
+def _largest(jitter_s: float, sd_s: float) -> float:
+    """Jitter that two standard deviations of its square leave possible [s]; ``sd_s`` as ``judge`` returns it."""
+    slope_sd = 2.0 * jitter_s * sd_s if jitter_s > 0 else sd_s**2
+    return math.sqrt(jitter_s**2 + 2.0 * slope_sd)
+
+
+def _uneven(period_s: float, largest_s: float) -> SynchronisationError:
+    """Say that nobody can tell lost frames from frames that come unevenly."""
+    by = f"by {largest_s * 1e3:.2g} ms" if math.isfinite(largest_s) else "by any time"
+    return SynchronisationError(
+        f"the film lacks frames, or its frames come unevenly {by}, and the hub's motion does not tell which; "
+        f"expected them even to {_EVEN * period_s * 1e3:.2g} ms: give the camera's own times with --times, or film "
+        "at a constant rate"
+    )
 
 
 class _Search:
@@ -190,14 +215,19 @@ class _Search:
             spreads.append(_spread(residual))
         self.sigma = max(min(spreads), 1e-7)
         costs = [self._cost(*candidate) for candidate in candidates]
-        return candidates[int(np.argmin(costs))]
+        found, lost = candidates[int(np.argmin(costs))]
+        # Frames at rest, which may be most of them, do not tell how well one in motion is explained.
+        residual, speed = self.residuals(found, self.times + lost * (self.period_s or 0.0))
+        self.sigma = max(self.sigma, _spread(residual[np.abs(speed) >= math.sqrt(np.mean(speed**2))]))
+        return found, lost
 
     def _agrees(self, found: Synchronisation) -> bool:
+        """Whether the film needs no losses: its frames are shown to be where it says, and even."""
         try:
-            self.judge(found, self.times)
+            jitter = self.judge(found, self.times)
         except SynchronisationError:
             return False
-        return True
+        return _largest(*jitter) <= _EVEN * (self.period_s or math.inf)
 
     def _cost(self, found: Synchronisation, lost: IndexArray) -> float:
         residual, _ = self.residuals(found, self.times + lost * (self.period_s or 0.0))
@@ -324,13 +354,8 @@ class _Search:
         moves = np.abs(v) * float(np.median(np.diff(times))) > _MOVING * _spread(r)
         if np.count_nonzero(moves) >= _MIN_MOVING:
             r, v = r[moves], v[moves]
-        clipped = np.minimum(r**2, np.quantile(r**2, 0.995))
-        design = np.stack([np.ones_like(v), v**2], axis=1)
-        (_, slope), *_ = np.linalg.lstsq(design, clipped, rcond=None)
-        left = clipped - design @ np.linalg.lstsq(design, clipped, rcond=None)[0]
-        inverse = np.linalg.pinv(design.T @ design)
-        slope_sd = math.sqrt(float((inverse @ (design.T * left**2) @ design @ inverse)[1, 1]))
-        jitter = math.sqrt(max(float(slope), 0.0))
+        slope, slope_sd = _growth(r**2, v**2)
+        jitter = math.sqrt(slope)
         jitter_sd = slope_sd / (2 * jitter) if jitter > 0 else math.sqrt(slope_sd)
         is_some = jitter > _SOME * limit and slope > _SIGNIFICANT * slope_sd
         if heeds_jitter and (is_some or (jitter > limit and slope > _LIKELY * slope_sd)):
@@ -352,6 +377,25 @@ def _spread(residual: FloatArray) -> float:
     """Robust standard deviation."""
     known = residual[np.isfinite(residual)]
     return float(1.4826 * np.median(np.abs(known - np.median(known)))) if known.size else math.inf
+
+
+def _growth(squares: FloatArray, speeds: FloatArray) -> tuple[float, float]:
+    """Growth of squared residuals with the squared speed, at least 0 [s^2], and its standard deviation.
+
+    Their variance is twice the square of their mean, by which they are weighed in turns; what is beyond three
+    standard deviations of a residual counts as much as that.
+    """
+    design = np.stack([np.ones_like(speeds), speeds], axis=1)
+    found = np.array([float(np.mean(squares)), 0.0])
+    for _ in range(_GROWTH_TURNS):
+        mean = np.maximum(design @ found, 1e-3 * float(np.mean(squares)))
+        weighted = design / mean[:, None] ** 2
+        normal = weighted.T @ design
+        found = np.maximum(np.linalg.pinv(normal) @ (weighted.T @ np.minimum(squares, 9.0 * mean)), 0.0)
+    inverse = np.linalg.pinv(normal)
+    left = np.minimum(squares, 9.0 * mean) - mean
+    scatter = inverse @ ((weighted * left[:, None] ** 2).T @ weighted) @ inverse
+    return float(found[1]), math.sqrt(max(2.0 * float(inverse[1, 1]), float(scatter[1, 1])))
 
 
 def _cheapest(costs: FloatArray) -> IndexArray:

@@ -7,36 +7,34 @@ moves the position. In a row, a, b and the shift du against a nearby u0 follow f
 
     grey(j) = b + a T(j - u0) + s T'(j - u0),      s = a du
 
-whose solution is tabulated: for each phase of u0 within a pixel and each smear, three rows of weights.
+whose orthonormal basis is tabulated for each phase of u0 within a pixel and each smear: three sums over the pixels
+give the fit, and what they leave of the sum of squares is the misfit.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
-from beam_ros.arrays import FloatArray, IndexArray
+from beam_ros.arrays import Float32Array, FloatArray, IndexArray
 
-PHASES = 32
+_PHASE_BITS = 5
+PHASES = 1 << _PHASE_BITS
 """Tabulated positions of the strip per pixel; the rest, at most 1/64 px, is what ``du`` is for."""
 SMEAR_STEP_PX = 0.25
 """Smears are tabulated in these steps [px]."""
+_HALF_STEP = round(SMEAR_STEP_PX / 2 * PHASES)
 _MARGIN_SIGMAS = 4.0
 _BACKGROUND_PX = 1.5
 """Columns on either side that show nothing but the ground [px]."""
 _SHARPEST_PX = 0.05
 
 
-def _third_integral(x: FloatArray) -> FloatArray:
-    """Return the normal density, integrated three times from minus infinity."""
-    density = np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
-    return np.asarray(0.5 * ((x * x + 1.0) * ndtr(x) + x * density))
-
-
-def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> FloatArray:
-    """Grey level of the pixels of a row, as a share of that of a wide bar.
+def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> tuple[FloatArray, FloatArray]:
+    """Grey level of the pixels of a row, as a share of that of a wide bar, and how it follows the bar.
 
     Parameters
     ----------
@@ -46,71 +44,116 @@ def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> 
 
     Returns
     -------
-    ndarray, same shape -- T
+    shape, slope : ndarray, same shape -- T, and T' = -dT/dx, its change with a shift to the right [1/px]
 
     Notes
     -----
     Three boxes (bar, pixel, smear) convolved with a Gaussian: the third integral of the Gaussian, differenced once
-    for each box over its width and divided by the widths of pixel and smear.
+    for each box over its width and divided by the widths of pixel and smear. One integral less gives the slope.
     """
+    if smear_px == 0:
+        first, second, _ = _integrals(x, width_px, blur_px)
+        return second, -first
+    (_, slope_right, right), (_, slope_left, left) = (
+        _integrals(x + sign * smear_px / 2, width_px, blur_px) for sign in (1, -1)
+    )
+    return (right - left) / smear_px, (slope_left - slope_right) / smear_px
+
+
+def _integrals(x: FloatArray, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integrals of the Gaussian, once to three times from minus infinity, differenced over bar and pixel."""
     sigma = max(blur_px, _SHARPEST_PX)
-    smear = max(smear_px, 1e-2)
-    total = np.zeros_like(x)
+    sums = np.zeros((3, *x.shape))
     for bar in (1.0, -1.0):
         for pixel in (1.0, -1.0):
-            for box in (1.0, -1.0):
-                end = x + 0.5 * (bar * width_px + pixel + box * smear)
-                total += bar * pixel * box * _third_integral(end / sigma)
-    return np.asarray(total * sigma**2 / smear)
+            end = (x + 0.5 * (bar * width_px + pixel)) / sigma
+            once, density = ndtr(end), np.exp(-0.5 * end * end) / math.sqrt(2.0 * math.pi)
+            twice = end * once + density
+            sums += bar * pixel * np.stack([once, sigma * twice, sigma**2 / 2 * (end * twice + once)])
+    return sums[0], sums[1], sums[2]
+
+
+class RowFits(NamedTuple):
+    """The strip in each of n rows.
+
+    Attributes
+    ----------
+    height, slope : ndarray, shape (n,) -- a and s
+    mean : ndarray, shape (n,) -- mean grey level of the pixels
+    misfit : ndarray, shape (n,) -- sum of the squared residuals
+    height_gain, slope_gain : ndarray, shape (n,) -- variances of a and s for white noise of variance 1
+    grey : ndarray, shape (n,) -- grey level of the pixels that tell the shift, as the fit has it
+    """
+
+    height: FloatArray
+    slope: FloatArray
+    mean: FloatArray
+    misfit: FloatArray
+    height_gain: FloatArray
+    slope_gain: FloatArray
+    grey: FloatArray
 
 
 class ProfileTable:
-    """Weights that turn the pixels of a row into ground, height and shift of the strip.
+    """Turns the pixels of a row into ground, height and shift of the strip.
 
     Parameters
     ----------
     width_px, blur_px : float -- width of the strip, standard deviation of the lens's Gaussian [px]
     max_smear_px : float -- longest smear tabulated [px]
+    half : int or None -- pixels on either side that are looked at; None: as many as it takes
 
     Attributes
     ----------
     half : int -- pixels on either side of the one that holds the strip's middle
     size : int -- pixels of a row that are looked at
-    max_smear_px : float -- longest smear tabulated [px]
-    shapes : ndarray, shape (n_entries, 3, size) -- T, 1 and T' (positive where a shift to the right brightens)
-    weights : ndarray, shape (n_entries, 3, size) -- from grey levels to a, b and s
-    gains : ndarray, shape (n_entries, 2) -- variances of a and s for white noise of variance 1
+    spread_px : float -- half the width at which the cross-section bends: its standard deviation [px]
+    basis : ndarray, shape (n_entries, 3, size) -- orthonormal: 1, then T, then T', each without what those before it
+        explain
+    shapes : ndarray, shape (n_entries, size) -- T
     freedom : ndarray, shape (n_entries, size) -- share of a pixel's variance that is left in its residual
     """
 
-    def __init__(self, width_px: float, blur_px: float, max_smear_px: float) -> None:
+    def __init__(self, width_px: float, blur_px: float, max_smear_px: float, half: int | None = None) -> None:
         spread = math.hypot(blur_px, math.sqrt(1.0 / 12.0))
         reach = (width_px + max_smear_px) / 2 + _MARGIN_SIGMAS * spread + _BACKGROUND_PX
-        self.half = math.ceil(reach)
+        self.half = math.ceil(reach) if half is None else half
         self.size = 2 * self.half + 1
-        self.max_smear_px = max_smear_px
+        self.spread_px = math.hypot(spread, width_px / math.sqrt(12.0))
         self._bins = round(max_smear_px / SMEAR_STEP_PX) + 1
-        pixels = np.arange(-self.half, self.half + 1, dtype=np.float64)
-        phases = (np.arange(PHASES) + 0.5) / PHASES - 0.5
-        x = pixels[None, :] - phases[:, None]
-        shapes = np.empty((self._bins, PHASES, 3, self.size))
-        step = 1e-3
-        for k in range(self._bins):
-            smear = k * SMEAR_STEP_PX
-            shapes[k, :, 0] = profile(x, width_px, blur_px, smear)
-            shapes[k, :, 1] = 1.0
-            shapes[k, :, 2] = (
-                profile(x - step, width_px, blur_px, smear) - profile(x + step, width_px, blur_px, smear)
-            ) / (2 * step)
-        flat = shapes.reshape(-1, 3, self.size)
-        normal = flat @ flat.transpose(0, 2, 1)
-        inverse = np.linalg.inv(normal)
-        weights = inverse @ flat
-        leverage = np.sum(weights * flat, axis=1)
-        self.shapes = flat.astype(np.float32)
-        self.weights = weights.astype(np.float32)
-        self.gains = np.stack([inverse[:, 0, 0], inverse[:, 2, 2]], axis=1)
-        self.freedom = np.clip(1.0 - leverage, 0.0, 1.0).astype(np.float32)
+        shape, slope = self._tabulated(width_px, blur_px)
+        # Gram and Schmidt, with the ground first: the shift's share is then what only a shift explains.
+        ground = np.full_like(shape, 1.0 / math.sqrt(self.size))
+        raised = shape - shape.mean(axis=1, keepdims=True)
+        height = np.linalg.norm(raised, axis=1)
+        raised /= height[:, None]
+        steep = slope - slope.mean(axis=1, keepdims=True)
+        shared = np.sum(raised * steep, axis=1)
+        steep -= shared[:, None] * raised
+        shift = np.linalg.norm(steep, axis=1)
+        steep /= shift[:, None]
+        basis = np.stack([ground, raised, steep], axis=1)
+        self.basis = basis.astype(np.float32)
+        self.shapes = shape.astype(np.float32)
+        self.freedom = np.clip(1.0 - np.sum(basis**2, axis=1), 0.0, 1.0).astype(np.float32)
+        level = np.sum(steep**2 * shape, axis=1) - shape.mean(axis=1)
+        of_raised, of_steep, per_shift = 1.0 / height, -shared / (height * shift), 1.0 / shift
+        self._terms = np.stack(
+            [of_raised, of_steep, per_shift, level, of_raised**2 + of_steep**2, per_shift**2]
+        )
+
+    def _tabulated(self, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray]:
+        """T and T' of all entries: the ends of the smears lie on the phases' own grid."""
+        reach = (self._bins - 1) * _HALF_STEP
+        fine = (np.arange(self.size * PHASES + 2 * reach) - reach + 0.5) / PHASES - self.half - 0.5
+        first, second, third = _integrals(fine, width_px, blur_px)
+        at = reach + np.arange(self.size)[None, :] * PHASES + np.arange(PHASES)[::-1, None]
+        shape, slope = [second[at]], [-first[at]]
+        for k in range(1, self._bins):
+            right, left, smear = at + k * _HALF_STEP, at - k * _HALF_STEP, k * SMEAR_STEP_PX
+            shape.append((third[right] - third[left]) / smear)
+            slope.append((second[left] - second[right]) / smear)
+        return np.concatenate(shape), np.concatenate(slope)
 
     def entries(self, u: FloatArray, smear_px: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Look up where each row's strip is in the table.
@@ -125,7 +168,36 @@ class ProfileTable:
         entry : ndarray of int, shape (n_rows,) -- row of the tables
         tabulated : ndarray, shape (n_rows,) -- the position that the entry stands for [px]
         """
-        column = np.floor(u + 0.5).astype(np.intp)
-        phase = np.minimum(((u - column + 0.5) * PHASES).astype(np.intp), PHASES - 1)
+        position = np.floor((u + 0.5) * PHASES).astype(np.intp)
+        column = position >> _PHASE_BITS
         smears = np.minimum((smear_px / SMEAR_STEP_PX + 0.5).astype(np.intp), self._bins - 1)
-        return column, smears * PHASES + phase, column + (phase + 0.5) / PHASES - 0.5
+        entry = position + (smears - column) * PHASES
+        return column, entry, (position + 0.5) / PHASES - 0.5
+
+    def fit(self, entry: IndexArray, pixels: Float32Array) -> RowFits:
+        """Fit ground, height and shift in each of n rows.
+
+        Parameters
+        ----------
+        entry : ndarray of int, shape (n,) -- of ``entries``
+        pixels : ndarray, shape (n, size) -- about ``column``; near zero, for the sake of their squares [grey levels]
+        """
+        parts = np.einsum("rkw,rw->kr", self.basis.take(entry, axis=0), pixels).astype(np.float64)
+        of_raised, of_steep, per_shift, level, height_gain, slope_gain = self._terms.take(entry, axis=1)
+        height, slope = of_raised * parts[1] + of_steep * parts[2], per_shift * parts[2]
+        mean = parts[0] / math.sqrt(self.size)
+        return RowFits(
+            height,
+            slope,
+            mean,
+            np.einsum("rw,rw->r", pixels, pixels) - np.einsum("kr,kr->r", parts, parts),
+            height_gain,
+            slope_gain,
+            mean + height * level,
+        )
+
+    def residual(self, entry: IndexArray, pixels: Float32Array) -> Float32Array:
+        """Return what the fit leaves of the pixels, shape (n, size)."""
+        basis = self.basis.take(entry, axis=0)
+        parts = np.einsum("rkw,rw->rk", basis, pixels)
+        return np.asarray(pixels - np.einsum("rk,rkw->rw", parts, basis))

@@ -15,12 +15,14 @@ aperture is as long as the smear, so that the centre is the mean position over t
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from beam_ros.arrays import Float32Array, FloatArray
+from beam_ros.arrays import Float32Array, FloatArray, ImageArray
+from beam_ros.vision.tracking.moments import beyond
 
 _PHASES_U = 32
 """Positions of the aperture per pixel along u, along which the marker moves."""
@@ -101,6 +103,81 @@ def aperture_at(
     smear_steps = round(smear / _SMEAR_STEP_PX) if smear > 0.0 else 0
     aperture = _tabulated(at_u % _PHASES_U, at_v % _PHASES_V, disc[0], disc[1], smear_steps)
     return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
+
+
+def weighted_sums(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    weights: Float32Array,
+    floor: float,
+    is_dark: bool,
+) -> list[float]:
+    """Sums of the grey levels beyond a floor, with weights.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width), uint8 or uint16
+    left, top, right, bottom : int -- region of the image, the last two exclusive [px]
+    weights : ndarray of float32, shape (3, pixels of the region)
+    floor : float -- a whole grey level
+    is_dark : bool -- beyond it towards black
+
+    Returns
+    -------
+    list of 3 float
+    """
+    grey = beyond(image[top:bottom, left:right], floor, is_dark=is_dark)
+    sums: list[float] = weights.dot(grey.ravel().astype(np.float32)).tolist()
+    return sums
+
+
+def weighted_sums_in_loops(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    weights: Float32Array,
+    floor: float,
+    is_dark: bool,
+) -> tuple[float, float, float]:
+    """Return what ``weighted_sums`` does, by loops that Numba compiles."""
+    zero, sign, most = int(floor), -1 if is_dark else 1, 255 if image.itemsize == 1 else 65535
+    mass = first_u = first_v = 0.0
+    width = right - left
+    for y in range(bottom - top):
+        for x in range(width):
+            grey = min(max(sign * (int(image[top + y, left + x]) - zero), 0), most)
+            at = y * width + x
+            mass += weights[0, at] * grey
+            first_u += weights[1, at] * grey
+            first_v += weights[2, at] * grey
+    return mass, first_u, first_v
+
+
+@cache
+def compiled_weighted_sums() -> Callable[..., Sequence[float]] | None:
+    """Return ``weighted_sums`` as machine code, or None without Numba."""
+    try:
+        from numba import njit, types
+    except ImportError:
+        return None
+    whole, real = types.int64, types.float64
+    weights = types.Array(types.float32, 2, "C", readonly=True)
+    compiled: Callable[..., Sequence[float]] = njit(
+        [
+            types.UniTuple(real, 3)(
+                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, weights, real, types.boolean
+            )
+            for grey in (types.uint8, types.uint16)
+        ],
+        cache=True,
+        nogil=True,
+    )(weighted_sums_in_loops)
+    return compiled
 
 
 @lru_cache(maxsize=4096)

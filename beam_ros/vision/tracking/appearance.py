@@ -15,12 +15,20 @@ from beam_ros.vision.tracking.disc_model import DiscModel
 
 _NORMAL = NormalDist()
 _NOISE_LEVEL = 2.5
-"""The subtracted level lies at least this many noise standard deviations above the background."""
+"""The subtracted level lies at least this many noise standard deviations above the background, ..."""
+_QUIET_LEVEL = 5.0
+"""... and this many, which a texture behind the marker does not reach, ..."""
+_MAX_QUIET = 1 / 3
+"""... where they are no more than this fraction of the contrast."""
 _FLOOR = 4.0
 """Whatever is further than so many noise standard deviations beyond the background, away from the markers, counts
 as no more than that: a dark object beside a bright marker does not pull."""
 _SETTLING_FRAMES = 32
 """Frames over which a marker's own appearance is averaged."""
+_SAME_LEVEL = 0.01
+"""Levels that differ by less show the same disc [of the contrast]."""
+_MAX_LEVEL = 0.9
+"""Of a contrast, at most so much is subtracted where a disc is derived."""
 _SLOW = 0.15
 """Weight of a new value in the slow averages of brightness, background and noise."""
 QUANTISATION_VARIANCE = 1.0 / 12.0
@@ -55,7 +63,8 @@ class Light:
         """Derive the levels from the present averages."""
         if self._fixed_noise is not None:
             self.noise = self._fixed_noise
-        above = max(self._fraction * self.contrast, _NOISE_LEVEL * self.noise, 1.0)
+        quiet = min(_QUIET_LEVEL * self.noise, _MAX_QUIET * self.contrast)
+        above = max(self._fraction * self.contrast, quiet, _NOISE_LEVEL * self.noise, 1.0)
         below = _FLOOR * self.noise
         if self._is_dark:
             self.level = float(math.floor(self.background - above))
@@ -131,14 +140,8 @@ class Appearance:
         return self.frames >= _SETTLING_FRAMES
 
     def derive(self) -> None:
-        """Derive the disc from the present averages.
-
-        A rim blurred by a normal distribution is seen above the level only: a distribution cut off there, whose
-        mean lies ``shift`` inside of the whole one's and whose variance is smaller by ``share``.
-        """
-        density = _NORMAL.pdf(_NORMAL.inv_cdf(self.level)) if self.level > 0.0 else 0.0
-        shift = density / (1 - self.level)
-        share = 1 + (_NORMAL.inv_cdf(self.level) * shift if self.level > 0.0 else 0.0) - shift * shift
+        """Derive the disc from the present averages."""
+        shift, share = _cut(self.level)
         squared = self.area / math.pi
         # The second moment of a disc is radius^2 / 4; blur adds its own.
         rim = max(self.variance_v - squared / 4, 0.1)
@@ -146,3 +149,32 @@ class Appearance:
         seen = math.sqrt(max(squared - rim, 1.0))
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
         self.disc = disc_steps(self.radius, self.edge, self.disc)
+
+    def changes(self, level: float) -> tuple[float, float]:
+        """Changes of the area and of both second moments where another level is subtracted [px^2]."""
+        if abs(level - self.level) < _SAME_LEVEL:
+            return 0.0, 0.0
+        (area, variance), (own_area, own_variance) = self._seen(level), self._seen(self.level)
+        return area - own_area, variance - own_variance
+
+    def _seen(self, level: float) -> tuple[float, float]:
+        """Area and second moment of the disc above a level: the reverse of ``derive`` [px^2]."""
+        shift, share = _cut(level)
+        inside = self.radius - shift * self.edge
+        seen = 0.5 * (inside + math.sqrt(max(inside * inside - 2 * self.edge * self.edge, 0.0)))
+        rim = share * self.edge * self.edge
+        squared = seen * seen + rim
+        return math.pi * squared, rim + squared / 4
+
+
+def _cut(level: float) -> tuple[float, float]:
+    """What a level leaves of a rim that is blurred by a normal distribution.
+
+    That is a distribution cut off there, whose mean lies so many standard deviations (the first number) inside of the
+    whole one's and whose variance is smaller by a factor (the second).
+    """
+    if level <= 0.0:
+        return 0.0, 1.0
+    depth = _NORMAL.inv_cdf(min(level, _MAX_LEVEL))
+    shift = _NORMAL.pdf(depth) / (1 - min(level, _MAX_LEVEL))
+    return shift, 1 + depth * shift - shift * shift

@@ -7,10 +7,10 @@ fit needs is a product of tabulated weights with the grey levels,
 
     (A du, A dv, A, B, ...) = (X' W X)^-1 X' W I        X = dT/du, dT/dv, T, 1, dT/dR, dT/de, dT/ds
 
-where W follows the noise, which is larger where there is more light: var I = alpha + beta T. Radius, blur and length
-of the smear are fitted along: by symmetry they cost the centre nothing, and what they are wrong by does not pull. The
-error of the linear step is of third order, below 1e-4 px at a sixteenth of a pixel; where the start was further away,
-the step is made again from the nearer point.
+where W follows the noise, var I = alpha + beta T: larger where there is more light, or, where the disc hides a
+texture of the background, smaller. Radius, blur and length of the smear are fitted along: by symmetry they cost the
+centre nothing, and what they are wrong by does not pull. The error of the linear step is of third order, below 1e-4
+px at a sixteenth of a pixel; where the start was further away, the step is made again from the nearer point.
 
 More things pull the centre and are known in part only: a slope of the background and one of the light on the disc,
 and the bend of the motion within the exposure. Each has a row of weights of its own, and an expectation learned from
@@ -25,7 +25,10 @@ print add.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from bisect import bisect_left
+from collections.abc import Callable
+from functools import cache, lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -38,7 +41,9 @@ _PHASES = 8
 """Tabulated points per pixel and axis."""
 _NEAR_PX = 0.125
 """A step that is longer is made again from where it led [px]."""
-_MAX_STEPS = 3
+_MAX_STEPS = 4
+_ALIKE_PX = 0.7
+"""A smear that is longer or shorter by more than this is tabulated anew [px]."""
 _LOST_PX = 1.5
 """No disc is found further than this from the start [px]."""
 _SMEAR_STEP_PX = 1.0
@@ -49,21 +54,23 @@ _GROUND_PX = 2.0
 """The fit ends this far beyond so many standard deviations of the rim's blur outside of the radius [px]."""
 _OUTSIDE = 0.003
 """Pixels with less than this share of the disc are background."""
-_LIGHT_STEPS = (0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
-"""Ratios beta / alpha for which weights are tabulated."""
+_LIGHT_STEPS = (-0.95, -0.8, -0.5, 0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
+"""Ratios beta / alpha for which weights are tabulated, below 0 where the disc hides a texture, ..."""
+_LIGHT_MIDDLES = [(lower + upper) / 2 for lower, upper in pairwise(_LIGHT_STEPS)]
+"""... and those where one gives way to the next."""
 _MODES_OF_RIM = ((2, np.sin), (3, np.cos), (3, np.sin), (4, np.cos), (4, np.sin))
 """Waves around the rim that show its noise; the other one of two waves is what a smear along u makes."""
 _LONG_MODES = 1
 """So many of these, the first, are long: they notice what is smooth over some pixels, and the rest what is not."""
 _SAME = 1e-3
-"""Frames between which the modes of the rim change by less than so much of their variance are the same frame."""
+"""Frames between which a mode of the rim changes by less than so much of its variance are the same frame."""
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to grey levels."""
 _FAINT = 1e-6
 """What changes the image less than this fraction of what a move of the disc does is not looked for."""
 _OWN = 7
 """Columns of the model; first dT/du, dT/dv, T and 1."""
-_SLOPES, _BEND, _MODES = (4, 5), 6, 7
+_SLOPES, _BEND, _MODES, _LENGTH = (4, 5), 6, slice(7, 12), 12
 """Rows of weights after those of u, v, A and B."""
 _UNLIKELY = 5.0
 """Waves of the rim are a disturbance beyond so many times their usual mean square: once in 5000 frames by chance."""
@@ -95,15 +102,15 @@ class DiscTable(NamedTuple):
     Attributes
     ----------
     left, top, width, height : int -- the pixels of the fit, relative to the whole pixel of the point [px]
-    weights : ndarray of float32, shape (12, height * width) -- A du, A dv, A, B; the slopes along u of the background
-        and of the disc; A times the bend; A times the modes of the rim
+    weights : ndarray of float32, shape (13, height * width) -- A du, A dv, A, B; the slopes along u of the background
+        and of the disc; A times the bend, the modes of the rim, and what the smear is longer than tabulated
     columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
     inverse : ndarray, shape (11, 11) -- of X' W X of all these
     gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
         [1/px]
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
     bent : tuple of 2 float -- change of A times the bend with the slopes
-    variances : two lists of 12 float -- of the sums for alpha = 1 and for beta = 1
+    variances : two lists of 13 float -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
     behind : ndarray of float32, shape (height, width) -- A du, the slopes taken off, by what the disc does not hide
@@ -163,20 +170,24 @@ def _tabulated(
     bend = (instants**2 - 1 / 12) * along
     outside, inside, bent = seen(x) * (1.0 - disc), seen(x) * disc, seen(bend)
 
-    def beside(extra: FloatArray, others: FloatArray) -> tuple[FloatArray, float]:
-        """Weights that see one thing more beside others, the model's own first; and what it does to A du."""
-        shares = np.linalg.solve((others * weight) @ others.T, (others * weight) @ extra)
-        alone = extra - shares @ others
-        norm = float(np.sum(weight * alone * alone))
-        if norm < _FAINT * float(np.sum(weight * own[0] * own[0])):
-            return np.zeros_like(extra), 0.0
-        return weight * alone / norm, float(shares[0])
+    faint = _FAINT * float(np.sum(weight * own[0] * own[0]))
 
-    bend_weights, bend_pull = beside(bent, own)
-    found = [beside(outside, own), beside(inside, np.vstack([own, outside])), (bend_weights, bend_pull)]
+    def beside(extras: FloatArray, others: FloatArray) -> tuple[FloatArray, list[float]]:
+        """Weights that see each of some more things beside others, the model's own first; and their share in A du."""
+        weighted = others * weight
+        shares = np.linalg.solve(weighted @ others.T, weighted @ extras.T)
+        alone = extras - shares.T @ others
+        seeing = alone * weight
+        norms = np.sum(seeing * alone, axis=1)
+        is_seen = norms >= faint
+        seeing *= (is_seen / np.where(is_seen, norms, 1.0))[:, None]
+        return seeing, (shares[0] * is_seen).tolist()
+
+    (outside_weights, bend_weights), (outside_pull, bend_pull) = beside(np.stack([outside, bent]), own)
+    inside_weights, (inside_pull,) = beside(inside[None, :], np.vstack([own, outside]))
     taken = np.vstack([own, bent]) if bend_pull else own
-    rows = [row for row, _ in found] + [beside(mode, taken)[0] for mode in modes]
-    pulls = [pull for _, pull in found]
+    rows = [outside_weights, *inside_weights, bend_weights, *beside(np.stack(modes), taken)[0]]
+    rows.append(solution[6] if smear_steps else np.zeros_like(disc))
     weights = np.vstack([solution[:4], rows])
     columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
     inverse = np.linalg.inv((columns * weight) @ columns.T)
@@ -192,13 +203,124 @@ def _tabulated(
         columns.astype(np.float32),
         inverse,
         (gain[0], gain[1], gain[2]),
-        (pulls[0], pulls[1], pulls[2]),
+        (outside_pull, inside_pull, bend_pull),
         (float(bend_weights @ outside), float(bend_weights @ inside)),
         (squared.sum(axis=1).tolist(), (squared @ disc).tolist()),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
         np.where(disc > _OUTSIDE, math.inf, 0.0).astype(np.float32),
-        ((1.0 - disc) * (weights[0] - pulls[:2] @ weights[4:6])).reshape(y.size, x.size).astype(np.float32),
+        ((1.0 - disc) * (weights[0] - [outside_pull, inside_pull] @ weights[4:6]))
+        .reshape(y.size, x.size)
+        .astype(np.float32),
     )
+
+
+def _clipped(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    beyond: Float32Array,
+    low: float,
+    high: float,
+    is_dark: bool,
+) -> Float32Array:
+    """Grey levels of a region, those of the background between bounds, shape (pixels of the region,)."""
+    grey = image[top:bottom, left:right].ravel().astype(np.float32)
+    if is_dark:
+        np.minimum(grey, high, out=grey)
+        np.maximum(grey, np.float32(low) - beyond, out=grey)
+    else:
+        np.maximum(grey, low, out=grey)
+        np.minimum(grey, beyond + np.float32(high), out=grey)
+    return grey
+
+
+def clipped_sums(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    weights: Float32Array,
+    beyond: Float32Array,
+    low: float,
+    high: float,
+    is_dark: bool,
+) -> Float32Array:
+    """Sums of a region's grey levels with weights.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width), uint8 or uint16
+    left, top, right, bottom : int -- the region, the last two exclusive [px]
+    weights : ndarray of float32, shape (n, pixels of the region)
+    beyond : ndarray of float32, shape (pixels of the region,) -- 0 beyond the rim, infinity within
+    low, high : float -- bounds of the background: what lies outside of them, away from the disc's side or beyond
+        its rim, counts as the nearer one [grey levels]
+    is_dark : bool -- the disc lies towards black
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    sums: Float32Array = weights.dot(_clipped(image, left, top, right, bottom, beyond, low, high, is_dark))
+    return sums
+
+
+def clipped_sums_in_loops(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    weights: Float32Array,
+    beyond: Float32Array,
+    low: float,
+    high: float,
+    is_dark: bool,
+) -> Float32Array:
+    """Return what ``clipped_sums`` does, by loops that Numba compiles."""
+    count, width = weights.shape[1], right - left
+    grey = np.empty(count, np.float32)
+    lower, upper = np.float32(low), np.float32(high)
+    for y in range(bottom - top):
+        for x in range(width):
+            at, level = y * width + x, np.float32(image[top + y, left + x])
+            if is_dark:
+                grey[at] = max(min(level, upper), lower - beyond[at])
+            else:
+                grey[at] = min(max(level, lower), beyond[at] + upper)
+    sums = np.empty(weights.shape[0], np.float32)
+    for row in range(weights.shape[0]):
+        total = np.float32(0.0)
+        for at in range(count):
+            total += weights[row, at] * grey[at]
+        sums[row] = total
+    return sums
+
+
+@cache
+def compiled_clipped_sums() -> Callable[..., Float32Array] | None:
+    """Return ``clipped_sums`` as machine code, or None without Numba."""
+    try:
+        from numba import njit, types
+    except ImportError:
+        return None
+    whole, real = types.int64, types.float64
+    table, row = (types.Array(types.float32, n, "C", readonly=True) for n in (2, 1))
+    compiled: Callable[..., Float32Array] = njit(
+        [
+            types.float32[::1](
+                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, table, row, real, real, types.boolean
+            )
+            for grey in (types.uint8, types.uint16)
+        ],
+        cache=True,
+        nogil=True,
+        fastmath={"reassoc", "contract"},  # sums in whatever order, as those of a BLAS
+    )(clipped_sums_in_loops)
+    return compiled
 
 
 class DiscFit(NamedTuple):
@@ -283,6 +405,7 @@ class DiscModel:
 
     def __init__(self, line: tuple[float, float] | None = None) -> None:
         self._line = line
+        self._clipped_sums = compiled_clipped_sums() or clipped_sums
         self.disc = (0, 0)
         self.alpha = self.beta = 0.0
         self.rim = 1.0
@@ -292,9 +415,9 @@ class DiscModel:
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
         self._bend = Habit(_BENT, 0.0)
         self._modes: list[float] = []
-        self._last: list[float] = []
+        self._last = math.nan
         self._roughness = [1.0, 1.0]
-        self._texture = 0.0
+        self._beside = self._behind = 0.0
         self._textures = 0
 
     def fit(
@@ -329,67 +452,63 @@ class DiscModel:
             self._radius, self._edge = radius, edge
             self.disc = disc_steps(radius, edge, self.disc)
         disc = self.disc
-        smear_steps = round(smear / _SMEAR_STEP_PX)
         ratio = self.beta / self.alpha if self.alpha > 0.0 else 0.0
-        light = 0
-        while light + 1 < len(_LIGHT_STEPS) and 2 * ratio > _LIGHT_STEPS[light] + _LIGHT_STEPS[light + 1]:
-            light += 1
+        light = bisect_left(_LIGHT_MIDDLES, ratio)
         start_u, start_v = u, v
         for _ in range(_MAX_STEPS):
+            smear_steps = round(smear / _SMEAR_STEP_PX)
             at_u, at_v = round(u * _PHASES), round(v * _PHASES)
             table = _tabulated(at_u % _PHASES, at_v % _PHASES, *disc, smear_steps, light)
             left, top = at_u // _PHASES + table.left, at_v // _PHASES + table.top
             right, bottom = left + table.width, top + table.height
             if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
                 return None
-            grey = image[top:bottom, left:right].ravel().astype(np.float32)
             dip = abs(self._slopes[0].mean * least) * table.width
             low, high = ground[0] - dip, ground[1] + dip
-            if least > 0.0:
-                grey = np.minimum(np.maximum(grey, low), table.beyond + np.float32(high))
-            else:
-                grey = np.maximum(np.minimum(grey, high), np.float32(low) - table.beyond)
-            sums = table.weights.dot(grey).tolist()
+            sums = self._clipped_sums(
+                image, left, top, right, bottom, table.weights, table.beyond, low, high, least < 0.0
+            ).tolist()
             contrast = sums[2]
             if contrast < least if least > 0.0 else contrast > least:
                 return None
             gain = table.gain
             gains = 1.0 + gain[0] * (self._radius - disc[0] * RADIUS_STEP_PX)
             gains += gain[1] * (self._edge - disc[1] * EDGE_STEP_PX)
-            gains += gain[2] * (smear - smear_steps * _SMEAR_STEP_PX)
+            longer = sums[_LENGTH] / contrast
+            gains += gain[2] * longer
             step_u, step_v = sums[0] / (contrast * gains), sums[1] / contrast
             u, v = at_u / _PHASES + step_u, at_v / _PHASES + step_v
             if abs(u - start_u) > _LOST_PX or abs(v - start_v) > _LOST_PX:
                 return None
-            if -_NEAR_PX <= step_u <= _NEAR_PX and -_NEAR_PX <= step_v <= _NEAR_PX:
+            is_near = -_NEAR_PX <= step_u <= _NEAR_PX and -_NEAR_PX <= step_v <= _NEAR_PX
+            if is_near and -_ALIKE_PX <= longer <= _ALIKE_PX:
                 break
+            smear = max(smear_steps * _SMEAR_STEP_PX + min(max(longer, -_LOST_PX), _LOST_PX), 0.0)
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
+            grey = _clipped(image, left, top, right, bottom, table.beyond, low, high, least < 0.0)
             self._look_closely(table, grey, light)
         if self._frames & (self._frames - 1) == 0 or self._frames % _CONSTANT_FRAMES == 0:
             self._look_beside(table, image, left, top, ground, contrast)
-        unit, lit = table.variances
-        alpha, beta = self.alpha, self.beta
-        squared = contrast * contrast
-        white = alpha * unit[0] + beta * lit[0]
-        variance = max(self.rim * white / squared, white / squared + self._texture)
+        # Of the sums, each over the contrast.
+        alpha, beta = self.alpha / (contrast * contrast), self.beta / (contrast * contrast)
+        noise = [alpha * unit + beta * lit for unit, lit in zip(*table.variances, strict=True)]
+        # Of the background's scatter, alpha includes what rests; so much of alpha changes with the frames as the rim
+        # shows, and the remainder pulls as it lies there.
+        fresh = min(self.rim, 1.0)
+        variance = max(self.rim * noise[0], fresh * (noise[0] - self._behind * alpha) + self._beside)
         bend = sums[_BEND] / contrast
         for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
-            slope, slope_variance = habit.expect(
-                sums[k] / contrast, (alpha * unit[k] + beta * lit[k]) / squared
-            )
+            slope, slope_variance = habit.expect(sums[k] / contrast, noise[k])
             u -= tug * slope
             bend -= bent * slope
             variance += tug * tug * slope_variance
         if table.pull[2]:
             length = smear_steps * _SMEAR_STEP_PX
-            bend, bend_variance = self._bend.expect(
-                bend / length,
-                (alpha * unit[_BEND] + beta * lit[_BEND]) / (squared * length * length),
-            )
+            bend, bend_variance = self._bend.expect(bend / length, noise[_BEND] / (length * length))
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
-        wave = self._learn_rim(table, sums)
+        wave = self._learn_rim([mode / contrast for mode in sums[_MODES]], noise[_MODES])
         return DiscFit(u, v, max(math.sqrt(variance), wave), contrast, wave)
 
     def _look_closely(self, table: DiscTable, grey: Float32Array, light: int) -> None:
@@ -403,7 +522,9 @@ class DiscModel:
         alpha, beta = (table.noise @ sums).tolist()
         if self._line is not None:
             alpha = max(self._line[0] + self._line[1] * float(solved[3]), _ROUNDING)
-            beta = max(self._line[1] * float(solved[2]), _ROUNDING - alpha)
+            beta = self._line[1] * float(solved[2])
+        # The variance of a texture falls with T faster than this line, which must not lead below that of rounding.
+        beta = max(beta, _ROUNDING - alpha)
         self._noise_frames += 1
         share = max(1.0 / self._noise_frames, _NOISE_EVERY_FRAMES / _SLOW_FRAMES)
         self.alpha += share * (alpha - self.alpha)
@@ -426,7 +547,9 @@ class DiscModel:
     ) -> None:
         """Measure what the background on either side, were it behind the disc, would add to the variance of du.
 
-        Where something else than background lies, nothing is measured.
+        The weights of the fit are applied to it as it lies there, so that its scatter counts with whatever
+        correlation it has. The part that its noise has in this is measured beside. Where something else than
+        background lies, nothing is measured.
         """
         height, width = table.behind.shape
         seen = []
@@ -445,10 +568,11 @@ class DiscModel:
             return
         squared = (float(np.median(found)) / _MEDIAN) ** 2
         self._textures += 1
-        texture = (squared - self.alpha * float(np.sum(table.behind**2))) / (contrast * contrast)
-        self._texture += max(1.0 / self._textures, 1.0 / _TEXTURES) * (texture - self._texture)
+        share = max(1.0 / self._textures, 1.0 / _TEXTURES)
+        self._beside += share * (squared / (contrast * contrast) - self._beside)
+        self._behind += share * (float(np.sum(table.behind**2)) - self._behind)
 
-    def _learn_rim(self, table: DiscTable, sums: list[float]) -> float:
+    def _learn_rim(self, modes: list[float], variances: list[float]) -> float:
         """Compare how the modes of the rim vary with what the noise makes of them.
 
         Returns
@@ -461,34 +585,25 @@ class DiscModel:
         move of the centre. Where n normal values of one variance are squared and summed, the sum over n - 2 is what
         makes the mean square of another such value over it 1.
         """
-        unit, lit = table.variances
-        contrast = sums[2]
-        modes = [mode / contrast for mode in sums[_MODES:]]
-        if not self._last:
-            self._last, self._modes = modes, list(modes)
+        if not self._modes:
+            self._modes = modes
         share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
-        squares, likely, changed, waves = [0.0, 0.0], [0.0, 0.0], 0.0, 0.0
-        for k, mode in enumerate(modes):
-            away = mode - self._modes[k]
-            variance = (self.alpha * unit[_MODES + k] + self.beta * lit[_MODES + k]) / (contrast * contrast)
-            square = (1.0 - share) * away * away / variance
-            is_short = k >= _LONG_MODES
-            squares[is_short] += square
-            likely[is_short] += min(square, _UNLIKELY * self.rim)
-            changed += (mode - self._last[k]) ** 2 / variance
-            waves += away * away
-        self._last = modes
-        is_disturbed = sum(squares) > _UNLIKELY * self.rim * len(modes)
+        aways = [mode - mean for mode, mean in zip(modes, self._modes, strict=True)]
+        squares = [(1.0 - share) * a * a / variance for a, variance in zip(aways, variances, strict=True)]
+        most = _UNLIKELY * self.rim
+        is_disturbed = sum(squares) > most * len(modes)
         if not is_disturbed:
-            self._modes = [
-                mean + share * (mode - mean) for mean, mode in zip(self._modes, modes, strict=True)
-            ]
+            self._modes = [mean + share * away for mean, away in zip(self._modes, aways, strict=True)]
         # A frame that was seen before has no noise of its own.
+        is_seen = (modes[0] - self._last) ** 2 <= _SAME * variances[0]
+        self._last = modes[0]
         seen = self._frames - _NOISE_EVERY_FRAMES
-        if seen > 0 and changed > _SAME:
+        if seen > 0 and not is_seen:
             # About a mean of few frames they vary more than about the true one.
             pace = max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES)
-            for k, count in enumerate((_LONG_MODES, len(modes) - _LONG_MODES)):
-                self._roughness[k] += pace * (likely[k] / count - self._roughness[k])
+            likely = [min(square, most) for square in squares] if max(squares) > most else squares
+            short = sum(likely[_LONG_MODES:]) / (len(modes) - _LONG_MODES)
+            for k, mean in enumerate((sum(likely[:_LONG_MODES]) / _LONG_MODES, short)):
+                self._roughness[k] += pace * (mean - self._roughness[k])
             self.rim = max(self._roughness)
-        return math.sqrt(waves / (len(modes) - 2)) if is_disturbed else 0.0
+        return math.sqrt(sum(away * away for away in aways) / (len(modes) - 2)) if is_disturbed else 0.0

@@ -1,19 +1,33 @@
-"""What the tracker knows of one marker between frames."""
+"""What the tracker knows of one marker between frames, and whether several have moved together.
+
+One spot of a marker's kind that appears where the marker was not proves nothing: it may be a twin, and the
+marker hidden. But a kick of the camera, a cut in a video, a step of the hub or a wide swing moves several markers at
+once, and each is alone in its row. That most of them have twins that appear while they are hidden, and so that they
+lie as a beam may lie, is not to be expected.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.jumps import NEVER
-from beam_ros.vision.tracking.rivals import Track
-from beam_ros.vision.tracking.spots import Gates
+from beam_ros.vision.tracking.rivals import COURSE_FRAMES, Course, Place, Track
+from beam_ros.vision.tracking.spots import Gates, Spot
 
+TOGETHER_FRAMES = 5
+"""Markers that were lost within so many frames of each other may have been lost for the same reason."""
+NEVER = -(10**9)
+"""Number of the frame in which a marker was lost that never was."""
 LONELY_FRAMES = 25
 """Frames in which a spot must be the only one of its kind in its row, or what else is there must rest."""
 SAME_PLACE_PX = 2.0
 """What lies so near to where something was seen before is the same [px]."""
+
+Move = tuple[float, float]
+"""How far along u and across the rows a marker, or what may be it, lies from where it was last seen [px]."""
 
 
 @dataclass
@@ -42,13 +56,16 @@ class MarkerState:
     hold_error, linear_error : float -- how well it is predicted by staying, and by its velocity [px]
     lost_frames : int -- frames in a row in which it was not valid
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
+    row, row_swing : float -- the same of v [px]
+    way : list of Place -- where it was in the frames of late
     rivals : list of Track -- other spots of its kind in its row
+    courses : list of Course -- the ways of those that were known when it was lost
+    told_frames : int -- frames in a row in which these ways told which spot it is
     is_mixed : bool -- it met a rival, and which of the two is which is not known
     is_joined : bool -- since they met, the two have not been seen apart
     is_blind : bool -- since they met, nothing of the two was to be seen for a while
     lost_at : int -- number of the frame in which it last was not where it should have been
-    lost_u : float -- where it had been seen before that [px]
-    company_u : tuple of float -- where all markers had been seen then [px]
+    company_u, company_v : tuple of float -- where all markers had been seen before that [px]
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
     company_contrast : tuple of float -- the same of all markers in the frame before that [grey levels]
     is_doubtful : bool -- since that frame a spot in its row may be another one
@@ -70,13 +87,18 @@ class MarkerState:
     lost_frames: int = 0
     centre: float = math.nan
     swing: float = 0.0
+    row: float = math.nan
+    row_swing: float = 0.0
+    way: list[Place] = field(default_factory=list)
     rivals: list[Track] = field(default_factory=list)
+    courses: list[Course] = field(default_factory=list)
+    told_frames: int = 0
     is_mixed: bool = False
     is_joined: bool = False
     is_blind: bool = False
     lost_at: int = NEVER
-    lost_u: float = math.nan
     company_u: tuple[float, ...] = ()
+    company_v: tuple[float, ...] = ()
     shown: float = math.nan
     company_contrast: tuple[float, ...] = ()
     is_doubtful: bool = False
@@ -90,13 +112,18 @@ class MarkerState:
         """True once the marker is acquired."""
         return self.appearance is not None
 
-    def remember(self, u: float, v: float, *, is_fresh: bool) -> None:
-        """Carry a valid measurement into the state; a fresh one is the first after a loss."""
+    @property
+    def predicted(self) -> float:
+        """Column where it should be in the frame after that in which it was last seen [px]."""
+        return self.u + (self.velocity if self.linear_error < self.hold_error else 0.0)
+
+    def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
+        """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
         if is_fresh:
             self.velocity = 0.0
             self.hold_error = self.linear_error = 1.0
             self.lost_frames = self.alone_frames = 0
-            self.is_mixed = False
+            self.is_mixed = self.is_joined = self.is_blind = False
         else:
             step = u - self.u
             self.hold_error += 0.2 * (abs(step) - self.hold_error)
@@ -105,15 +132,22 @@ class MarkerState:
         self.u, self.v = u, v
         self.centre += 0.01 * (u - self.centre)
         self.swing = max(0.99 * self.swing, abs(u - self.centre))
+        self.row += 0.1 * (v - self.row)
+        self.row_swing = max(0.99 * self.row_swing, abs(v - self.row))
+        self.way.append((frame, u))
+        if len(self.way) > COURSE_FRAMES:
+            del self.way[0]
 
-    def place(self, u: float, v: float) -> None:
-        """Start to follow the marker at a place, as if it had always rested there."""
-        self.u, self.v, self.centre = u, v, u
-        self.velocity = self.swing = 0.0
+    def introduce(self, spot: Spot, light: Light, appearance: Appearance, gates: Gates, frame: int) -> None:
+        """Start to follow a spot as this marker, as if it had always rested there."""
+        self.light, self.appearance, self.gates = light, appearance, gates
+        self.acquired_at, self.shown = frame, light.contrast
+        self.u, self.v, self.centre, self.row = spot.u, spot.v, spot.u, spot.v
+        self.velocity = self.swing = self.row_swing = 0.0
+        self.way = []
         self.hold_error = self.linear_error = 1.0
         self.lost_frames = self.alone_frames = 0
-        self.is_mixed = False
-        self.rivals = []
+        self.is_mixed = self.is_joined = self.is_blind = False
 
     def forget(self) -> None:
         """Take back that the marker was acquired."""
@@ -129,3 +163,75 @@ class MarkerState:
             else:
                 old.last = frame
         self.clutter = kept
+
+
+def beam_reach(columns: Iterable[float], max_bend_px: float) -> tuple[float, float]:
+    """First and last column where a marker may be beside others that are seen in these columns [px]."""
+    seen = list(columns)
+    return max(seen, default=-math.inf) - max_bend_px, min(seen, default=math.inf) + max_bend_px
+
+
+def is_taken(markers: list[MarkerState], spot: Spot, k: int, near: float) -> bool:
+    """True when another marker than the one of this number is followed on this very spot, or as near to it [px]."""
+    return any(
+        other.is_followed
+        and other.lost_frames == 0
+        and max(abs(other.u - spot.u), abs(other.v - spot.v)) < near
+        for j, other in enumerate(markers)
+        if j != k
+    )
+
+
+def is_common(n_together: int, n_markers: int) -> bool:
+    """True when so many of the markers, lost together, can have one reason: most of them, and two at least."""
+    return n_together >= 2 and 2 * n_together > n_markers
+
+
+def moved_together(
+    found: Mapping[int, Move],
+    seen: Mapping[int, Move],
+    n_markers: int,
+    *,
+    slack_px: float,
+    row_slack_px: float,
+) -> list[int]:
+    """Choose the lost markers that are what was found in their rows.
+
+    Parameters
+    ----------
+    found : mapping of int to Move -- lost markers with one spot of their kind in their whole row
+    seen : mapping of int to Move -- markers that are seen where they may be
+    n_markers : int -- number of markers on the beam
+    slack_px : float -- by how much moves along u may differ and still be one move [px]
+    row_slack_px : float -- the same across the rows [px]
+
+    Returns
+    -------
+    list of int -- keys of ``found``: all or none
+
+    Notes
+    -----
+    A hub moves all markers alike; a beam that bends moves the upper ones further, in the same direction. Where all
+    markers were found, they may lie anyhow along u.
+    """
+    moves = {**found, **seen}
+    if not found:
+        return []
+    across = [move[1] for move in moves.values()]
+    if max(across) - min(across) > row_slack_px:
+        return []
+    if len(found) == n_markers >= 2:
+        return list(found)
+    n_moved = sum(
+        k in found or any(abs(move[0] - other[0]) <= slack_px for other in found.values())
+        for k, move in moves.items()
+    )
+    if not is_common(n_moved, n_markers):
+        return []
+    along = [moves[k][0] for k in sorted(moves)]
+    is_beam = all(
+        abs(lower) <= abs(upper) + slack_px
+        and (lower * upper >= 0 or min(abs(lower), abs(upper)) <= slack_px)
+        for lower, upper in pairwise(along)
+    )
+    return list(found) if is_beam else []

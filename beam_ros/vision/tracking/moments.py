@@ -1,4 +1,4 @@
-"""What of a small region lies beyond a level, and its moments.
+"""What of a small region lies beyond a level, its moments, and the spot that they describe.
 
 The sums
 
@@ -6,18 +6,29 @@ The sums
 
 are one product of tabulated powers with the grey levels: for a region of some thirty pixels a side that takes half
 the time of OpenCV's general routine, of whose 24 numbers eight are of use here. All are whole numbers below 2^53, so
-that the sums are exact whatever the order in which they are made.
+that the sums are exact whatever the order in which they are made: where Numba is installed (the extra ``compiled``)
+loops take the place of the table, and give the same numbers in a fifth of the time.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
+from types import FunctionType
+from typing import Any
 
 import cv2
 import numpy as np
 
 from beam_ros.arrays import FloatArray, ImageArray
 
+SEEN, HIDDEN, BORDER = range(3)
+"""What comes of looking for a spot."""
+_MAX_PASSES = 4
+"""The region is centred anew on what it shows at most this often."""
+_CENTRED_PX = 1.5
+"""A spot this close to its region's centre needs no further pass [px]."""
 _ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (0, 3))
 
 
@@ -53,17 +64,23 @@ def _even(level: float, shape: tuple[int, ...], itemsize: int) -> ImageArray | f
     return plane
 
 
-def raw_moments(grey: ImageArray) -> list[float]:
-    """Sums of grey levels times powers of the distance from the first column and row.
+def moments_beyond(
+    image: ImageArray, left: int, top: int, right: int, bottom: int, level: float, is_dark: bool
+) -> Sequence[float]:
+    """Sums of grey levels beyond a level times powers of the distance from a region's first column and row.
 
     Parameters
     ----------
-    grey : ndarray, shape (height, width), uint8 or uint16 -- contiguous
+    image : ndarray, shape (height, width), uint8 or uint16
+    left, top, right, bottom : int -- the region, the last two exclusive [px]
+    level : float -- a whole grey level
+    is_dark : bool -- beyond it towards black
 
     Returns
     -------
-    list of 8 float -- m_00, m_10, m_01, m_20, m_11, m_02, m_30, m_03
+    8 float -- m_00, m_10, m_01, m_20, m_11, m_02, m_30, m_03
     """
+    grey = beyond(image[top:bottom, left:right], level, is_dark=is_dark)
     sums: list[float] = _powers(grey.shape).dot(grey.ravel().astype(np.float64)).tolist()
     return sums
 
@@ -75,18 +92,126 @@ def _powers(shape: tuple[int, int]) -> FloatArray:
     return np.stack([(x**p * y**q).ravel() for p, q in _ORDERS])
 
 
-def central_moments(raw: list[float]) -> tuple[float, float, float, float, float]:
-    """Move moments to the centre of gravity.
+def spot_numbers(
+    image: ImageArray,
+    u: float,
+    v: float,
+    half: int,
+    level: float,
+    speck: float,
+    least: float,
+    reach: float,
+    is_dark: bool,
+) -> tuple[Any, ...]:
+    """Look for a spot in a square about a point, which moves with what it shows.
 
     Parameters
     ----------
-    raw : list of 8 float -- as ``raw_moments`` gives them, the first of them positive
+    image : ndarray, shape (height, width), uint8 or uint16
+    u, v : float -- where to look [px]
+    half : int -- half the side of the square [px]
+    level : float -- what lies beyond it counts, a whole grey level
+    speck : float -- mean of what noise leaves of every pixel beyond the level [grey levels]
+    least : float -- sum of grey levels that a spot has at least
+    reach : float -- how far a spot reaches from its centre [px]
+    is_dark : bool -- beyond the level towards black
 
     Returns
     -------
-    mu_20, mu_11, mu_02, mu_30, mu_03 : float
+    int -- SEEN, HIDDEN or BORDER, and with SEEN:
+    10 float -- u, v, mass, area, variance_u, variance_v, covariance, skew_u, skew_v and plateau of a ``Spot``
+    4 int -- left, top, right, bottom of the region, the last two exclusive [px]
     """
-    m00, m10, m01, m20, m11, m02, m30, m03 = raw
+    height, width = image.shape
+    for _ in range(_MAX_PASSES):
+        column, row = round(u), round(v)
+        left, top, right, bottom = column - half, row - half, column + half + 1, row + half + 1
+        if left < 0 or top < 0 or right > width or bottom > height:
+            left, top, right, bottom = max(left, 0), max(top, 0), min(right, width), min(bottom, height)
+            if right - left <= half or bottom - top <= half:
+                return BORDER, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
+        m00, m10, m01, m20, m11, m02, m30, m03 = moments_beyond(
+            image, left, top, right, bottom, level, is_dark
+        )
+        # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
+        grey = speck * ((right - left) * (bottom - top))
+        mass = m00 - grey
+        if mass < least:
+            return HIDDEN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
+        u = left + (m10 - grey * (right - left - 1) / 2) / mass
+        v = top + (m01 - grey * (bottom - top - 1) / 2) / mass
+        if -_CENTRED_PX <= u - column <= _CENTRED_PX and -_CENTRED_PX <= v - row <= _CENTRED_PX:
+            break
+    if u - reach < 0 or v - reach < 0 or u + reach > width - 1 or v + reach > height - 1:
+        return BORDER, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
+    plateau = 0.2 * _cross(image, round(v), round(u))
+    above = level - plateau if is_dark else plateau - level
+    # About the centre of gravity of all that lies beyond the level.
     x, y = m10 / m00, m01 / m00
     mu20, mu02 = m20 - x * m10, m02 - y * m01
-    return mu20, m11 - y * m10, mu02, m30 - x * (3 * mu20 + x * m10), m03 - y * (3 * mu02 + y * m01)
+    mu30, mu03 = m30 - x * (3 * mu20 + x * m10), m03 - y * (3 * mu02 + y * m01)
+    variance_u, variance_v = max(mu20 / mass, 1e-3), max(mu02 / mass, 1e-3)
+    return (
+        SEEN,
+        u,
+        v,
+        mass,
+        mass / max(above, 1.0),
+        variance_u,
+        variance_v,
+        (m11 - y * m10) / mass,
+        mu30 / (mass * variance_u * math.sqrt(variance_u)),
+        mu03 / (mass * variance_v * math.sqrt(variance_v)),
+        plateau,
+        left,
+        top,
+        right,
+        bottom,
+    )
+
+
+def _cross(image: ImageArray, y: int, x: int) -> float:
+    """Return the sum of a pixel and the four beside it."""
+    pixel: Callable[[int, int], float] = image.item
+    return pixel(y, x) + pixel(y - 1, x) + pixel(y + 1, x) + pixel(y, x - 1) + pixel(y, x + 1)
+
+
+def moments_in_loops(
+    image: ImageArray, left: int, top: int, right: int, bottom: int, level: float, is_dark: bool
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return what ``moments_beyond`` does, by loops that Numba compiles."""
+    zero, sign = int(level), -1 if is_dark else 1
+    m00 = m10 = m01 = m20 = m11 = m02 = m30 = m03 = 0
+    for y in range(bottom - top):
+        s0 = s1 = s2 = s3 = 0
+        for x in range(right - left):
+            grey = max(sign * (int(image[top + y, left + x]) - zero), 0)
+            s0, s1, s2, s3 = s0 + grey, s1 + x * grey, s2 + x * x * grey, s3 + x * x * x * grey
+        m00, m10, m20, m30 = m00 + s0, m10 + s1, m20 + s2, m30 + s3
+        m01, m11, m02, m03 = m01 + y * s0, m11 + y * s1, m02 + y * y * s0, m03 + y * y * y * s0
+    return float(m00), float(m10), float(m01), float(m20), float(m11), float(m02), float(m30), float(m03)
+
+
+def cross_by_pixels(image: ImageArray, y: int, x: int) -> float:
+    """Return what ``_cross`` does, for Numba."""
+    beside = float(image[y - 1, x]) + float(image[y + 1, x]) + float(image[y, x - 1]) + float(image[y, x + 1])
+    return float(image[y, x]) + beside
+
+
+@cache
+def compiled_spot_numbers() -> Callable[..., tuple[Any, ...]] | None:
+    """Return ``spot_numbers`` as machine code, its sums made in loops, or None without Numba."""
+    try:
+        from numba import njit, types
+    except ImportError:
+        return None
+    own = {"moments_beyond": njit(moments_in_loops), "_cross": njit(cross_by_pixels)}
+    whole, real = types.int64, types.float64
+    found = types.Tuple([whole] + [real] * 10 + [whole] * 4)
+    images = [types.Array(grey, 2, "A", readonly=True) for grey in (types.uint8, types.uint16)]
+    compiled: Callable[..., tuple[Any, ...]] = njit(
+        [found(image, real, real, whole, real, real, real, real, types.boolean) for image in images],
+        cache=True,
+        nogil=True,
+    )(FunctionType(spot_numbers.__code__, {**globals(), **own}))
+    return compiled

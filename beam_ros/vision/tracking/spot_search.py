@@ -14,8 +14,9 @@ _THRESHOLD = 0.5
 """Fraction of a contrast at which a marker is looked for."""
 _OTHER_LIGHT = 0.25
 """Where the row's strongest contrast differs by more than this from the marker's, both are tried."""
-_SIGNIFICANT = 2.0
-"""Standard deviations of the image noise that are left to a spot at rest: a frame too many costs a frame."""
+_SIGNIFICANT = 5.0
+"""Standard deviations of noise and texture that are left to a spot: one beyond them that rests before a texture is
+never acquired."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,8 @@ def spots_in_row(
             and contrast >= meter.parameters.min_contrast_grey
         ):
             grounds.append((background, contrast))
+    elif meter.is_alone(band, light.background, _THRESHOLD * light.contrast, own):
+        return found
     for background, contrast in grounds:
         for x, y, is_crowded in meter.centres(band, background, _THRESHOLD * contrast):
             v = top + y

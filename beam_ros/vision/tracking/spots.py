@@ -19,10 +19,10 @@ import numpy as np
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.aperture import aperture_at
+from beam_ros.vision.tracking.aperture import aperture_at, compiled_weighted_sums, weighted_sums
 from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
 from beam_ros.vision.tracking.disc_model import DiscFit, DiscModel
-from beam_ros.vision.tracking.moments import beyond, central_moments, raw_moments
+from beam_ros.vision.tracking.moments import HIDDEN, SEEN, compiled_spot_numbers, spot_numbers
 from beam_ros.vision.tracking.radial_symmetry import radial_symmetry_centre
 
 Reason = Literal[
@@ -48,21 +48,22 @@ focus); smear: longer than its speed explains, before the marker is acquired; ju
 from the marker's row; border: cut by the edge of the image.
 """
 
-_MAX_PASSES = 4
-"""The region is centred anew on what it shows at most this often."""
-_CENTRED_PX = 1.5
-"""A spot this close to its region's centre needs no further pass [px]."""
 _REFINED_PX = 4
 """A refinement uses the pixels up to this far beyond a marker's radius [px]."""
 _SIDE_PX = 2
 """Width of the columns at either side of the region in which the background is measured [px]."""
 _CLEAR_PX = 3
 """Room between the longest smear of a marker and these columns [px]."""
+APART_PX = 4
+"""A thing whose half height lies so far from a region is not seen in it: its blur, and a step of the region [px]."""
 _SIGNIFICANT = 5.0
 """Standard deviations of the image noise that a gate leaves room for."""
 _DIP = 2.5
 """Whatever is further than so many noise standard deviations from the background, away from the markers or beyond
 their rim, counts as no more than that to the disc model."""
+_ALIKE = 9.0
+"""Either side shows the same noise and texture where its variance is no more than so many times the other one's: a
+coarse texture has few grains in so few columns."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -95,7 +96,7 @@ class Spot(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """The background at either side of a spot: mean grey levels, and the mean of the two variances."""
+    """The background at either side of a spot: mean grey levels, and the mean of the two variances where alike."""
 
     left: float
     right: float
@@ -144,6 +145,8 @@ class SpotMeter:
         self.smear_variance = parameters.max_smear_px**2 / 12
         self._is_dark = parameters.polarity == "dark"
         self._least_area = 0.25 * math.pi * self.radius**2
+        self._spot_numbers = compiled_spot_numbers() or spot_numbers
+        self._weighted_sums = compiled_weighted_sums() or weighted_sums
 
     # -- moments -------------------------------------------------------------------------------------------
 
@@ -163,56 +166,20 @@ class SpotMeter:
         -------
         Spot or None, Reason -- "ok", or "hidden" or "border" with None
         """
-        half = self.narrow_half if is_narrow else self.half
-        height, width = image.shape
-        level, speck = light.level, light.speck
-        least = self._least_area * light.contrast
-        for _ in range(_MAX_PASSES):
-            column, row = round(u), round(v)
-            left, top = max(column - half, 0), max(row - half, 0)
-            right, bottom = min(column + half + 1, width), min(row + half + 1, height)
-            if right - left <= half or bottom - top <= half:
-                return None, "border"
-            region = image[top:bottom, left:right]
-            moments = raw_moments(beyond(region, level, is_dark=self._is_dark))
-            mass, first_u, first_v = moments[:3]
-            if mass < least:
-                return None, "hidden"
-            if speck > 0.0:
-                # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
-                grey = speck * region.size
-                mass -= grey
-                first_u -= grey * (right - left - 1) / 2
-                first_v -= grey * (bottom - top - 1) / 2
-                if mass < least:
-                    return None, "hidden"
-            u, v = left + first_u / mass, top + first_v / mass
-            if -_CENTRED_PX <= u - column <= _CENTRED_PX and -_CENTRED_PX <= v - row <= _CENTRED_PX:
-                break
-        reach = self.radius + 1.0
-        if u - reach < 0 or v - reach < 0 or u + reach > width - 1 or v + reach > height - 1:
-            return None, "border"
-        x, y = round(u) - left, round(v) - top
-        pixel = region.item
-        plateau = 0.2 * (pixel(y, x) + pixel(y - 1, x) + pixel(y + 1, x) + pixel(y, x - 1) + pixel(y, x + 1))
-        mu20, mu11, mu02, mu30, mu03 = central_moments(moments)
-        variance_u = max(mu20 / mass, 1e-3)
-        variance_v = max(mu02 / mass, 1e-3)
-        above_plateau = level - plateau if self._is_dark else plateau - level
-        spot = Spot(
+        numbers = self._spot_numbers(
+            image,
             u,
             v,
-            mass,
-            mass / max(above_plateau, 1.0),
-            variance_u,
-            variance_v,
-            mu11 / mass,
-            mu30 / (mass * variance_u * math.sqrt(variance_u)),
-            mu03 / (mass * variance_v * math.sqrt(variance_v)),
-            plateau,
-            (left, top, right, bottom),
+            self.narrow_half if is_narrow else self.half,
+            light.level,
+            light.speck,
+            self._least_area * light.contrast,
+            self.radius + 1.0,
+            self._is_dark,
         )
-        return spot, "ok"
+        if numbers[0] == SEEN:
+            return Spot._make((*numbers[1:11], numbers[11:])), "ok"
+        return None, "hidden" if numbers[0] == HIDDEN else "border"
 
     def sides(self, image: ImageArray, spot: Spot) -> Sides:
         """Measure the outermost columns of a spot's region."""
@@ -220,8 +187,13 @@ class SpotMeter:
         mean_left, at_left = cv2.meanStdDev(image[top:bottom, left : left + _SIDE_PX])
         mean_right, at_right = cv2.meanStdDev(image[top:bottom, right - _SIDE_PX : right])
         count = _SIDE_PX * (bottom - top)
-        variance = 0.5 * (float(at_left.item()) ** 2 + float(at_right.item()) ** 2) * count / (count - 1)
-        return Sides(float(mean_left.item()), float(mean_right.item()), max(variance, QUANTISATION_VARIANCE))
+        lower, higher = sorted(
+            max(float(sd.item()) ** 2 * count / (count - 1), QUANTISATION_VARIANCE)
+            for sd in (at_left, at_right)
+        )
+        # What passes on one side is no noise of the background.
+        variance = 0.5 * (lower + min(higher, _ALIKE * lower))
+        return Sides(float(mean_left.item()), float(mean_right.item()), variance)
 
     def is_dim(self, image: ImageArray, u: float, v: float, contrast: float) -> bool:
         """True when nothing near a place, as far as a lost marker is believed, is as bright as a marker."""
@@ -232,14 +204,26 @@ class SpotMeter:
         background, extreme = self.levels(band)
         return abs(extreme - background) < (1.0 - parameters.brightness_tolerance) * contrast
 
+    def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
+        """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
+        column, row = max(1, round(u)), max(1, round(v))
+        inside = image[row - 1 : row + 2, column - 1 : column + 2]
+        last = image.min() if self._is_dark else image.max()
+        return bool(np.all(inside == last))
+
     def is_compact(self, image: ImageArray, spot: Spot, light: Light) -> bool:
         """True when a spot ends within its region above and below, as discs do that touch; a bar does not."""
         left, top, right, bottom = spot.region
         edges = image[[top, bottom - 1], left:right]
-        half = 0.5 * light.contrast
+        even = light.above + 3.0 * light.noise
         if self._is_dark:
-            return bool(edges.min() > light.background - half)
-        return bool(edges.max() < light.background + half)
+            return bool(edges.min() > light.background - even)
+        return bool(edges.max() < light.background + even)
+
+    def _smear(self, spot: Spot, appearance: Appearance) -> float:
+        """Length of a spot's motion in the exposure by its second moments, a sixth too short for the level [px]."""
+        excess = min(spot.variance_u - appearance.variance_v, self.smear_variance)
+        return math.sqrt(12.0 * max(excess, 0.0))
 
     def centre(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
@@ -251,15 +235,15 @@ class SpotMeter:
         u, v, sigma_u : float -- [px]; or "border" where the edge of the image cuts the aperture, "hidden" where it is
             empty
         """
-        excess = spot.variance_u - appearance.variance_v
-        smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
+        smear = self._smear(spot, appearance)
         aperture, column, row, u, v = aperture_at(spot.u, spot.v, appearance.disc, smear)
         left, top = column + aperture.left, row + aperture.top
         right, bottom = left + aperture.width, top + aperture.height
         if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
             return "border"
-        grey = beyond(image[top:bottom, left:right], light.floor, is_dark=self._is_dark)
-        mass, first_u, first_v = aperture.weights.dot(grey.ravel().astype(np.float32)).tolist()
+        mass, first_u, first_v = self._weighted_sums(
+            image, left, top, right, bottom, aperture.weights, light.floor, self._is_dark
+        )
         base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
         mass -= base * sum_w
         if mass < self._least_area * light.contrast:
@@ -281,8 +265,7 @@ class SpotMeter:
         u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or a reason as there, or "shape"
             where the rim is disturbed by more than the tolerance of the shape
         """
-        excess = spot.variance_u - appearance.variance_v
-        smear = math.sqrt(12.0 * min(excess, self.smear_variance)) if excess > 0.0 else 0.0
+        smear = self._smear(spot, appearance)
         floor = self.parameters.sigma_floor_px
         least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
         found = appearance.model.fit(
@@ -342,19 +325,19 @@ class SpotMeter:
         low, high = contrast - dimming, contrast + dimming
         if self._is_dark:
             low, high = -high, -low
+        more_area, more_variance = appearance.changes(light.above / contrast)
+        own_area, own_u = appearance.area + more_area, appearance.variance_u + more_variance
+        own_v = appearance.variance_v + more_variance
         return Gates(
             row=(appearance.row - parameters.row_gate_px, appearance.row + parameters.row_gate_px),
             brightness=(light.background + low, light.background + high),
-            area=(appearance.area * (1 - area), appearance.area * (1 + area)),
-            variance_v=(appearance.variance_v * (1 - shape), appearance.variance_v * (1 + shape)),
-            variance_u=(
-                appearance.variance_u * (1 - shape),
-                appearance.variance_u * (1 + shape) + self.smear_variance,
-            ),
+            area=(own_area * (1 - area), own_area * (1 + area)),
+            variance_v=(own_v * (1 - shape), own_v * (1 + shape)),
+            variance_u=(own_u * (1 - shape), own_u * (1 + shape) + self.smear_variance),
             correlation=shape,
             skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
-            unsmeared=appearance.variance_u,
+            unsmeared=own_u,
             submersion=self._submersion(light),
         )
 
@@ -421,9 +404,8 @@ class SpotMeter:
         list of (float, float, bool) -- centres of their bounding boxes [px of the region], and whether
             another spot reaches into the surroundings of this one
         """
-        threshold = background - height if self._is_dark else background + height
         mode = cv2.THRESH_BINARY_INV if self._is_dark else cv2.THRESH_BINARY
-        _, mask = cv2.threshold(region, math.floor(threshold), 255, mode)
+        _, mask = cv2.threshold(region, self._threshold(background, height), 255, mode)
         if mask.dtype != np.uint8:
             mask = mask.astype(np.uint8)
         contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
@@ -434,7 +416,7 @@ class SpotMeter:
         widest = 2 * tallest + parameters.max_smear_px  # two that touch are one object
         boxes = [cv2.boundingRect(contour) for contour in contours]
         boxes = [(x + (w - 1) / 2, y + (h - 1) / 2, w, h) for x, y, w, h in boxes if w >= 3 and h >= 3]
-        near = self.half + 2
+        near = self.half + APART_PX
         return [
             (
                 u,
@@ -449,6 +431,25 @@ class SpotMeter:
             for u, v, w, h in boxes
             if smallest <= w <= widest and smallest <= h <= tallest
         ]
+
+    def _threshold(self, background: float, height: float) -> int:
+        """Return the whole grey level that a spot so far from the background passes."""
+        return math.floor(background - height if self._is_dark else background + height)
+
+    def is_alone(self, region: ImageArray, background: float, height: float, u: float) -> bool:
+        """True when a region as of ``centres`` shows no spot but within a marker's radius of a column.
+
+        Where no pixel a radius and more away passes the threshold, what passes it, three pixels wide at least, has
+        its middle within the radius.
+        """
+        threshold = self._threshold(background, height)
+        first, last = math.floor(u - self.radius), math.ceil(u + self.radius)
+        for beside in (region[:, : max(first, 0)], region[:, last + 1 :]):
+            if beside.size:
+                lowest, highest, _, _ = cv2.minMaxLoc(beside)
+                if lowest <= threshold if self._is_dark else highest > threshold:
+                    return False
+        return True
 
     def levels(self, image: ImageArray) -> tuple[float, float]:
         """Background of a whole image and the extreme of the markers' polarity, lone pixels aside."""
@@ -496,6 +497,8 @@ class SpotMeter:
             if contrast < parameters.min_contrast_grey:
                 return None
             light = Light(parameters, background, contrast, noise)
+            if light.above >= contrast:
+                return None
             spot, _ = self.measure(image, u, v, light, is_narrow=is_narrow)
             if spot is None:
                 return None

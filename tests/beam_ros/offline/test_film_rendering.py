@@ -11,7 +11,8 @@ import pytest
 
 from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
-from beam_ros.offline.identification import identify_bag, load_experiment
+from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.rig.rig import Rig
 
 pytest.importorskip("cv2")

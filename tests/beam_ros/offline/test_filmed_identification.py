@@ -20,4 +20,4 @@ def test_identifications_through_rendered_frames_scatter_as_stated() -> None:
         assert 0.5 < figures[f"{kind}, rms z"] < 1.6, figures
         # A bias of the pixel grid made the residual term of the low marker nine standard deviations wrong.
         assert figures[f"{kind}, largest mean z"] < 1.6, figures
-    assert figures["latency, rms z"] < 2.0, figures
+    assert figures["rms latency z"] < 2.0, figures

@@ -156,6 +156,12 @@ def run(experiment: Experiment, seed: int) -> str:
     return "ok" if is_right else "wrong"
 
 
+@pytest.mark.parametrize("seed", [1048, 1136, 2070, 2076, 2151])
+def test_uneven_films_do_not_pass_for_films_that_lack_frames_nor_bursts_for_noise(experiment, seed):
+    # Up to 128 ms wrong, where frames at rest told the noise, and a jitter that nobody could tell passed for none.
+    assert run(experiment, seed) != "wrong"
+
+
 @pytest.mark.verify
 def test_of_two_hundred_films_none_is_wrong(experiment):
     # Seeds from a thousand on: nothing was tried out on them.

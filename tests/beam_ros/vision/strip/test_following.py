@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,21 @@ def test_light_that_falls_to_a_third_and_a_dark_frame_are_got_over(bright):
     assert np.isfinite(u[[35, 36, 51, 52]]).mean() > 0.95
 
 
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_no_smear_is_expected_that_no_point_shows_before_the_speed_is_known(bright, every):
+    frames, truth = bright.frames(np.random.default_rng(8))[::every][:12], bright.truth[::every][:12]
+    parameters = replace(bright.parameters, exposure_frames=bright.parameters.exposure_frames / every)
+    follower, longest = StripFollower(parameters, frames.shape[1:]), 0.0
+    for frame in frames:
+        follower.process(frame)
+        longest = max(longest, *follower._tables)
+    # Tables are for smears up to 1, 3, 6, 12 and 24 px. Where the points near the tip are lost in a turn, the curve
+    # through the others leads away from it by a hundred pixels.
+    smear = np.abs(np.diff(truth, axis=0)).max() * parameters.exposure_frames
+    assert smear < 1.0
+    assert longest <= 3.0
+
+
 def test_noise_alone_holds_no_strip():
     strip = made(150.0, 2.0, n_frames=1)
     noise = np.random.default_rng(5).normal(20, 5, (8, *strip.light.shape[1:])).round().astype(np.uint8)
@@ -110,6 +127,24 @@ def test_sixteen_bits_and_a_dark_strip_are_measured_as_well(bright):
     u = np.array([follower.process(frame).u_px for frame in frames[:20]])
     assert np.nanmax(np.abs(u - bright.truth[:20])) < 0.35
     assert np.isfinite(u).mean() > 0.95
+
+
+@pytest.mark.parametrize("blur_px", [0.35, 0.8])
+def test_the_blur_is_found_for_a_wrong_one_shifts_what_is_sharp_with_its_place_in_the_pixel(blur_px):
+    camera = camera_of(200.0, 1.0, 0.6, blur_px=blur_px, exposure_s=1e-4)
+    parameters = StripParameters(15.0, camera.origin_px[1], camera.origin_px[0], 0.6)
+    follower = StripFollower(parameters, (camera.height, camera.width))
+    for frame in film(24, follower.rows_px, parameters, camera).frames(np.random.default_rng(8)):
+        follower.process(frame)
+    assert follower.blur_px == pytest.approx(blur_px, rel=0.015)
+
+
+def test_a_few_points_of_many_rows_are_measured_as_well(bright):
+    parameters = StripParameters(**{**vars(bright.parameters), "row_step": 36})
+    follower = StripFollower(parameters, bright.light.shape[1:])
+    assert len(follower.rows_px) == 12
+    frames = bright.frames(np.random.default_rng(7))[:20]
+    assert np.isfinite([follower.process(frame).u_px for frame in frames]).mean() > 0.95
 
 
 @pytest.mark.parametrize(

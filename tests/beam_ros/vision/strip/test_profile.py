@@ -20,7 +20,10 @@ def test_the_cross_section_is_bar_blur_smear_and_pixel(width, blur, smear):
     caught = np.array([np.mean(np.abs(places - pixel) < 0.5) for pixel in pixels]) * width
     assert bar.sum() * 1e-3 == pytest.approx(width, abs=2e-3)
     # 400 000 photons: a standard deviation of at most width * 0.0008.
-    assert profile(pixels, width, blur, smear) == pytest.approx(caught, abs=4 * 0.0008 * max(width, 1.0))
+    shape, slope = profile(pixels, width, blur, smear)
+    assert shape == pytest.approx(caught, abs=4 * 0.0008 * max(width, 1.0))
+    right, left = (profile(pixels + 1e-3 * sign, width, blur, smear)[0] for sign in (1, -1))
+    assert slope == pytest.approx((left - right) / 2e-3, abs=1e-5)
 
 
 def test_the_weights_give_back_ground_height_and_shift():
@@ -31,11 +34,24 @@ def test_the_weights_give_back_ground_height_and_shift():
     column, entry, tabulated = table.entries(u, smear)
     pixels = column[:, None] + np.arange(-table.half, table.half + 1)
     grey = 17.0 + 120.0 * np.array(
-        [profile(row - at, 2.0, 0.9, s) for row, at, s in zip(pixels, u, smear, strict=True)]
+        [profile(row - at, 2.0, 0.9, s)[0] for row, at, s in zip(pixels, u, smear, strict=True)]
     )
-    height, ground, slope = np.einsum("rkw,rw->kr", table.weights[entry].astype(float), grey)
+    fits = table.fit(entry, grey.astype(np.float32))
     assert np.abs(u - tabulated).max() <= 0.5 / 32 + 1e-12
-    assert height == pytest.approx(np.full(50, 120.0), rel=2e-3)
-    assert ground == pytest.approx(np.full(50, 17.0), abs=0.1)
+    assert fits.height == pytest.approx(np.full(50, 120.0), rel=2e-3)
     # Linear to a thousandth of a pixel within half a phase.
-    assert tabulated + slope / height == pytest.approx(u, abs=1e-3)
+    assert tabulated + fits.slope / fits.height == pytest.approx(u, abs=1e-3)
+    assert np.abs(table.residual(entry, grey.astype(np.float32))).max() < 0.1
+
+
+def test_misfit_and_variances_of_a_fit_are_those_of_the_noise():
+    table = ProfileTable(1.0, 0.8, 1.0)
+    rng = np.random.default_rng(2)
+    u, smear = 40 + rng.uniform(-3, 3, 4000), rng.uniform(0, 1, 4000)
+    column, entry, _ = table.entries(u, smear)
+    fits = table.fit(entry, 3.0 * rng.standard_normal((4000, table.size), dtype=np.float32))
+    # 4000 rows: a variance is known to 2.2 %.
+    assert np.var(fits.height / np.sqrt(fits.height_gain)) == pytest.approx(9.0, rel=0.09)
+    assert np.var(fits.slope / np.sqrt(fits.slope_gain)) == pytest.approx(9.0, rel=0.09)
+    assert np.mean(fits.misfit) == pytest.approx(9.0 * (table.size - 3), rel=0.03)
+    assert np.abs(u - column).max() <= 0.5

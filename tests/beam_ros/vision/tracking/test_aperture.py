@@ -6,7 +6,13 @@ import pytest
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder
 from beam_ros.vision.rendering.frames import SceneRenderer, _DiscTable
 from beam_ros.vision.timing import exposure_weights
-from beam_ros.vision.tracking.aperture import aperture_at, disc_steps
+from beam_ros.vision.tracking.aperture import (
+    aperture_at,
+    compiled_weighted_sums,
+    disc_steps,
+    weighted_sums,
+    weighted_sums_in_loops,
+)
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -112,3 +118,25 @@ def test_a_dark_object_beside_a_bright_marker_does_not_pull():
     # Sixty grey levels of shade over the aperture's rim would pull by 0.04 px.
     assert len(columns[True]) > 20
     assert abs(np.mean(columns[True]) - np.mean(columns[False])) < 0.01
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_loops_weigh_what_lies_beyond_a_floor_as_products_do(dtype, is_dark):
+    most = np.iinfo(dtype).max
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, most + 1, (60, 80)).astype(dtype)
+    image.flags.writeable = False
+    aperture, column, row, _, _ = aperture_at(40.37, 30.12, disc_steps(6.0, EDGE), 3.0)
+    left, top = column + aperture.left, row + aperture.top
+    region = left, top, left + aperture.width, top + aperture.height
+    # A dark marker's floor may lie beyond white; what lies that far beyond it is as dark as can be.
+    for floor in (0.0, 21.0, float(most), most + 9.0):
+        expected = weighted_sums(image, *region, aperture.weights, floor, is_dark)
+        for sums in (weighted_sums_in_loops, compiled_weighted_sums()):
+            if sums is not None:
+                # Single precision holds seven digits of a sum whose terms cancel in part.
+                found = sums(image, *region, aperture.weights, floor, is_dark)
+                assert (
+                    np.abs(np.subtract(found, expected)).max() <= 1e-6 * most * np.abs(aperture.weights).sum()
+                )

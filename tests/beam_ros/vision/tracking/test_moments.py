@@ -1,4 +1,4 @@
-"""The tracker's own sums are OpenCV's, exactly."""
+"""The tracker's own sums are OpenCV's, exactly, and those of loops are these."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision.tracking.moments import beyond, central_moments, raw_moments
+from beam_ros.vision.tracking.moments import (
+    BORDER,
+    HIDDEN,
+    SEEN,
+    beyond,
+    compiled_spot_numbers,
+    cross_by_pixels,
+    moments_beyond,
+    moments_in_loops,
+    spot_numbers,
+)
 
 RNG = np.random.default_rng(7)
 ORDERS = ("00", "10", "01", "20", "11", "02", "30", "03")
@@ -28,22 +38,68 @@ def test_beyond_a_level_is_what_saturated_subtraction_of_a_number_leaves(top, is
 
 @pytest.mark.parametrize("shape", [(29, 29), (19, 29), (31, 12), (1, 1)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_raw_moments_are_opencvs_to_the_last_digit(shape, dtype):
+def test_moments_are_opencvs_to_the_last_digit(shape, dtype):
+    most = np.iinfo(dtype).max
     for grey in (
-        RNG.integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype),
-        np.full(shape, np.iinfo(dtype).max, dtype),
+        RNG.integers(0, most + 1, shape).astype(dtype),
+        np.full(shape, most, dtype),
         np.zeros(shape, dtype),
     ):
-        expected = cv2.moments(grey)
-        assert raw_moments(grey) == [expected[f"m{order}"] for order in ORDERS]
+        whole = np.pad(grey, ((3, 1), (2, 4)), constant_values=7)
+        region = 2, 3, 2 + shape[1], 3 + shape[0]
+        for level, is_dark in ((0.0, False), (90.0, False), (90.0, True), (most, True)):
+            expected = cv2.moments(beyond(grey, level, is_dark=is_dark))
+            expected = [expected[f"m{order}"] for order in ORDERS]
+            assert list(moments_beyond(whole, *region, level, is_dark)) == expected
+            assert list(moments_in_loops(whole, *region, level, is_dark)) == expected
 
 
-def test_central_moments_are_opencvs():
-    # Asymmetric on both axes.
-    x, y = np.meshgrid(np.arange(29.0), np.arange(23.0))
-    grey = (200 * np.exp(-np.hypot(x - 11.3, 1.4 * (y - 9.1)) / (3 + 0.1 * x))).astype(np.uint8)
-    expected = cv2.moments(grey)
-    found = central_moments(raw_moments(grey))
-    for order, value in zip(("20", "11", "02", "30", "03"), found, strict=True):
-        # Differences of sums some thousand times as large.
-        assert value == pytest.approx(expected[f"mu{order}"], rel=1e-9)
+def egg(polarity: int = 1) -> np.ndarray:
+    """Return a spot that is asymmetric on both axes, at (31.2, 29.3)."""
+    x, y = np.meshgrid(np.arange(60.0) - 31.2, np.arange(50.0) - 29.3)
+    spot = np.rint(200 * np.exp(-np.hypot(x, 1.4 * y) / (3 + 0.1 * np.clip(x + 10, 0, 20)))).astype(np.uint8)
+    return spot if polarity > 0 else 255 - spot
+
+
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_the_numbers_of_a_spot_are_opencvs_central_moments(is_dark):
+    image = egg(-1 if is_dark else 1)
+    level = 240.0 if is_dark else 15.0
+    found = spot_numbers(image, 30.0, 30.0, 14, level, 0.0, 100.0, 7.0, is_dark)
+    assert found[0] == SEEN
+    u, v, mass, _, variance_u, variance_v, covariance, skew_u, skew_v, plateau = found[1:11]
+    left, top, right, bottom = found[11:]
+    expected = cv2.moments(beyond(image[top:bottom, left:right], level, is_dark=is_dark))
+    # Differences of sums some thousand times as large.
+    assert u == pytest.approx(left + expected["m10"] / expected["m00"], rel=1e-12)
+    assert v == pytest.approx(top + expected["m01"] / expected["m00"], rel=1e-12)
+    assert variance_u * mass == pytest.approx(expected["mu20"], rel=1e-9)
+    assert variance_v * mass == pytest.approx(expected["mu02"], rel=1e-9)
+    assert covariance * mass == pytest.approx(expected["mu11"], rel=1e-9)
+    assert skew_u * mass * variance_u**1.5 == pytest.approx(expected["mu30"], rel=1e-9)
+    assert skew_v * mass * variance_v**1.5 == pytest.approx(expected["mu03"], rel=1e-9)
+    row, column = round(v), round(u)
+    cross = [image[row + y, column + x] for y, x in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))]
+    assert plateau == pytest.approx(np.mean(cross), rel=1e-12)
+    assert 5 * plateau == pytest.approx(cross_by_pixels(image, row, column), rel=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_compiled_numbers_of_a_spot_are_the_same(dtype, is_dark):
+    compiled = compiled_spot_numbers()
+    if compiled is None:
+        pytest.skip("Numba is not installed (the extra compiled)")
+    image = egg(-1 if is_dark else 1).astype(dtype)
+    level = 240.0 if is_dark else 15.0
+    frozen = np.frombuffer(image.tobytes(), dtype).reshape(image.shape)
+    seen = set()
+    for u, v in ((31.2, 29.3), (26.0, 35.0), (40.0, 29.0), (3.0, 3.0), (500.0, 3.0), (8.0, 20.0)):
+        for speck, least, reach in ((0.0, 100.0, 7.0), (0.3, 100.0, 7.0), (0.0, 1e6, 7.0), (0.0, 1.0, 25.0)):
+            asked = (u, v, 14, level, speck, least, reach, is_dark)
+            expected = spot_numbers(image, *asked)
+            assert compiled(image, *asked) == expected
+            assert compiled(frozen, *asked) == expected
+            assert compiled(np.pad(image, 5)[5:-5, 5:-5], *asked) == expected
+            seen.add(expected[0])
+    assert seen == {SEEN, HIDDEN, BORDER}

@@ -44,6 +44,22 @@ def test_a_spot_counts_up_to_a_pixel_from_the_edge(u, v):
     assert reason(u + outwards[0], v + outwards[1]) == "border"
 
 
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_a_thread_on_one_side_is_no_noise_of_the_background(is_mirrored):
+    rows, columns = np.mgrid[:100, :100]
+    image = 20 + 110 * ((columns - 50) ** 2 + (rows - 50) ** 2 <= 36)
+    image = image + np.rint(2.0 * np.random.default_rng(1).standard_normal(image.shape)).astype(int)
+    meter = SpotMeter(packaged_tracker())
+    spot, _ = meter.measure(image.astype(np.uint8), 50.0, 50.0, Light(meter.parameters, 20.0, 110.0, 2.0))
+    image[np.abs(columns - spot.region[2] + rows - 50) < 3] = 90
+    if is_mirrored:
+        image = image[:, ::-1]
+        left, top, right, bottom = spot.region
+        spot = spot._replace(region=(100 - right, top, 100 - left, bottom))
+    # The other side shows the noise to a fifth; the thread's own variance is some hundred times as much.
+    assert meter.sides(image.astype(np.uint8), spot).variance < 9.0 * (2.0**2 + 1 / 12)
+
+
 def test_light_that_only_grows_is_followed_through_four_regions_and_no_further():
     # Seen through any region of 29 pixels, exp(x / 20) has its centre of gravity by the same way to the right.
     image = np.tile(np.rint(100.0 * np.exp(np.arange(100) / 20.0)).astype(np.uint16), (100, 1))
@@ -92,3 +108,24 @@ def test_a_smeared_disc_is_refined_over_its_whole_length(refinement):
     appearance = Appearance(own.area, own.variance_u, own.variance_v, 0.0, 0.0, 50.0)
     spot, _ = meter.measure(image, 50.0, 50.0, light)
     assert meter.refine(image, spot, light, appearance)[:2] == pytest.approx((50.0, 50.0), abs=1e-3)
+
+
+@pytest.mark.parametrize("polarity", ["bright", "dark"])
+def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_there(polarity):
+    rng = np.random.default_rng(1)
+    meter, own, n_alone = SpotMeter(packaged_tracker(polarity=polarity)), 70.3, 0
+    for _ in range(400):
+        image = np.full((40, 140), 20, np.uint8)
+        image[14:27, 65:77] = 200
+        for _ in range(rng.integers(0, 3)):
+            width, height = rng.integers(1, 16, 2)
+            x, y = rng.integers(55, 85), rng.integers(0, 25)
+            image[y : y + height, x : x + width] = 200
+        background = 20.0
+        if polarity == "dark":
+            image, background = 255 - image, 235.0
+        is_alone = meter.is_alone(image, background, 90.0, own)
+        n_alone += is_alone
+        if is_alone:
+            assert all(abs(u - own) < meter.radius for u, _, _ in meter.centres(image, background, 90.0))
+    assert 40 < n_alone < 360

@@ -1,0 +1,203 @@
+"""Acquisition: which spots of the whole image are the markers, and what makes them doubtful.
+
+A spot is a marker only if one disc explains it, smeared by no more than it moves. While anything else that is new
+lies in its row, which may be the marker too, nothing is acquired. Markers are named by the rows in which the rig says
+they lie, or by their order along the beam.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from statistics import median
+
+from beam_ros.arrays import ImageArray
+from beam_ros.vision.tracking.appearance import Light
+from beam_ros.vision.tracking.marker_state import SAME_PLACE_PX, MarkerState, beam_reach, is_taken
+from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
+from beam_ros.vision.tracking.spot_search import one_disc
+from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
+
+_THRESHOLDS = (0.5, 0.3, 0.7)
+"""Fractions of the image's strongest contrast at which spots are looked for."""
+_MAJORITY = 3
+"""So many sizes have one that most of them agree on."""
+_SPEED_SLACK = 0.15
+"""Relative uncertainty of a smear that follows from two frames."""
+_SIGNIFICANT = 3.0
+_EQUAL_SIZE = 0.1
+"""Relative tolerance of the area of a marker against that of the others."""
+
+Candidate = tuple[Spot, Light]
+Found = tuple[dict[int, Candidate], dict[int, Reason]]
+"""The spots that are markers, and why the other markers are not acquired."""
+
+
+class Acquisition:
+    """Finds the markers that are not followed.
+
+    Parameters
+    ----------
+    meter : SpotMeter
+    markers : list of MarkerState -- lowest first; those found are given their look and their place
+    exposure_s : float -- of a frame [s]; infinity where it is not known
+    """
+
+    def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
+        self._meter = meter
+        self._parameters = meter.parameters
+        self._markers = markers
+        self._exposure_s = exposure_s
+        self._frame = self._elapsed_ns = 0
+
+    def acquire(self, image: ImageArray, frame: int, elapsed_ns: int) -> dict[int, Reason]:
+        """Find markers in a frame, by its number and the time since the one before [ns]; return what keeps others."""
+        self._frame, self._elapsed_ns = frame, elapsed_ns
+        missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
+        background, extreme = self._meter.levels(image)
+        contrast = abs(extreme - background)
+        if contrast < self._parameters.min_contrast_grey:
+            return dict.fromkeys(missing, "no_contrast")
+        found: list[Candidate] = []
+        others: list[tuple[float, float]] = []
+        for fraction in _THRESHOLDS:
+            for u, v, is_crowded in self._meter.centres(image, background, fraction * contrast):
+                candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
+                if candidate is None:
+                    others.append((u, v))
+                    continue
+                away = min((math.dist(candidate[0][:2], spot[:2]) for spot, _ in found), default=math.inf)
+                if away > 2 * self._meter.radius:
+                    found.append(candidate)
+                elif away > self._meter.radius / 2:
+                    # No room for two discs: one, and something that touches it.
+                    others.append(candidate[0][:2])
+        has_rows = any(self._markers[k].known_row is not None for k in missing)
+        chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
+        unequal = self._unequal(chosen)
+        for k in chosen.keys() - unequal:
+            spot, light = chosen[k]
+            appearance = self._meter.appearance(spot, light)
+            self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
+        return {**reasons, **dict.fromkeys(unequal, "area")}
+
+    def _in_order(
+        self, missing: list[int], found: list[Candidate], others: list[tuple[float, float]]
+    ) -> Found:
+        """Name spots by their order along the beam, where no rows are known."""
+        found = sorted(found, key=lambda candidate: -candidate[0].v)
+        if len(found) < len(missing):
+            return {}, dict.fromkeys(missing, "not_acquired")
+        gaps = [lower[0].v - upper[0].v for lower, upper in pairwise(found)]
+        if len(found) > len(missing) or min(gaps, default=math.inf) < self._parameters.marker_diameter_px:
+            return {}, dict.fromkeys(missing, "ambiguous")
+        chosen = dict(zip(missing, found, strict=True))
+        doubts = {k: self._doubt(self._markers[k], *candidate, others) for k, candidate in chosen.items()}
+        if all(doubt == "ok" for doubt in doubts.values()):
+            for k in missing:
+                self._markers[k].rivals = []
+            return chosen, {}
+        # One that is doubtful may not be a marker at all, and the others' names depend on it.
+        return {}, {k: "ambiguous" if doubt == "ok" else doubt for k, doubt in doubts.items()}
+
+    def _in_rows(
+        self, missing: list[int], found: list[Candidate], others: list[tuple[float, float]]
+    ) -> Found:
+        """Name spots by the rows in which the markers are known to lie."""
+        chosen: dict[int, Candidate] = {}
+        reasons: dict[int, Reason] = dict.fromkeys(missing, "not_acquired")
+        parameters = self._parameters
+        at = [marker.u for marker in self._markers if marker.is_followed and marker.lost_frames == 0]
+        left, right = beam_reach(at, parameters.max_bend_px)
+        for k in missing:
+            marker = self._markers[k]
+            row, tolerance = marker.known_row, parameters.expected_row_tolerance_px
+            if row is None:
+                continue
+            near = [
+                candidate
+                for candidate in found
+                if left <= candidate[0].u <= right
+                and abs(candidate[0].v - row) <= tolerance
+                and not is_taken(self._markers, candidate[0], k, parameters.marker_diameter_px / 2)
+            ]
+            beside = [(u, v) for u, v in others if left <= u <= right and abs(v - row) <= tolerance]
+            self._follow_company(marker, [spot for spot, _ in near], left, right)
+            swings = self._swinging(k)
+            if swings is not None:
+                # What moves as the beam does is the marker, whatever else is or was there.
+                near = [candidate for candidate in near if candidate[0].u == swings.u]
+                marker.clutter, beside = [], []
+            if len(near) == 1 and (swings is not None or not marker.rivals):
+                reasons[k] = self._doubt(marker, *near[0], beside)
+                if reasons[k] == "ok":
+                    chosen[k] = near[0]
+                    marker.rivals = [track for track in marker.rivals if track is not swings]
+                    del reasons[k]
+            else:
+                marker.sighting = None
+                marker.note_clutter([u for u, _ in beside], self._frame)
+                if near:
+                    reasons[k] = "ambiguous"
+        return chosen, reasons
+
+    def _swinging(self, k: int) -> Track | None:
+        """Choose among the spots in a marker's row the one that moves as the beam does; the lowest one may rest."""
+        ways = [other.way for other in self._markers if other.is_followed]
+        return swinging(self._markers[k].rivals, ways, self._frame) if k > 0 else None
+
+    def _follow_company(self, marker: MarkerState, spots: list[Spot], left: float, right: float) -> None:
+        """Follow all spots of a marker's kind in its row, until one is left because the others have gone out of it.
+
+        One that disappears within the row may be the marker, covered.
+        """
+        if len(spots) < 2 and not marker.rivals:
+            return
+        reach, frame = self._parameters.max_jump_px, self._frame
+        tracks, free = associated(marker.rivals, spots, frame, reach)
+        tracks += [Track.of(spot, frame) for spot in free]
+        tracks = present(tracks, frame, left, right, reach)
+        marker.rivals = tracks if len(tracks) > 1 else []
+
+    def _doubt(
+        self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
+    ) -> Reason:
+        """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
+        disc, before = one_disc(spot, light, self._parameters), marker.sighting
+        marker.sighting = self._frame, spot.u, disc.excess
+        beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
+        things = beside if disc.reason == "ok" else [*beside, spot.u]
+        marker.note_clutter(things, self._frame)
+        if disc.reason != "ok":
+            return disc.reason
+        # Anything else may be the marker, smeared, joined with a twin or covered in part.
+        if any(
+            thing.is_new(self._frame)
+            and (thing.last == self._frame or abs(thing.u - spot.u) > self._parameters.marker_diameter_px)
+            for thing in marker.clutter
+        ):
+            return "ambiguous"
+        if disc.excess <= disc.tolerance:
+            return "ok"
+        if before is None or before[0] != self._frame - 1:
+            return "smear"
+        # Mean speed over the two exposures' middles; the exposure is a part of the time in between.
+        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
+        explained = (share * (spot.u - before[1])) ** 2 / 12
+        lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
+        slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
+        return "ok" if (disc.excess + before[2]) / 2 - explained <= slack else "smear"
+
+    def _unequal(self, chosen: dict[int, Candidate]) -> list[int]:
+        """Markers of another size than most of them: a twin that touches, or a part that is hidden."""
+        areas = {k: marker.appearance.area for k, marker in enumerate(self._markers) if marker.appearance}
+        areas |= {k: self._meter.appearance(*candidate).area for k, candidate in chosen.items()}
+        if len(areas) < _MAJORITY:
+            return []
+        usual = median(areas.values())
+        return [
+            k
+            for k, (_, light) in chosen.items()
+            if abs(areas[k] / usual - 1)
+            > _EQUAL_SIZE + _SIGNIFICANT * light.noise / (light.contrast * math.sqrt(usual))
+        ]
