@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import fdtrc
 
-from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, DecayProblem, Law, Start
+from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, DecayProblem, Law
 from beam_ident.amplitude.driven_fit import LAW as DRIVEN_LAW
 from beam_ident.amplitude.driven_fit import DrivenProblem
-from beam_ident.amplitude.slow_flow import decay_rate, frequency
+from beam_ident.amplitude.slow_flow import ringing, ringing_slopes
 from beam_ident.arrays import FloatArray
-from beam_ident.data.argument_checks import require_output
+from beam_ident.data.argument_checks import require_output, require_signals
 from beam_ident.data.records import OutputSignal, TimeRecord
-from beam_ident.data.stored_form import read, require_shapes, written
+from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, written
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
-from beam_ident.modal_estimation.free_decay import fit_free_decay
+from beam_ident.modal_estimation.free_decay import end_of_rest, fit_free_decay
 from beam_ident.noise.scores import Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
 
@@ -44,10 +44,10 @@ class AmplitudeCurves:
     Attributes
     ----------
     amplitudes : ndarray, shape (n,)
-        Rising, from the smallest to the largest that the decays show [``unit``].
+        Half of a swing from side to side, rising from the smallest to the largest that the decays show [``unit``].
     frequencies_hz, frequency_band_hz : ndarray, shape (n,) and (2, n)
         Of the ringing; with 95 % the band holds the whole curve. It has room for what averaging leaves out, too:
-        eta^2/2 of a frequency and eta/6 of a damping ratio, eta being how far stiffness and damping change a cycle.
+        eta^3 of a frequency and eta^2 of a damping ratio, eta being how far stiffness and damping change a cycle.
     damping_ratios, damping_band : ndarray, shape (n,) and (2, n)
         ``-A'/(A omega)``: what a logarithmic decrement between two neighbouring maxima shows.
     frequency_sd_hz, damping_sd : ndarray, shape (n,)
@@ -61,7 +61,7 @@ class AmplitudeCurves:
     reference_amplitude : float
         Unit of the coefficients' amplitude [``unit``].
     frequency_coefficients : ndarray
-        ``w_0, w_2, ..`` of ``phi' = w_0 + w_2 A^2 + ..`` [rad/s].
+        ``w_0, w_2, ..`` of ``phi' = w_0 + w_2 A^2 + ..`` [rad/s], to first order.
     rate_coefficients : ndarray
         ``g_-1, g_0, g_1, ..`` of ``-A' = g_-1 + g_0 A + g_1 A^2 + ..`` [1/s]: dry, linear and quadratic damping.
     covariance : ndarray, shape (n_terms, n_terms)
@@ -73,6 +73,8 @@ class AmplitudeCurves:
     reason : str
     iterations : int
     warnings : tuple of str
+    third_harmonic : float
+        h of the third harmonic h A^3 cos(3 phi), which raises the maxima above A, in units as of the coefficients.
     """
 
     amplitudes: FloatArray
@@ -96,16 +98,22 @@ class AmplitudeCurves:
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+    third_harmonic: float = field(default=0.0, metadata=ADDED_LATER)
 
     def frequency_hz_at(self, amplitude: ArrayLike) -> FloatArray:
         """Return the frequency at amplitudes [``unit``], which had better lie within ``amplitudes`` [Hz]."""
-        A = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
-        return frequency(self.frequency_coefficients, A) / (2.0 * np.pi)
+        return self._ringing(amplitude)[0] / (2.0 * np.pi)
 
     def damping_ratio_at(self, amplitude: ArrayLike) -> FloatArray:
         """Return the damping ratio at amplitudes [``unit``], which had better lie within ``amplitudes``."""
-        A = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
-        return decay_rate(self.rate_coefficients, A) / (A * frequency(self.frequency_coefficients, A))
+        return self._ringing(amplitude)[1]
+
+    def _ringing(self, amplitude: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        maxima = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
+        omega, zeta = ringing(
+            self.frequency_coefficients, self.rate_coefficients, self.third_harmonic, maxima.ravel()
+        )
+        return omega.reshape(maxima.shape), zeta.reshape(maxima.shape)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
@@ -121,6 +129,9 @@ class AmplitudeCurves:
             Another type or schema, a missing entry, or entries that do not agree.
         """
         found = read(AmplitudeCurves, data, "amplitude_curves", SCHEMA)
+        w = found.frequency_coefficients
+        if "third_harmonic" not in data and len(w) > 1:  # before it was estimated, a cubic spring's was taken
+            found = replace(found, third_harmonic=float(w[1] / (12.0 * w[0])))
         n = len(found.amplitudes)
         m = len(found.frequency_coefficients) + len(found.rate_coefficients)
         rows = ("frequencies_hz", "damping_ratios", "frequency_sd_hz", "damping_sd")
@@ -143,7 +154,7 @@ def amplitude_curves(
     ----------
     decays : OutputSignal, sequence of them, or sequence of such sequences
         One output, the outputs of one decay, or those of several decays, each with the same outputs in the same
-        order; at any stamps, NaN where nothing was seen.
+        order; at any stamps, NaN where nothing was seen. A rest before the swings is left out.
     frequency_hz : float, optional
         Roughly where the mode is; by default where the decays have the most energy.
     output : str, optional
@@ -163,11 +174,14 @@ def amplitude_curves(
     Notes
     -----
     The mode is followed by averaging (``slow_flow``): stiffness that changes with amplitude, dry, linear and
-    quadratic damping; further powers where the Bayesian information criterion asks for them. All decays share one
+    quadratic damping; further powers where the Bayesian information criterion asks for them, and one more of
+    frequency and of damping than it asks for, so that what it leaves unseen is inside the band. All decays share one
     law. Noise is found from the residuals; where it is coloured, its density at the mode's frequency counts. Bands
-    are simultaneous by the largest of the standardised errors along the curve, drawn from the estimates' covariance.
+    are simultaneous by the largest of the standardised errors along the curve, drawn from the estimates' covariance,
+    with the bound of what averaging leaves out as their bias (Armstrong and Kolesar 2018). The test for one pole
+    compares it with the first of the laws, fixed in advance.
     """
-    rows = _checked(decays)
+    rows, warnings = _without_rest(_checked(decays))
     names = [signal.name for signal in rows[0]]
     if output is not None and output not in names:
         raise EstimationError(f"output is {output!r}; expected one of {', '.join(names)}")
@@ -176,21 +190,25 @@ def amplitude_curves(
     largest = int(np.argmax([max(float(np.std(row[j].values)) for row in rows) for j in range(len(names))]))
     reference = largest if output is None else names.index(output)
     problem = DecayProblem(rows, reference)
-    fit = _with_other_modes(problem, problem.fit(problem.start(frequency_hz)))
-    base = fit
+    # Windows whose amplitudes hardly differ say little of a law: one pole may then be the better start of one.
+    one_pole = problem.fit(problem.start(frequency_hz, LINEAR))
+    base = problem.fit(problem.start(frequency_hz, _LAWS[0]))
+    if not base.cost < one_pole.cost:
+        base = problem.fit(one_pole.point.extended(_LAWS[0]))
+    fit = base = _with_other_modes(problem, base)
+    if len(base.point.others):
+        one_pole = problem.fit(replace(one_pole.point, others=base.point.others))
     for law in _LAWS[1:]:
         if problem.n_samples > 4 * (fit.n_parameters + 2):
-            richer = problem.fit(_extended(base.point, law))
+            richer = problem.fit(base.point.extended(law))
             fit = richer if richer.converged and richer.criterion < fit.criterion else fit
-    one_pole = problem.fit(
-        replace(
-            base.point,
-            law=LINEAR,
-            omega_terms=base.point.omega_terms[:1],
-            rate_terms=base.point.rate_terms[:2],
-        )
-    )
-    return _judged(problem, fit, (one_pole, base), "decay", seed)
+    # What the criterion does not ask for may still bend the curve by as much as its noise: the band is that of a law
+    # with one more power of each, beside which what stays out is small. Amplitudes that hardly differ do not tell so
+    # many powers apart, and do not need them. The test knows nothing of this choice.
+    law = fit.point.law
+    wide = problem.fit(fit.point.extended(Law(law.n_frequency + 1, law.n_rate + 1)))
+    curves = _judged(problem, wide if wide.converged else fit, (one_pole, base), "decay", seed)
+    return replace(curves, warnings=(*warnings, *curves.warnings))
 
 
 @on_one_thread
@@ -225,13 +243,14 @@ def driven_amplitude_curves(
     Raises
     ------
     EstimationError
-        An unknown mode or output, or amplitudes that hardly differ.
+        An unknown mode or output, one that never changes, or amplitudes that hardly differ.
 
     Notes
     -----
     The law is that of ``amplitude_curves`` with a cubic spring, dry, linear and quadratic damping, under the drive
     that the linear model knows (``driven_fit``): all records are one fit, with their noise.
     """
+    require_signals(records)
     problem = DrivenProblem(records, model, mode, output)
     fit = problem.fit(DRIVEN_LAW)
     return _judged(problem, fit, (problem.fit(LINEAR), fit), "data", seed)
@@ -289,11 +308,19 @@ def _checked(decays: Any) -> list[list[OutputSignal]]:
     return result
 
 
-def _extended(point: Start, law: Law) -> Start:
-    """Return a start of a richer law, its new terms zero."""
-    w = np.append(point.omega_terms, np.zeros(law.n_frequency - len(point.omega_terms)))
-    g = np.append(point.rate_terms, np.zeros(law.n_rate - len(point.rate_terms)))
-    return replace(point, law=law, omega_terms=w, rate_terms=g)
+def _without_rest(decays: list[list[OutputSignal]]) -> tuple[list[list[OutputSignal]], list[str]]:
+    """Return decays from where they ring, and what was left out before."""
+    rows, warnings = [], []
+    for number, row in enumerate(decays):
+        begin = end_of_rest(row)
+        if begin is not None:
+            warnings.append(f"decay {number} rested first: it is taken from {begin:.6g} s")
+            kept = [s.times_s >= begin for s in row]
+            row = [
+                replace(s, times_s=s.times_s[k], values=s.values[k]) for s, k in zip(row, kept, strict=True)
+            ]
+        rows.append(row)
+    return rows, warnings
 
 
 def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
@@ -347,36 +374,29 @@ def _curves(
     what: str,
     rng: np.random.Generator,
 ) -> AmplitudeCurves:
-    point, law = fit.point, fit.point.law
+    point = fit.point
     signal = problem.decays[0][problem.reference]
-    covariance = colour * fit.covariance
+    spread = math.sqrt(colour) * fit.spread
     density = max(len(row[problem.reference].values) for row in problem.decays)
     noise = fit.noise_sd[problem.reference] * math.sqrt(2.0 * colour / density) / point.reference
+    w, g, third = point.omega_terms, point.rate_terms, point.third
     top = float(np.max(point.amplitudes))
+    top *= 1.0 + third * top**2
     low = min(max(float(np.min(fit.last_amplitudes)), _LOWEST * noise, 1e-3 * top), 0.9 * top)
     A = np.geomspace(low, top, _POINTS)
-    w, g = point.omega_terms, point.rate_terms
-    omega, rate = frequency(w, A), decay_rate(g, A)
-    zeta = rate / (A * omega)
-    powers_w = A[:, None] ** (2 * np.arange(law.n_frequency))
-    powers_g = A[:, None] ** np.arange(law.n_rate)
-    by_frequency = np.hstack([powers_w, np.zeros_like(powers_g)])
-    by_damping = np.hstack([-(zeta / omega)[:, None] * powers_w, powers_g / (A * omega)[:, None]])
-    # Averaging is right to first order in eta. A maximum is larger than its fundamental by a twelfth of eta, which
-    # moves a rate by a sixth; zeros and phase part by eta^2 where damping changes from cycle to cycle. Coefficients
-    # of the equation of motion, as driven records give them, are those of a decay to first order, too.
+    omega, zeta = ringing(w, g, third, A)
+    by_frequency, by_damping = ringing_slopes(w, g, third, A)
+    # Averaging is right to second order in eta.
     eta = np.abs(omega / w[0] - 1.0) + np.abs(zeta)
-    left_out = (
-        0.5 * omega * eta**2,
-        np.abs(zeta) * eta * (0.5 if isinstance(problem, DrivenProblem) else 1.0 / 6.0),
-    )
+    left_out = (omega * eta**3, np.abs(zeta) * eta**2)
     bands, deviations = [], []
-    root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
-    draws = root @ rng.standard_normal((law.n_terms, _DRAWS))
+    draws = rng.standard_normal((spread.shape[1], _DRAWS))
     for values, slopes, own in ((omega, by_frequency, left_out[0]), (zeta, by_damping, left_out[1])):
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
-        reach = float(np.quantile(np.max(np.abs(slopes @ draws) / sd[:, None], axis=0), _LEVEL))
-        bands.append(np.stack([values - reach * sd - own, values + reach * sd + own]))
+        moved = slopes @ spread
+        sd = np.linalg.norm(moved, axis=1)
+        size = np.hypot(sd, own)[:, None]
+        reach = float(np.quantile(np.max(np.abs(moved @ draws + own[:, None]) / size, axis=0), _LEVEL))
+        bands.append(np.stack([values - reach * size[:, 0], values + reach * size[:, 0]]))
         deviations.append(sd)
     is_one_pole = p_value > 1.0 - _LEVEL
     names = [s.name for s in problem.decays[0]]
@@ -411,7 +431,7 @@ def _curves(
         reference_amplitude=point.reference,
         frequency_coefficients=w,
         rate_coefficients=g,
-        covariance=covariance,
+        covariance=colour * fit.covariance[:-1, :-1],
         output_name=signal.name,
         unit=signal.unit,
         noise_sd=np.array(fit.noise_sd),
@@ -419,4 +439,5 @@ def _curves(
         reason="the steps became invisible" if fit.converged else "the iterations were used up",
         iterations=fit.iterations,
         warnings=tuple(warnings),
+        third_harmonic=third,
     )

@@ -2,10 +2,11 @@
 
 Amplitude and phase follow ``slow_flow``; the samples are
 
-    y_j(t) = Re[c_j A(t) e^(j phi(t))] + third harmonic of A^2 and A^3 + other modes + offset + drift
+    y_j(t) = Re[c_j A(t) e^(j phi(t))] + second and third harmonic + other modes + offset + drift
 
-with c = 1 at the reference output, in whose unit the amplitude is. What enters linearly is projected out (Golub and
-Pereyra 1973), so that the iteration moves frequencies, rates, and each decay's first amplitude and phase alone.
+with c = 1 at the reference output, in whose unit the amplitude is; the part h A^3 cos(3 phi) of its third harmonic,
+which raises its maxima, is estimated with the law. What else enters linearly is projected out (Golub and Pereyra
+1973), so that the iteration moves frequencies, rates, h, and each decay's first amplitude and phase alone.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
-from beam_ident.amplitude.slow_flow import slow_flow
+from beam_ident.amplitude.slow_flow import SlowFlow, slow_flow
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.records import OutputSignal
 from beam_ident.errors import EstimationError
@@ -28,7 +29,9 @@ _FEW_WINDOWS = 6
 _WINDOW_SAMPLES = 8
 _SEEN = 5.0  # standard deviations of a window's amplitude
 _ITERATIONS = 60
-_N_COLUMNS = 6  # of every output: offset, drift, and the third harmonic
+_MOST_GROWTH = 50.0  # exponent of what a trial step may let grow
+_N_COLUMNS = 8
+"""Of every output: offset, drift, third harmonic but for its share in the maxima, second harmonic and shift."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,7 @@ class Law:
         return self.n_frequency + self.n_rate
 
 
+_FIRST = Law()
 LINEAR = Law(1, 1)
 """One pole: w_0 and g_0 alone."""
 
@@ -65,6 +69,7 @@ class Start:
     reference : float -- the unit of amplitude [unit of the reference output]
     amplitudes, phases : ndarray, shape (n_decays,) -- at each decay's first sample
     others : ndarray, shape (n_others, 2) -- frequencies [rad/s] and damping ratios of further modes
+    third : float -- h of the third harmonic h A^3 cos(3 phi) of the reference output
     """
 
     law: Law
@@ -74,10 +79,13 @@ class Start:
     amplitudes: FloatArray
     phases: FloatArray
     others: FloatArray
+    third: float = 0.0
 
-    def of_one_pole(self) -> Start:
-        """Return the same with one frequency and one damping ratio."""
-        return replace(self, law=LINEAR, omega_terms=self.omega_terms[:1], rate_terms=self.rate_terms[:2])
+    def extended(self, law: Law) -> Start:
+        """Return a start of a richer law, its new terms zero."""
+        w, g = np.zeros(law.n_frequency), np.zeros(law.n_rate)
+        w[: len(self.omega_terms)], g[: len(self.rate_terms)] = self.omega_terms, self.rate_terms
+        return replace(self, law=law, omega_terms=w, rate_terms=g)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +95,8 @@ class DecayFit:
     Attributes
     ----------
     point : Start -- the estimates
-    covariance : ndarray, shape (n_terms, n_terms) -- of both groups of terms, for white noise
+    spread : ndarray, shape (n_terms + 1, n) -- S of the covariance S S^T of both groups of terms and h, for white
+        noise; of terms that are hardly told apart it keeps twice as many digits
     cost : float -- half of the squared residuals over their variance, and the logarithms of that
     n_parameters, n_samples : int
     residuals : tuple of tuple of ndarray -- of every output of every decay
@@ -98,7 +107,7 @@ class DecayFit:
     """
 
     point: Start
-    covariance: FloatArray
+    spread: FloatArray
     cost: float
     n_parameters: int
     n_samples: int
@@ -107,6 +116,11 @@ class DecayFit:
     last_amplitudes: FloatArray
     converged: bool
     iterations: int
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of both groups of terms and h, shape (n_terms + 1, n_terms + 1)."""
+        return np.asarray(self.spread @ self.spread.T)
 
     @property
     def criterion(self) -> float:
@@ -132,8 +146,8 @@ class DecayProblem:
 
     # Where to begin -------------------------------------------------------------------------------------
 
-    def start(self, frequency_hz: float | None) -> Start:
-        """Return a start from the amplitudes and phases of short windows.
+    def start(self, frequency_hz: float | None, law: Law = _FIRST) -> Start:
+        """Return a start of a law, the first or one pole, from the amplitudes and phases of short windows.
 
         Raises
         ------
@@ -151,7 +165,7 @@ class DecayProblem:
                 f"amplitude needs {_FEW_WINDOWS} at least: record a longer decay, or one with a larger amplitude"
             )
         unit = max(float(turn.amplitudes.max()) for turn in turns if len(turn.times))
-        w, g = _regressed(turns, omega, unit)
+        w, g = _regressed(turns, omega, unit, law)
         first = np.array([turn.amplitudes[0] / unit if len(turn.times) else 1e-3 for turn in turns])
         phases = np.zeros(len(turns))
         for k, turn in enumerate(turns):
@@ -160,7 +174,7 @@ class DecayProblem:
                 first[k] += middle * float(np.polynomial.polynomial.polyval(first[k], g))
                 turned = middle * float(np.polynomial.polynomial.polyval(first[k] ** 2, w))
                 phases[k] = float(turn.phases[0]) - turned
-        return Start(Law(), w, g, unit, first, phases, np.zeros((0, 2)))
+        return Start(law, w, g, unit, first, phases, np.zeros((0, 2)))
 
     # The fit ----------------------------------------------------------------------------------------------
 
@@ -169,31 +183,32 @@ class DecayProblem:
         theta, sigmas = _packed(start), np.ones(self.n_outputs)
         scale = self._scale(start)
         for _ in range(3):  # the noise of each output follows from its residuals
+            # From zero the first step turns or lowers the decays by no more than 1, however little tells terms apart.
             found = optimize.least_squares(
-                lambda x, s=sigmas: np.concatenate(self._whitened(_unpacked(x * scale, start), s)),
-                theta / scale,
-                jac="3-point",
+                lambda x, at=theta, s=sigmas: np.concatenate(
+                    self._whitened(_unpacked(at + x * scale, start), s)
+                ),
+                np.zeros(len(theta)),
+                jac=lambda x, at=theta, s=sigmas: self._jacobian(_unpacked(at + x * scale, start), s) * scale,
                 method="trf",
                 max_nfev=_ITERATIONS,
-                ftol=1e-10,
+                ftol=1e-8,  # of a cost of half the number of samples: invisible beside the noise
                 xtol=1e-10,
                 gtol=1e-10,
             )
-            theta = found.x * scale
+            theta = theta + found.x * scale
             residuals = self._whitened(_unpacked(theta, start), np.ones(self.n_outputs))
             before, sigmas = sigmas, self._deviations(residuals, start)
             if np.allclose(before, sigmas, rtol=1e-3):
                 break
         point = _unpacked(theta, start)
         J = found.jac * np.repeat(np.tile(before / sigmas, len(self.decays)), self._sizes())[:, None] / scale
-        n = start.law.n_terms
-        covariance = linalg.pinvh(J.T @ J, atol=0.0, rtol=1e-14)[:n, :n]
         grouped = iter(residuals)
         sizes = np.array(self._sizes())
         per_output = sizes.reshape(len(self.decays), self.n_outputs).sum(axis=0)
         return DecayFit(
             point,
-            np.asarray(covariance),
+            spread_of(J)[: start.law.n_terms + 1],
             0.5 * self.n_samples + float(per_output @ np.log(sigmas)),
             len(theta) + self._n_linear(len(start.others)),
             self.n_samples,
@@ -209,7 +224,7 @@ class DecayProblem:
 
     def _n_linear(self, n_others: int) -> int:
         own = _N_COLUMNS + 2 * n_others
-        return len(self.decays) * (self.n_outputs * own + 2 * (self.n_outputs - 1))
+        return len(self.decays) * (self.n_outputs * own + 3 * (self.n_outputs - 1))
 
     def _deviations(self, residuals: list[FloatArray], start: Start) -> FloatArray:
         per_signal = _N_COLUMNS + 2 * len(start.others)
@@ -225,7 +240,7 @@ class DecayProblem:
         )
         scale = np.ones(len(_packed(start)))
         scale[: start.law.n_terms] = 1.0 / span
-        n = start.law.n_terms + 2 * len(self.decays)
+        n = start.law.n_terms + 1 + 2 * len(self.decays)
         scale[n::2] = 1.0 / span
         scale[n + 1 :: 2] = 1.0 / (span * np.maximum(start.others[:, 0], 1e-300))
         return scale
@@ -233,53 +248,134 @@ class DecayProblem:
     def _last_amplitude(self, point: Start, k: int) -> float:
         """Return the amplitude at the end of a decay."""
         end = np.array([max(float(s.times_s[-1]) for s in self.decays[k]) - self.starts[k]])
-        return float(slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), end)[0][0])
+        return float(
+            slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), end).amplitude[0]
+        )
+
+    def _flows(self, point: Start, k: int, *, slopes: bool = False) -> list[SlowFlow]:
+        """Return amplitude and phase at the stamps of every output of a decay."""
+        known: dict[bytes, SlowFlow] = {}
+        for signal in self.decays[k]:
+            key = signal.times_s.tobytes()
+            if key not in known:
+                elapsed = signal.times_s - self.starts[k]
+                known[key] = slow_flow(
+                    point.omega_terms, point.rate_terms, float(point.amplitudes[k]), elapsed, slopes=slopes
+                )
+        return [known[signal.times_s.tobytes()] for signal in self.decays[k]]
+
+    def _columns(self, point: Start, k: int, j: int, flow: SlowFlow) -> FloatArray:
+        """Return what enters one output linearly, shape (n, n_columns); swings of the mode first, if they do."""
+        signal = self.decays[k][j]
+        t = signal.times_s - self.starts[k]
+        A, phi = flow.amplitude, flow.phase + point.phases[k]
+        columns = []
+        if j != self.reference:
+            columns = [*(self._seen(point, signal) * A * _turning(phi)), A**3 * np.cos(3.0 * phi)]
+        columns += [np.ones(len(t)), t - 0.5 * t[-1]]
+        # Odd forces that change with the place are even in time, those that change with the speed are odd.
+        columns += [A**n * np.sin(3.0 * phi) for n in (2, 3)]
+        # What is stiffer to one side shifts the middle of its swings and has a second harmonic.
+        columns += [A**2, *(A**2 * _turning(2.0 * phi))]
+        for omega, zeta in point.others:
+            columns += list(np.exp(np.minimum(-zeta * omega * t, _MOST_GROWTH)) * _turning(omega * t))
+        return np.stack(columns, axis=1)
+
+    def _seen(self, point: Start, signal: OutputSignal, harmonic: int = 1) -> float:
+        """Return what an exposure leaves of a harmonic's swing of 1, in the output's unit."""
+        turned = harmonic * point.omega_terms[0] * signal.exposure_s
+        return float(np.sinc(turned / (2.0 * np.pi))) * point.reference
 
     def _whitened(self, point: Start, sigmas: FloatArray) -> list[FloatArray]:
         """Return what is left of every output of every decay, over its noise."""
         result = []
-        for k, (decay, begin) in enumerate(zip(self.decays, self.starts, strict=True)):
-            known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-            for j, signal in enumerate(decay):
-                t = signal.times_s - begin
-                key = signal.times_s.tobytes()
-                if key not in known:
-                    known[key] = slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), t)
-                A, turned = known[key]
-                phi = turned + point.phases[k]
-                # An exposure shows a swing smaller by its sinc.
-                seen = np.sinc(point.omega_terms[0] * signal.exposure_s / (2.0 * np.pi)) * A * point.reference
-                values = signal.values
-                columns = [np.ones(len(t)), t - 0.5 * t[-1]]
-                columns += [A**n * wave(3.0 * phi) for n in (2, 3) for wave in (np.cos, np.sin)]
-                if j == self.reference:
-                    values = values - seen * np.cos(phi)
-                else:
-                    columns += [seen * np.cos(phi), seen * np.sin(phi)]
-                for omega, zeta in point.others:
-                    fall = np.exp(-zeta * omega * t)
-                    columns += [fall * np.cos(omega * t), fall * np.sin(omega * t)]
-                Q, _ = np.linalg.qr(np.stack(columns, axis=1))
+        for k in range(len(self.decays)):
+            for j, flow in enumerate(self._flows(point, k)):
+                Q, _ = np.linalg.qr(self._columns(point, k, j, flow))
+                values = self._unexplained(point, k, j, flow)
                 result.append((values - Q @ (Q.T @ values)) / sigmas[j])
         return result
+
+    def _unexplained(self, point: Start, k: int, j: int, flow: SlowFlow) -> FloatArray:
+        """Return an output, the reference one less the mode's swing."""
+        signal = self.decays[k][j]
+        if j != self.reference:
+            return signal.values
+        A, phi = flow.amplitude, flow.phase + point.phases[k]
+        swing = self._seen(point, signal) * A * np.cos(phi)
+        higher = self._seen(point, signal, 3) * point.third * A**3 * np.cos(3.0 * phi)
+        return np.asarray(signal.values - swing - higher)
+
+    def _jacobian(self, point: Start, sigmas: FloatArray) -> FloatArray:
+        """Return the derivatives of ``_whitened`` by ``_packed``, the projection held (Kaufman 1975)."""
+        law, n_decays = point.law, len(self.decays)
+        kept = [*range(law.n_frequency), *(law.n_frequency + np.arange(law.n_rate) + (law == LINEAR))]
+        rows = []
+        for k, decay in enumerate(self.decays):
+            for j, (signal, flow) in enumerate(zip(decay, self._flows(point, k, slopes=True), strict=True)):
+                t = signal.times_s - self.starts[k]
+                columns = self._columns(point, k, j, flow)
+                Q, R = np.linalg.qr(columns)
+                found, _, _, _ = np.linalg.lstsq(R, Q.T @ self._unexplained(point, k, j, flow), rcond=1e-12)
+                own = np.array([1.0, 0.0]) if j == self.reference else found[:2]
+                phi = flow.phase + point.phases[k]
+                cos, sin = self._seen(point, signal) * _turning(phi)
+                # Of c_1 A cos(phi) + c_2 A sin(phi): by A and, over A, by phi.
+                by_size, by_turn = own[0] * cos + own[1] * sin, flow.amplitude * (own[1] * cos - own[0] * sin)
+                J = np.zeros((len(t), law.n_terms + 1 + 2 * n_decays + point.others.size))
+                if j == self.reference:
+                    cos3, sin3 = self._seen(point, signal, 3) * flow.amplitude**2 * _turning(3.0 * phi)
+                    by_size, by_turn = (
+                        by_size + 3.0 * point.third * cos3,
+                        by_turn - 3.0 * point.third * flow.amplitude * sin3,
+                    )
+                    J[:, law.n_terms] = flow.amplitude * cos3
+                J[:, : law.n_terms] = (flow.by_amplitude * by_size + flow.by_phase * by_turn)[kept].T
+                at = law.n_terms + 1 + 2 * k
+                start = float(point.amplitudes[k])
+                J[:, at] = start * (flow.by_amplitude[-1] * by_size + flow.by_phase[-1] * by_turn)
+                J[:, at + 1] = by_turn
+                for m, (omega, zeta) in enumerate(point.others):
+                    first = columns.shape[1] - 2 * (len(point.others) - m)
+                    (c, s), (a, b) = columns[:, first : first + 2].T, found[first : first + 2]
+                    at = law.n_terms + 1 + 2 * (n_decays + m)
+                    J[:, at] = t * (b * c - a * s) - zeta * t * (a * c + b * s)
+                    J[:, at + 1] = -omega * t * (a * c + b * s)
+                rows.append((Q @ (Q.T @ J) - J) / sigmas[j])
+        return np.concatenate(rows)
+
+
+def spread_of(J: FloatArray) -> FloatArray:
+    """Return S with S S^T = (J^T J)^-1, shape (n_parameters, n_parameters)."""
+    length = np.linalg.norm(J, axis=0)
+    length[length == 0.0] = 1.0
+    _, sizes, Vt = np.linalg.svd(J / length, full_matrices=False)
+    seen = sizes > 1e-13 * sizes[0]
+    return np.asarray(Vt[seen].T / sizes[seen] / length[:, None])
+
+
+def _turning(phi: FloatArray) -> FloatArray:
+    """Return cosine and sine, shape (2, n)."""
+    return np.stack([np.cos(phi), np.sin(phi)])
 
 
 def _packed(point: Start) -> FloatArray:
     logs = np.log(np.maximum(point.amplitudes, 1e-12))
     per_decay = np.column_stack([logs, point.phases]).ravel()
     rates = point.rate_terms[1:2] if point.law == LINEAR else point.rate_terms
-    return np.concatenate([point.omega_terms, rates, per_decay, point.others.ravel()])
+    return np.concatenate([point.omega_terms, rates, [point.third], per_decay, point.others.ravel()])
 
 
 def _unpacked(theta: FloatArray, like: Start) -> Start:
     nf, n, m = like.law.n_frequency, like.law.n_terms, len(like.amplitudes)
     rates = theta[nf:n]
-    per_decay = theta[n : n + 2 * m].reshape(m, 2)
-    others = theta[n + 2 * m :].reshape(-1, 2)
+    per_decay = theta[n + 1 : n + 1 + 2 * m].reshape(m, 2)
+    others = theta[n + 1 + 2 * m :].reshape(-1, 2)
     amplitudes = np.exp(np.clip(per_decay[:, 0], -30.0, 5.0))
     if like.law == LINEAR:
         rates = np.array([0.0, rates[0]])
-    return Start(like.law, theta[:nf], rates, like.reference, amplitudes, per_decay[:, 1], others)
+    third = float(theta[n])
+    return Start(like.law, theta[:nf], rates, like.reference, amplitudes, per_decay[:, 1], others, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,22 +430,27 @@ def _windows(signal: OutputSignal, omega: float, begin: float) -> _Windows:
     return _Windows(times, np.abs(z[:count]), np.unwrap(np.angle(z[:count])) + omega * times)
 
 
-def _regressed(turns: Sequence[_Windows], omega: float, unit: float) -> tuple[FloatArray, FloatArray]:
-    """Return w_0, w_2 and g_-1, g_0, g_1 from what amplitude and phase do between windows."""
+def _regressed(
+    turns: Sequence[_Windows], omega: float, unit: float, law: Law
+) -> tuple[FloatArray, FloatArray]:
+    """Return the terms of a law, the first or one pole, from what amplitude and phase do between windows."""
     rows_w, rows_g, right_w, right_g, weights = [], [], [], [], []
     for turn in turns:
         if len(turn.times) < 2:
             continue
         A, step = turn.amplitudes / unit, np.diff(turn.times)
         middle = 0.5 * (A[1:] + A[:-1])
-        rows_w.append(np.stack([np.ones(len(step)), middle**2], axis=1))
+        rows_w.append(np.stack([middle ** (2 * k) for k in range(law.n_frequency)], axis=1))
         right_w.append(np.diff(turn.phases) / step)
         weights.append(middle)
-        rows_g.append(np.stack([np.ones(len(step)), middle, middle**2], axis=1))
+        powers = (1,) if law == LINEAR else range(law.n_rate)
+        rows_g.append(np.stack([middle**k for k in powers], axis=1))
         right_g.append(-np.diff(A) / step)
     weight = np.concatenate(weights)
     w, _, _, _ = np.linalg.lstsq(
         np.concatenate(rows_w) * weight[:, None], np.concatenate(right_w) * weight, rcond=None
     )
     g, _, _, _ = np.linalg.lstsq(np.concatenate(rows_g), np.concatenate(right_g), rcond=None)
-    return np.asarray(w if w[0] > 0.0 else [omega, 0.0], dtype=np.float64), np.asarray(g)
+    first = np.zeros(law.n_frequency)
+    first[0] = omega
+    return np.asarray(w if w[0] > 0.0 else first), np.insert(g, 0, 0.0) if law == LINEAR else np.asarray(g)

@@ -4,7 +4,7 @@ The linear model says what drives the mode. Its own motion x has amplitude and p
 a = x - i (x' + zeta omega x)/omega_d, and between instants h apart a_(k+1) = exp(lambda h) a_k + u_k, which gives u.
 The same drive moves
 
-    x'' + 2 zeta omega x' + omega^2 x + n(x, x') = drive,    n = 2 d_omega omega x + 2 d_g x' + kappa x^3
+    x'' + 2 zeta omega x' + omega^2 x + n(x, x') = drive,    n = d(omega^2) x + 2 d_g x' + kappa x^3
                                                                  + beta |x'| x' + mu sign(x')
 
 by a' = lambda a + i n/omega_d + u, integrated as it is, without averaging, at 24 instants a cycle. The outputs are
@@ -14,6 +14,7 @@ Pereyra 1973). kappa, beta and mu are stated as the coefficients of ``slow_flow`
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ import numpy as np
 from scipy import optimize
 from scipy.interpolate import CubicSpline
 
-from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, Law, Start
+from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, Law, Start, spread_of
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.records import OutputSignal, TimeRecord, busiest_stretch
 from beam_ident.errors import EstimationError
@@ -35,6 +36,8 @@ _MOST_SAMPLES = 30_000
 _MOST_INSTANTS = 200_000  # of a record
 _INSTANTS = 24.0  # of a cycle
 _ITERATIONS = 30
+_ROUNDS = 4
+_STILL_CLOCK = 1e-7  # of the records' length
 _FEW_LEVELS = 1.3
 """What the amplitude beyond which a quarter of the motion's energy lies is over that below which a twentieth does."""
 _REST = 1e-3  # of the largest velocity: below it dry friction is taken to be proportional
@@ -62,18 +65,30 @@ class _Seen:
     ----------
     values : ndarray, shape (n_rows,) -- less what the other columns explain
     known : ndarray, shape (n_rows, n_known) -- an orthonormal basis of these columns
-    column : ndarray, shape (n_rows,)
-    times : ndarray, shape (n_rows,)
+    share : float -- the linear model's residue
+    column, column_speed : ndarray, shape (n_rows,) -- and its derivative by the instant
+    other_speed : ndarray, shape (n_rows,) -- of what the other columns explain
+    by_clock : ndarray, shape (n_rows, 1 or 2) -- derivatives of the instants by latency and, where free, clock rate
+    instants : ndarray, shape (n_rows,) -- on the input's clock [s]
     segments : list of (record, slice)
     factor : float -- of a swing at the mode's frequency that an exposure leaves
     """
 
     values: FloatArray
     known: FloatArray
+    share: float
     column: FloatArray
-    times: FloatArray
+    column_speed: FloatArray
+    other_speed: FloatArray
+    by_clock: FloatArray
+    instants: FloatArray
     segments: list[tuple[int, slice]]
     factor: float
+
+    @property
+    def n_columns(self) -> int:
+        """How many parameters of its own the output has."""
+        return int(self.known.shape[1] + self.by_clock.shape[1] + 1)
 
 
 class DrivenProblem:
@@ -93,7 +108,11 @@ class DrivenProblem:
     """
 
     def __init__(
-        self, records: Sequence[TimeRecord], model: ModalModel, mode: int, output: str | None = None
+        self,
+        records: Sequence[TimeRecord],
+        model: ModalModel,
+        mode: int,
+        output: str | None = None,
     ) -> None:
         if not 0 <= mode < model.n_modes:
             raise EstimationError(f"mode is {mode}; expected an index from 0 to {model.n_modes - 1}")
@@ -108,40 +127,22 @@ class DrivenProblem:
         self._model, self._mode = model, mode
         omega, zeta = float(model.natural_frequencies[mode]), float(model.damping_ratios[mode])
         self.pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
-        regression = ModalRegression(records, ModalStructure(model.structure), model.input_names)
-        blocks = regression.blocks(
-            model.natural_frequencies, model.damping_ratios, model.clock, gradients=True
-        )
-        self._seen: list[_Seen] = []
-        shares = []
-        for j, values in enumerate(regression.values):
-            block, at = blocks[regression.block_of[j]], self._column_of(regression)
-            matrix = block.matrix
-            assert block.by_time is not None
-            found, _, _, _ = np.linalg.lstsq(matrix, values, rcond=None)
-            shares.append(float(found[at]))
-            # The latency was found with the linear model, and errs as that does: the speed is projected out, too.
-            fixed = np.column_stack([np.delete(matrix, at, axis=1), block.by_time @ found])
-            length = np.linalg.norm(fixed, axis=0)
-            U, s, _ = np.linalg.svd(fixed / np.where(length > 0.0, length, 1.0), full_matrices=False)
-            known = U[:, s > 1e-10 * s[0]]
-            name = regression.output_names[j]
-            exposure = next(o.exposure_s for r in records for o in r.outputs if o.name == name)
-            self._seen.append(
-                _Seen(
-                    values - known @ (known.T @ values),
-                    known,
-                    np.array(matrix[:, at]),
-                    regression.times[j] - model.latency,
-                    regression.segments[j],
-                    float(np.sinc(omega * exposure / (2.0 * math.pi))),
-                )
-            )
-        names = regression.output_names
-        self.reference = int(np.argmax(np.abs(shares))) if output is None else names.index(output)
-        self._share = shares[self.reference]
+        self._records = records
         self._drives = [self._driven(record) for record in records]
         largest = max(float(np.max(np.abs(drive.motion))) for drive in self._drives)
+        if not largest > 0.0:
+            raise EstimationError(
+                f"input {model.input_name!r} moves mode {mode + 1} in no record; expected records under drive. Of "
+                "free decays take amplitude_curves()"
+            )
+        regression = self._regression = ModalRegression(
+            records, ModalStructure(model.structure), model.input_names
+        )
+        seen = self._seen(model.clock)
+        self._shares = [each.share for each in seen]
+        names = regression.output_names
+        self.reference = int(np.argmax(np.abs(self._shares))) if output is None else names.index(output)
+        self._share = self._shares[self.reference]
         self.unit = abs(self._share) * largest
         self.decays = [
             [
@@ -154,6 +155,38 @@ class DrivenProblem:
         ]
         self.n_samples = sum(len(values) for values in regression.values)
         self._lowest = self._lowest_amplitude() / largest
+
+    def _seen(self, clock: ClockState) -> list[_Seen]:
+        """Return what is known of every output if its clock stands so."""
+        model, regression = self._model, self._regression
+        blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, clock, gradients=True)
+        result = []
+        for j, values in enumerate(regression.values):
+            block, at = blocks[regression.block_of[j]], self._column_of(regression)
+            assert block.by_time is not None
+            found, _, _, _ = np.linalg.lstsq(block.matrix, values, rcond=None)
+            fixed, others = np.delete(block.matrix, at, axis=1), np.delete(block.by_time, at, axis=1)
+            length = np.linalg.norm(fixed, axis=0)
+            U, s, _ = np.linalg.svd(fixed / np.where(length > 0.0, length, 1.0), full_matrices=False)
+            known = U[:, s > 1e-10 * s[0]]
+            name = regression.output_names[j]
+            exposure = next(o.exposure_s for r in self._records for o in r.outputs if o.name == name)
+            by_clock = [block.latency_factor] + [block.rate_factor] * (model.clock_rate_sd > 0.0)
+            result.append(
+                _Seen(
+                    values - known @ (known.T @ values),
+                    known,
+                    float(found[at]),
+                    np.array(block.matrix[:, at]),
+                    np.array(block.by_time[:, at]),
+                    np.asarray(others @ np.delete(found, at)),
+                    np.stack(by_clock, axis=1),
+                    regression.times[j] - clock.latency + clock.rate * (1.0 + clock.rate) * block.rate_factor,
+                    regression.segments[j],
+                    float(np.sinc(abs(self.pole) * exposure / (2.0 * math.pi))),
+                )
+            )
+        return result
 
     def _column_of(self, regression: ModalRegression) -> int:
         """Return which column is the mode's motion under the input."""
@@ -206,13 +239,14 @@ class DrivenProblem:
         """Return the maximum of the likelihood under a law: ``LAW``, or ``LINEAR``."""
         span = max(float(drive.times[-1] - drive.times[0]) for drive in self._drives)
         scale = max(min(-self.pole.real, 2.0 * math.pi / span), 1e-3 / span)
-        sigmas = np.ones(len(self._seen))
+        clock, seen = self._model.clock, self._seen(self._model.clock)
         # Beside the law: how much more the drive moves the mode than the linear fit says.
         theta = np.zeros(law.n_terms + 1)
-        for _ in range(3):
+        sigmas = self._deviations(seen, self._residuals(theta, scale, law, seen))
+        for _ in range(_ROUNDS):
             found = optimize.least_squares(
-                lambda x, s=sigmas: np.concatenate(
-                    [e / sd for e, sd in zip(self._residuals(x, scale, law), s, strict=True)]
+                lambda x, at=seen, s=sigmas: np.concatenate(
+                    [e / sd for e, sd in zip(self._residuals(x, scale, law, at), s, strict=True)]
                 ),
                 theta,
                 method="trf",
@@ -222,26 +256,37 @@ class DrivenProblem:
                 gtol=1e-10,
             )
             theta = found.x
-            residuals = self._residuals(theta, scale, law)
-            before, sigmas = sigmas, self._deviations(residuals)
-            if np.allclose(before, sigmas, rtol=1e-3):
+            # The linear model's latency and clock rate err as it does.
+            at, clock = clock, self._corrected(theta, scale, law, seen, clock)
+            seen = self._seen(clock)
+            residuals = self._residuals(theta, scale, law, seen)
+            before, sigmas = sigmas, self._deviations(seen, residuals)
+            is_still = (
+                abs(clock.latency - at.latency) + abs(clock.rate - at.rate) * span < _STILL_CLOCK * span
+            )
+            if is_still and np.allclose(before, sigmas, rtol=1e-3):
                 break
         rows = [np.full(len(e), b / s) for e, b, s in zip(residuals, before, sigmas, strict=True)]
         J = found.jac * np.concatenate(rows)[:, None]
         n = law.n_terms
         w, g = _terms(theta[:n] * scale, law, self.pole)
         sizes = np.array([len(e) for e in residuals])
+        # A cubic spring's third harmonic is known with it.
+        is_cubic = law.n_frequency > 1
+        own = np.eye(n + 1, n)
+        own[n, 1] = is_cubic / (12.0 * w[0])
+        third = float(w[1] / (12.0 * w[0])) if is_cubic else 0.0
         return DecayFit(
-            Start(law, w, g, self.unit, np.array([1.0]), np.zeros(1), np.zeros((0, 2))),
-            np.asarray(np.linalg.pinv(J.T @ J, rcond=1e-14, hermitian=True))[:n, :n] * scale**2,
+            Start(law, w, g, self.unit, np.array([1.0]), np.zeros(1), np.zeros((0, 2)), third),
+            scale * own @ spread_of(J)[:n],
             0.5 * self.n_samples + float(sizes @ np.log(sigmas)),
-            n + sum(seen.known.shape[1] + 1 for seen in self._seen),
+            n + sum(each.n_columns for each in seen),
             self.n_samples,
             tuple(
                 tuple(
                     e[rows]
-                    for e, seen in zip(residuals, self._seen, strict=True)
-                    for record, rows in seen.segments
+                    for e, each in zip(residuals, seen, strict=True)
+                    for record, rows in each.segments
                     if record == k
                 )
                 for k in range(len(self.decays))
@@ -252,39 +297,63 @@ class DrivenProblem:
             int(found.nfev),
         )
 
-    def _deviations(self, residuals: Sequence[FloatArray]) -> FloatArray:
-        free = [
-            max(len(e) - seen.known.shape[1] - 1, 1) for e, seen in zip(residuals, self._seen, strict=True)
-        ]
+    @staticmethod
+    def _deviations(seen: Sequence[_Seen], residuals: Sequence[FloatArray]) -> FloatArray:
         return np.array(
             [
-                max(float(np.linalg.norm(e)), 1e-300) / math.sqrt(n)
-                for e, n in zip(residuals, free, strict=True)
+                max(float(np.linalg.norm(e)), 1e-300) / math.sqrt(max(len(e) - each.n_columns, 1))
+                for e, each in zip(residuals, seen, strict=True)
             ]
         )
 
-    def _residuals(self, theta: FloatArray, scale: float, law: Law) -> list[FloatArray]:
-        """Return what is left of every output.
+    def _residuals(
+        self, theta: FloatArray, scale: float, law: Law, seen: Sequence[_Seen]
+    ) -> list[FloatArray]:
+        """Return what is left of every output, with what its clock would move projected out."""
+        result = []
+        for left, by_clock in self._left(theta, scale, law, seen):
+            Q, _ = np.linalg.qr(by_clock)
+            result.append(left - Q @ (Q.T @ left))
+        return result
+
+    def _corrected(
+        self, theta: FloatArray, scale: float, law: Law, seen: Sequence[_Seen], clock: ClockState
+    ) -> ClockState:
+        """Return the clock as the reference output sees it under a law."""
+        left, by_clock = self._left(theta, scale, law, seen)[self.reference]
+        found, _, _, _ = np.linalg.lstsq(by_clock, left, rcond=None)
+        return ClockState(clock.latency + found[0], clock.rate + (found[1] if len(found) > 1 else 0.0))
+
+    def _left(
+        self, theta: FloatArray, scale: float, law: Law, seen: Sequence[_Seen]
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return what is left of every output, and how its clock would move it.
 
         The reference output shows the amplitude itself; each other one has a share of its own in the mode.
         """
         w, g = _terms(theta[: law.n_terms] * scale, law, self.pole)
-        share = self._share * math.exp(min(max(float(theta[-1]), -1.0), 1.0))
-        size = abs(share) / self.unit
+        more = math.exp(min(max(float(theta[-1]), -1.0), 1.0))
+        size = abs(self._share) * more / self.unit
         changes = []
         for drive in self._drives:
             change = moved(self.pole, drive.times, size * drive.motion, w, g) / size - drive.motion
             changes.append(CubicSpline(drive.times, change.real))
         result = []
-        for j, seen in enumerate(self._seen):
-            own = seen.column.copy()
-            for record, rows in seen.segments:
-                own[rows] += seen.factor * changes[record](seen.times[rows])
-            own -= seen.known @ (seen.known.T @ own)
-            of_own = (
-                share if j == self.reference else float(own @ seen.values) / max(float(own @ own), 1e-300)
-            )
-            result.append(seen.values - of_own * own)
+        for j, each in enumerate(seen):
+            own, speed = each.column.copy(), each.column_speed.copy()
+            for record, rows in each.segments:
+                own[rows] += each.factor * changes[record](each.instants[rows])
+                speed[rows] += each.factor * changes[record](each.instants[rows], 1)
+            share = self._shares[j] * more
+            by_clock = (each.other_speed + share * speed)[:, None] * each.by_clock
+            both = np.column_stack([own, by_clock])
+            both -= each.known @ (each.known.T @ both)
+            own, by_clock = both[:, 0], both[:, 1:]
+            if j != self.reference:
+                Q, _ = np.linalg.qr(both)
+                R = Q.T @ both
+                share = float(np.linalg.lstsq(R, Q.T @ each.values, rcond=None)[0][0])
+            result.append((each.values - share * own, by_clock))
         return result
 
 
@@ -303,31 +372,39 @@ def moved(
     omega, h = abs(pole), float(times[1] - times[0])
     turn = complex(np.exp(pole * h))
     drive = (motion[1:] - turn * motion[:-1]).tolist()
-    # n over omega_d, from the averaged coefficients (``slow_flow``).
-    stiffness = 2.0 * omega * (float(w[0]) - pole.imag) / pole.imag
+    # n over omega_d, from the averaged coefficients (``slow_flow``); w_0 is the frequency of the ringing.
+    stiffness = (float(w[0]) ** 2 + float(g[1]) ** 2 - omega**2) / pole.imag
     cubic = 8.0 * omega * (float(w[1]) if len(w) > 1 else 0.0) / 3.0 / pole.imag
     viscous = 2.0 * (float(g[1]) + pole.real) / pole.imag
     dry = 0.5 * math.pi * omega * float(g[0]) / pole.imag
     quadratic = 0.75 * math.pi * (float(g[2]) if len(g) > 2 else 0.0) / omega / pole.imag
     rest, limit = _REST * omega, 1e3
 
-    def force(a: complex) -> complex:
+    def force(a: complex) -> tuple[complex, float]:
         x = min(max(a.real, -limit), limit)
         v = min(max(pole.real * a.real - pole.imag * a.imag, -limit * omega), limit * omega)
         size = abs(v)
         return 1j * (
             stiffness * x + cubic * x * x * x + (viscous + quadratic * size + dry / max(size, rest)) * v
-        )
+        ), v
 
     result = np.empty(len(motion), dtype=np.complex128)
     now = complex(motion[0])
     result[0] = now
+    here, v = force(now)
     for k, u in enumerate(drive, 1):
-        here = force(now)
         # Heun's step in the frame that turns with the pole.
-        ahead = turn * (now + h * here) + u
-        now = turn * (now + 0.5 * h * here) + 0.5 * h * force(ahead) + u
+        ahead, v_ahead = force(turn * (now + h * here) + u)
+        now = turn * (now + 0.5 * h * here) + 0.5 * h * ahead + u
+        if dry != 0.0 and v * v_ahead < 0.0:
+            # Dry friction turns over where the velocity is zero, not half-way through the step.
+            before, after = v / max(abs(v), rest), v_ahead / max(abs(v_ahead), rest)
+            share = v / (v - v_ahead)
+            early, late = cmath.exp(pole * h * (1.0 - 0.5 * share)), cmath.exp(pole * h * 0.5 * (1.0 - share))
+            turned = share * early * before + (1.0 - share) * late * after
+            now += 1j * dry * h * (turned - 0.5 * (turn * before + after))
         result[k] = now
+        here, v = force(now)
     return result
 
 

@@ -13,6 +13,7 @@ _STILL = 6.0  # standard deviations of the noise on the input
 _ROUNDING = 1e-9  # of what the input has moved
 _OF_BENDS = 0.6745 * 6.0**0.5  # median size of white noise's second differences, in its standard deviations
 _GUARD_S = 0.1  # longer than any sensor's own delay
+_GUARD_SHARE = 0.05  # of what rings freely, where that is short
 
 
 def free_decay_of(record: TimeRecord) -> list[OutputSignal]:
@@ -42,7 +43,8 @@ def free_decay_of(record: TimeRecord) -> list[OutputSignal]:
     end = min(drive.span_s[1] for drive in record.inputs)
     kept = []
     for output in record.outputs:
-        inside = (output.times_s > begin + _GUARD_S) & (output.times_s < end)
+        guard = min(_GUARD_S, _GUARD_SHARE * (end - begin))
+        inside = (output.times_s > begin + guard) & (output.times_s < end)
         if np.count_nonzero(inside & output.is_valid) < 2:
             raise EstimationError(
                 f"record {record.name!r}: the input moves until {begin:.3f} s and {output.name!r} was seen until "

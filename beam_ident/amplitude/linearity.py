@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.data.argument_checks import require_signals
 from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ColumnBlock, ModalRegression
@@ -124,8 +125,9 @@ def linearity(records: Sequence[TimeRecord], model: ModalModel) -> Linearity:
     Raises
     ------
     EstimationError
-        The records are not of this model.
+        The records are not of this model, or hold an output that never changes.
     """
+    require_signals(records)
     most = max(_MOST_SAMPLES // len(records), 2)
     regression = ModalRegression(
         [busiest_stretch(record, most) for record in records],

@@ -15,9 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beam_ident.arrays import FloatArray
+from beam_ident.axis import axis_doubts
 from beam_ident.axis.axis_output_error import COLOURED, MODAL_MASS, AxisFit, AxisOutputError, MassAndFriction
-from beam_ident.axis.axis_record import AxisRecord, require_motion
+from beam_ident.axis.axis_record import AxisRecord, Piece, require_motion
 from beam_ident.axis.axis_result import AxisCheck, AxisResult, in_known_units, units_of
+from beam_ident.axis.drive_spring import SpringSearch
 from beam_ident.axis.inverse_dynamics import (
     NAMES,
     InverseDynamicsFit,
@@ -25,13 +27,18 @@ from beam_ident.axis.inverse_dynamics import (
     unmodelled_forces,
 )
 from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_records
-from beam_ident.data.records import OutputSignal, TimeRecord
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.scores import Scores, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 
 _MUCH_BETTER = 4.0  # times smaller standard deviations, for which output error is kept all the same
-_APART, _DIFFERENT = 4.0, 0.01  # standard deviations between the two methods, and share of the estimate
+_UNDECIDED = (
+    "whether the drive is compliant cannot be told: neither a stiff drive nor one with a spring leaves a sensor's "
+    "noise; record faster moves, without forces that nobody measures"
+)
+_WORTH_A_LOOK = 0.5  # of the gain in likelihood that a spring must bring, for which one is fitted
+_SEEN = 3.0  # standard deviations that a mass must be from zero
 
 
 @on_one_thread
@@ -46,6 +53,8 @@ def identify_axis(
     mass_sd: float = 0.0,
     offset: float | None = None,
     modes: Sequence[tuple[float, float]] = (),
+    encoder: str = "hub",
+    drive_mass: float | None = None,
 ) -> AxisResult:
     """Estimate mass, friction, constant force and delay of an axis from the force on it and its position.
 
@@ -68,6 +77,12 @@ def identify_axis(
         Of a structure that stands on the axis, while that is held still, as ``identify`` finds them with the position
         as its input. The mass of each that the record shows is estimated; "mass" is then what does not swing. The
         structure must be at rest when the record begins.
+    encoder : {"hub", "drive"}
+        Where the position is measured. "drive": on the motor's side of a compliant drive, with ``drive_mass`` or
+        without; the stiffness of the drive is then looked for. It needs an input in N.
+    drive_mass : float, optional
+        Mass ahead of the spring of a compliant drive, as J / r^2 of a rotor with its pulley [kg]: the stiffness is
+        looked for, with the encoder on the hub too.
 
     Returns
     -------
@@ -77,9 +92,21 @@ def identify_axis(
     ------
     EstimationError
         An axis that never moved, or not in both directions; too few samples; signals that are not there.
+
+    Notes
+    -----
+    A compliant drive is two masses with a spring and a damper between them. The force acts on the first, which is
+    rotor, pulley or nut; friction, a constant force and ``modes`` act on the second, the hub. Positions of the hub
+    alone tell the product of both masses over the stiffness, not its factors: hence ``drive_mass``. A spring is found
+    where the Bayesian information criterion prefers it, the colour of what it leaves counted, and it swings slower
+    than half the rate of the force, whose samples say nothing of what would shake a faster one; else ``stiffer_than``
+    of the result is a lower limit of the stiffness.
     """
-    loaded = _loaded(records, force, position, reference, _modes(modes))
-    _require_numbers(delay_s=delay_s, mass=mass, offset=offset)
+    loaded = _loaded(records, force, position, reference, _modes(modes), encoder)
+    _require_numbers(delay_s=delay_s, mass=mass, offset=offset, drive_mass=drive_mass)
+    is_asked = encoder == "drive" or drive_mass is not None
+    if is_asked:
+        _require_spring(loaded, encoder, drive_mass, mass)
     if mass is not None and not mass > 0.0:
         raise EstimationError(f"mass is {mass!r} kg; expected a number above 0")
     if not (math.isfinite(mass_sd) and mass_sd >= 0.0):
@@ -89,10 +116,24 @@ def identify_axis(
     further = (*swinging, *(("delay",) if delay_s is None else ()), "viscous_difference")
     motions = None if reference is None else [_followed(own) for own in loaded]
     start = fit_inverse_dynamics(loaded, 0.0 if delay_s is None else delay_s)
+    _require_mass(start.parameters.mass, start.covariance[0, 0], loaded[0])
     simulated = _output_error(loaded, start.parameters, further)
     inverse = _inverse_dynamics(loaded, simulated, further, motions)
+    stiffer_than = math.nan
+    if is_asked:
+        compliant, stiffer_than = _look_for_spring(loaded, simulated, further, drive_mass, start.parameters)
+        simulated = compliant or simulated
     chosen = _chosen(simulated, inverse)
-    return _result(loaded, chosen, simulated, inverse, mass, mass_sd, offset)
+    _require_mass(chosen.parameters.mass, chosen.covariance[0, 0], loaded[0])
+    result = _result(loaded, chosen, simulated, inverse, motions, mass, mass_sd, offset)
+    if is_asked and not result.is_compliant and math.isnan(stiffer_than):
+        result = replace(result, warnings=(*result.warnings, _UNDECIDED))
+    return replace(
+        result,
+        encoder=encoder,
+        known_drive_mass=math.nan if drive_mass is None else float(drive_mass),
+        stiffer_than=stiffer_than,
+    )
 
 
 def check_axis(result: AxisResult, records: TimeRecord | Sequence[TimeRecord]) -> AxisCheck:
@@ -108,7 +149,7 @@ def check_axis(result: AxisResult, records: TimeRecord | Sequence[TimeRecord]) -
     EstimationError
         The records lack these signals, or the axis does not move in them.
     """
-    loaded = _loaded(records, result.force_name, result.position_name, None, result.modes)
+    loaded = _loaded(records, result.force_name, result.position_name, None, result.modes, result.encoder)
     require_motion(loaded)
     return _checked(loaded, parameters_of(result), (), is_fit=False)
 
@@ -122,6 +163,10 @@ def parameters_of(result: AxisResult) -> MassAndFriction:
     else:
         mass = result.value("mass")
     half = 0.5 * (result.resistance_forward - result.resistance_backward)
+    resonance, zeta, drive_mass = result.drive_resonance, 0.0, 0.0
+    if result.is_compliant:
+        drive_mass = result.value("drive_mass") if "drive_mass" in result.names else result.known_drive_mass
+        zeta = 0.5 * result.value("drive_damping") * resonance / result.value("stiffness")
     return MassAndFriction(
         mass,
         result.value("viscous") * scale,
@@ -130,6 +175,9 @@ def parameters_of(result: AxisResult) -> MassAndFriction:
         result.value("delay"),
         result.value("viscous_difference") * scale,
         tuple(result.value(f"{MODAL_MASS}{k}") * scale for k in range(1, len(result.modes) + 1)),
+        resonance,
+        zeta,
+        drive_mass,
     )
 
 
@@ -149,10 +197,18 @@ def _loaded(
     position: str | None,
     reference: str | None,
     modes: tuple[tuple[float, ...], ...],
+    encoder: str,
 ) -> list[AxisRecord]:
+    if encoder not in ("hub", "drive"):
+        raise EstimationError(f"encoder is {encoder!r}; expected 'hub' or 'drive'")
     found = []
     for record in require_records(records):
         drive = chosen_input(record, force)
+        if np.ptp(drive.values) == 0.0:
+            raise EstimationError(
+                f"the force {drive.name!r} is constant ({drive.values[0]:g}); expected the force that moved it. "
+                "Check the channel, or name another input"
+            )
         output = _position(record, position)
         require_output(output.name, output.values[output.is_valid])
         wanted = None if reference is None else record.input(reference)
@@ -160,8 +216,41 @@ def _loaded(
             raise EstimationError(
                 f"the position {output.name!r} is in {output.unit!r}; expected m: scale it, or name another output"
             )
-        found.append(AxisRecord(drive, output, wanted, modes))
+        # From the force's first sample on: of seconds since 1970 the integrals of a force keep too few digits.
+        start = float(drive.times_s[0])
+        found.append(
+            AxisRecord(
+                _input_from(drive, start),
+                replace(output, times_s=output.times_s - start),
+                None if wanted is None else _input_from(wanted, start),
+                modes,
+                encoder == "drive",
+            )
+        )
     return found
+
+
+def _input_from(drive: InputSignal, start_s: float) -> InputSignal:
+    """Return an input whose stamps count from some instant."""
+    gaps = tuple(replace(gap, start_s=gap.start_s - start_s, end_s=gap.end_s - start_s) for gap in drive.gaps)
+    return replace(drive, times_s=drive.times_s - start_s, gaps=gaps)
+
+
+def _require_mass(mass: float, variance: float, record: AxisRecord) -> None:
+    """Raise EstimationError where the acceleration does not follow the force, or does so backwards."""
+    sd = math.sqrt(variance)
+    names = f"position {record.output.name!r} accelerates"
+    if mass < -_SEEN * sd:
+        raise EstimationError(
+            f"the {names} against the force {record.drive.name!r}: the mass would be {mass:.4g}. Expected one "
+            "direction for both: change the sign of one, exchange them if they are swapped, or take away a "
+            "spring that holds the axis"
+        )
+    if not mass > _SEEN * sd:
+        raise EstimationError(
+            f"it is not seen that the {names} with the force {record.drive.name!r}: mass {mass:.3g} +- {sd:.2g}. Is "
+            "it the right input, on the same clock? Move with more acceleration"
+        )
 
 
 def _modes(given: Sequence[tuple[float, float]]) -> tuple[tuple[float, ...], ...]:
@@ -197,6 +286,24 @@ def _require_numbers(**given: float | None) -> None:
             raise EstimationError(f"{name} is {value!r}; expected a finite number")
 
 
+def _require_spring(
+    records: Sequence[AxisRecord], encoder: str, drive_mass: float | None, mass: float | None
+) -> None:
+    if drive_mass is not None and not drive_mass > 0.0:
+        raise EstimationError(f"drive_mass is {drive_mass!r} kg; expected a number above 0")
+    if mass is not None or records[0].drive.unit != "N":
+        raise EstimationError(
+            "the stiffness of a drive is looked for under a force in N and without mass=; the input "
+            f"{records[0].drive.name!r} is in {records[0].drive.unit!r}: find its force constant with mass= and "
+            "without encoder= and drive_mass=, then scale it to N"
+        )
+    if encoder == "drive" and records[0].modes:
+        raise EstimationError(
+            "modes= are of a structure on the hub, whose motion an encoder on the drive does not measure; leave out "
+            "one of modes= and encoder='drive'"
+        )
+
+
 def _followed(record: AxisRecord) -> FloatArray:
     """Return the reference at the positions' stamps, NaN where it is not known."""
     assert record.reference is not None
@@ -210,8 +317,12 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
     """Return the fit with those further parameters that the records show."""
     pieces = [(record, piece) for record in records for piece in record.pieces]
     start = replace(start, mass=start.mass if start.mass > 0.0 else _rough_mass(records))
-    plain = AxisOutputError(pieces, start, NAMES).fit()
-    full = AxisOutputError(pieces, plain.parameters, (*NAMES, *further)).fit()
+    problem = AxisOutputError(pieces, start, NAMES)
+    plain = problem.fit()
+    begin = plain.parameters
+    if "delay" in further:
+        begin = replace(begin, delay=problem.likeliest_delay(plain.state))
+    full = AxisOutputError(pieces, begin, (*NAMES, *further)).fit()
     if not _is_noise(full):
         # What is missing in the plain fit may have led it far away: once more from where the inverse dynamics with
         # all of it is.
@@ -220,12 +331,85 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
         other = AxisOutputError(pieces, rough, (*NAMES, *further)).fit()
         full = other if _is_noise(other) else full
     needed = _needed(full, further, sum(piece.n_samples for _, piece in pieces))
+    if "delay" in needed:
+        full = _at_likeliest_delay(pieces, full)
+        needed = _needed(full, further, sum(piece.n_samples for _, piece in pieces))
     if len(needed) == len(further):
         return full
     if not needed:
         return plain
     begin = full.parameters.changed({name: start.value(name) for name in further if name not in needed})
     return AxisOutputError(pieces, begin, (*NAMES, *needed)).fit()
+
+
+def _at_likeliest_delay(pieces: Sequence[tuple[AxisRecord, Piece]], fit: AxisFit) -> AxisFit:
+    """Return a fit, or one some periods of the force beside it that leaves less."""
+    while True:
+        delay = AxisOutputError(pieces, fit.parameters, fit.names).likeliest_delay(fit.state)
+        other = AxisOutputError(pieces, replace(fit.parameters, delay=delay), fit.names)
+        if delay == fit.parameters.delay:
+            return fit
+        found = other.fit(other.own(fit.state.theta))
+        if not found.state.cost < fit.state.cost:
+            return fit
+        fit = found
+
+
+def _look_for_spring(
+    records: Sequence[AxisRecord],
+    stiff: AxisFit,
+    further: tuple[str, ...],
+    drive_mass: float | None,
+    plain: MassAndFriction,
+) -> tuple[AxisFit | None, float]:
+    """Return the fit with a spring in the drive if the records show one, else None and its least stiffness [N/m].
+
+    The stiffness is NaN where a spring was found, and where neither fit leaves a sensor's noise.
+    """
+    if drive_mass is not None and not drive_mass < stiff.parameters.mass:
+        raise EstimationError(
+            f"drive_mass is {drive_mass:.6g} kg and the moving mass {stiff.parameters.mass:.6g} kg; the drive is a "
+            "part of it: expected the inertia of rotor and pulley over the square of the pulley's radius, in kg"
+        )
+    pieces = [(record, piece) for record in records for piece in record.pieces]
+    # A delay may have followed the spring: where it leaves no noise, the search is beside mass and friction alone.
+    at = stiff.parameters
+    at = at if _is_noise(stiff) else at.changed({name: plain.value(name) for name in further})
+    rough = AxisOutputError(pieces, at, stiff.names if _is_noise(stiff) else NAMES)
+    point = rough.minimum().state
+    problem = AxisOutputError(pieces, rough.parameters(point.theta), (*NAMES, *further))
+    look = SpringSearch(problem, problem.first(rough.own(point.theta)), drive_mass, stiff.inflation).look()
+    own = ("resonance", "resonance_damping", *(("drive_mass",) if drive_mass is None else ()))
+    n = sum(piece.n_samples for _, piece in pieces)
+    price = 0.5 * len(own) * math.log(n)
+    if look.gain > _WORTH_A_LOOK * price:
+        best, cost, begin, ringing = look.starts[0], math.inf, None, None
+        for start in look.starts:
+            start = start.changed({name: plain.value(name) for name in further})
+            one = AxisOutputError(pieces, start, (*NAMES, *own))
+            state = one.minimum(target=cost, is_patient=True).state
+            if state.cost < cost:
+                best, cost, begin = one.parameters(state.theta), state.cost, one.own(state.theta)
+                ringing = one.ringing(state)
+        fit = AxisOutputError(pieces, best, (*NAMES, *further, *own), ringing).fit(begin)
+        needed = _needed(fit, further, n)
+        if len(needed) < len(further):
+            best = best.changed({name: fit.parameters.value(name) for name in needed})
+            fit = AxisOutputError(pieces, best, (*NAMES, *needed, *own), ringing).fit(begin)
+        gain = 0.5 * n * math.log(stiff.power / fit.power)
+        if gain > price * fit.inflation**2 and _is_shaken(records, fit.parameters):
+            return fit, math.nan
+    return None, look.stiffer_than if _is_noise(stiff) else math.nan
+
+
+def _is_shaken(records: Sequence[AxisRecord], parameters: MassAndFriction) -> bool:
+    """Return whether the records hold what shakes the spring.
+
+    Samples of a force say what it contains below half their rate (Shannon). Above it there is only what its hold
+    makes of that: a spring that is seen there would be a statement about the hold, its delay and its filters.
+    """
+    slowest = max(record.period_s for record in records)
+    return parameters.resonance * slowest < math.pi
 
 
 def _inverse_dynamics(
@@ -236,6 +420,8 @@ def _inverse_dynamics(
 ) -> InverseDynamicsFit:
     """Return the fit with those further parameters that it, or a simulation that describes the records, shows."""
     if _is_noise(simulated):
+        if motions is None:
+            motions = _simulated_motions(records, simulated)
         names = tuple(name for name in simulated.names if name != "delay")
         return fit_inverse_dynamics(records, simulated.parameters.delay, names, motions)
     known = simulated.parameters.delay if "delay" not in simulated.names else 0.0
@@ -252,6 +438,17 @@ def _inverse_dynamics(
             return again
         needed = tuple(name for name in needed if name != "delay")
     return fit_inverse_dynamics(records, known, (*NAMES, *needed), motions)
+
+
+def _simulated_motions(records: Sequence[AxisRecord], simulated: AxisFit) -> list[FloatArray]:
+    """Return the motion that the force makes by a fit, at every record's stamps; NaN where the axis is at rest."""
+    motions, left = [], iter(simulated.residuals)
+    for record in records:
+        motion = np.full(len(record.times_s), np.nan)
+        for piece in record.pieces:
+            motion[piece.samples] = record.positions[piece.samples] - next(left)
+        motions.append(motion)
+    return motions
 
 
 def _needed(fit: AxisFit | InverseDynamicsFit, further: tuple[str, ...], n_values: int) -> tuple[str, ...]:
@@ -292,12 +489,14 @@ def _result(
     chosen: _Estimate,
     simulated: AxisFit,
     inverse: InverseDynamicsFit,
+    motions: Sequence[FloatArray] | None,
     mass: float | None,
     mass_sd: float,
     offset: float | None,
 ) -> AxisResult:
     swinging = sorted((name for name in chosen.names if name.startswith(MODAL_MASS)), key=len)
-    order = (*NAMES, *swinging, "viscous_difference", "delay")
+    own = ("resonance", "resonance_damping", "drive_mass")
+    order = (*NAMES, *swinging, "viscous_difference", *own, "delay")
     names = tuple(name for name in order if name in chosen.names)
     places = [chosen.names.index(name) for name in names]
     estimates = np.array([chosen.parameters.value(name) for name in names])
@@ -306,10 +505,14 @@ def _result(
     other: InverseDynamicsFit | AxisFit = inverse if is_output_error else simulated
     other_values = np.array([other.parameters.value(name) for name in other.names])
     other_estimates, other_covariance = _in_all(other.names, other_values, other.covariance)
-    warnings = _warnings(
-        chosen.method, *_in_all(names, estimates, covariance), other_estimates, other_covariance
-    )
+    in_all = _in_all(names, estimates, covariance)
+    warnings = [] if is_output_error else axis_doubts.of_unmeasured_forces(records, inverse, motions)
+    warnings += axis_doubts.negative_friction(*in_all)
+    if not chosen.parameters.resonance:
+        # Inverse dynamics know of no spring.
+        warnings += axis_doubts.of_methods(*in_all, other_estimates, other_covariance)
     check = _checked(records, chosen.parameters, simulated.residuals if is_output_error else (), is_fit=True)
+    names, estimates, covariance = _with_stiffness(names, estimates, covariance, chosen.parameters)
     if mass is not None:
         estimates, covariance = _scaled(names, estimates, covariance, mass, mass_sd)
         other_estimates, other_covariance = in_known_units(other_estimates, other_covariance, mass, mass_sd)
@@ -358,6 +561,32 @@ def _in_all(
     return rows @ estimates, rows @ covariance @ rows.T
 
 
+def _with_stiffness(
+    names: tuple[str, ...], estimates: FloatArray, covariance: FloatArray, parameters: MassAndFriction
+) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Turn resonance and damping ratio of a compliant drive into stiffness and damping.
+
+    k = omega^2 m_r and d = 2 zeta omega m_r, with the reduced mass m_r = m_d (m - m_d) / m of drive and hub.
+    """
+    spring = parameters.spring()
+    if spring is None:
+        return names, estimates, covariance
+    mass, drive, omega = parameters.mass, parameters.drive_mass, parameters.resonance
+    reduced = spring.stiffness / omega**2
+    by_mass = {"mass": (drive / mass) ** 2, "drive_mass": 1.0 - 2.0 * drive / mass}
+    k, d = names.index("resonance"), names.index("resonance_damping")
+    slopes = np.eye(len(names))
+    slopes[k, k], slopes[d, d] = 2.0 * omega * reduced, 2.0 * omega * reduced
+    slopes[d, k] = spring.damping / omega
+    for name, slope in by_mass.items():
+        if name in names:
+            slopes[[k, d], names.index(name)] = slope / reduced * np.array([spring.stiffness, spring.damping])
+    values = estimates.copy()
+    values[k], values[d] = spring.stiffness, spring.damping
+    turned = {"resonance": "stiffness", "resonance_damping": "drive_damping"}
+    return tuple(turned.get(name, name) for name in names), values, slopes @ covariance @ slopes.T
+
+
 def _scaled(
     names: tuple[str, ...], estimates: FloatArray, covariance: FloatArray, mass: float, mass_sd: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -369,35 +598,6 @@ def _scaled(
     grown = np.zeros((n + 1, n + 1))
     grown[:n, :n], grown[n, n] = own, covariance[n, n]
     return np.append(scaled, estimates[n]), grown
-
-
-def _warnings(
-    method: str,
-    estimates: FloatArray,
-    covariance: FloatArray,
-    other: FloatArray,
-    other_covariance: FloatArray,
-) -> list[str]:
-    found = []
-    sd = np.sqrt(np.diag(covariance))
-    apart = np.abs(estimates - other) / np.sqrt(np.square(sd) + np.diag(other_covariance))
-    worst = int(np.argmax(apart))
-    if apart[worst] > _APART and abs(estimates[worst] - other[worst]) > _DIFFERENT * abs(estimates[worst]):
-        found.append(
-            f"output error and inverse dynamics disagree by {apart[worst]:.1f} standard deviations on the "
-            f"{NAMES[worst]} ({estimates[worst]:.4g} and {other[worst]:.4g}): the axis does something that the model "
-            "lacks, or its noise is unlike what either expects; the difference is an honest uncertainty"
-        )
-    if method == "instrumental_variables":
-        found.append(
-            "forces that nobody measured outweigh the noise of the position: the estimates are those of inverse "
-            "dynamics, with standard deviations that the colour of these forces gives"
-        )
-    if estimates[2] < -4.0 * sd[2]:
-        found.append("the dry friction comes out negative: check the signs of force and position")
-    if estimates[0] <= 0.0:
-        found.append("the mass comes out negative: force and position point in opposite directions")
-    return found
 
 
 def _checked(
@@ -416,11 +616,13 @@ def _checked(
         measured.append(own - np.mean(own))
     y, e = np.concatenate(measured), np.concatenate(residuals)
     whiteness = Whiteness.of(e)
-    terms = unmodelled_forces(records, parameters, is_fit)
+    # The inverse dynamics have no spring, which they would take for forces.
+    terms = [] if parameters.resonance else unmodelled_forces(records, parameters, is_fit)
     return AxisCheck(
         Scores.of(y, e).fit_percent,
         float(np.std(e)),
         whiteness.is_white or are_rounding(y, e),
         whiteness.verdict,
         tuple(terms),
+        not parameters.resonance,
     )

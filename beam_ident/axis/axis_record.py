@@ -29,6 +29,7 @@ _DEVIATIONS = 4.0  # of the smoothed velocity's noise that are no motion
 _NARROWEST = 7  # samples of the smoothing window
 _WIDEST = 0.02  # of the record
 _MIN_SAMPLES = 20  # samples of a piece
+_GAUSS_POINTS = 5  # exact to the ninth degree
 _REAL_MOVE = 30.0  # standard deviations of the position's noise
 
 
@@ -65,12 +66,15 @@ class AxisRecord:
     reference : InputSignal, optional -- the position that the axis was to have
     modes : tuple of (natural frequency [rad/s], damping ratio)
         Of what swings on the axis while that is held still.
+    is_of_drive : bool
+        Whether the position is that of the drive, ahead of its spring; else it is the hub's.
     """
 
     drive: InputSignal
     output: OutputSignal
     reference: InputSignal | None = None
     modes: tuple[tuple[float, ...], ...] = ()
+    is_of_drive: bool = False
 
     @cached_property
     def _seen(self) -> BoolArray:
@@ -116,6 +120,27 @@ class AxisRecord:
         once = self.force.antiderivative()
         return once, once.antiderivative()
 
+    def mean_force(self, times_s: FloatArray, period_s: float) -> FloatArray:
+        """Return the force's mean under a triangle about each of evenly spaced times, zero at its neighbours [N].
+
+        Sums over the force's own intervals, so that a long record costs no digits.
+        """
+        first = times_s[0] - period_s
+        last = times_s[-1] + period_s
+        own = np.clip(self.force.knots, first, last)
+        edges = np.unique(np.concatenate([[first], times_s, [last], own]))
+        places, weights = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
+        half = 0.5 * np.diff(edges)[:, None]
+        nodes = (0.5 * (edges[:-1] + edges[1:])[:, None] + half * places).ravel()
+        known = np.clip(nodes, self.force.knots[0], self.force.knots[-1])
+        impulses = self.force(known) * (half * weights).ravel()
+        along = (nodes - first) / period_s
+        before = np.minimum(along.astype(np.intp), len(times_s))
+        along -= before
+        n = len(times_s) + 2
+        sums = np.bincount(before, (1.0 - along) * impulses, n) + np.bincount(before + 1, along * impulses, n)
+        return np.asarray(sums[1:-1] / period_s)
+
     @cached_property
     def reactions(self) -> FloatArray:
         """Forces on the axis of what swings on it, for 1 kg of every mode, at the knots, (n_modes, n_steps + 1) [N].
@@ -140,8 +165,8 @@ class AxisRecord:
         return noise_floor(self.times_s, self.positions)
 
     @cached_property
-    def _smoothed(self) -> tuple[FloatArray, float]:
-        """The velocity at the positions [m/s], and the standard deviation of its noise."""
+    def _smoothed(self) -> tuple[FloatArray, float, int]:
+        """The velocity at the positions [m/s], the standard deviation of its noise, and the window's samples."""
         t, y = self.times_s, self.positions
         step = float(np.median(np.diff(t)))
         even = np.arange(t[0], t[-1] + 0.5 * step, step)
@@ -156,7 +181,7 @@ class AxisRecord:
         width = int(min(max(needed, _NARROWEST), most)) | 1
         velocity = savgol_filter(on_grid, width, 2, deriv=1, delta=step)
         sd = self.noise_sd * math.sqrt(12.0 / width**3) / step
-        return np.interp(t, even, velocity), sd
+        return np.interp(t, even, velocity), sd, width
 
     @cached_property
     def speed_rms(self) -> float:
@@ -171,15 +196,21 @@ class AxisRecord:
     @cached_property
     def is_slow(self) -> BoolArray:
         """Where the axis rests or turns, so that the direction of its motion is not sure, shape (n,)."""
-        velocity, sd = self._smoothed
+        velocity, sd, _ = self._smoothed
         return np.asarray(np.abs(velocity) < max(_DEVIATIONS * sd, _REST * self.speed_rms))
 
     @cached_property
     def is_rest(self) -> BoolArray:
-        """Which positions belong to a rest, shape (n,)."""
+        """Which positions belong to a rest, or decided where it begins and ends, shape (n,).
+
+        The velocity is smoothed over half a window to either side. Were these positions part of a piece, it would
+        begin and end where its own noise says so, and that noise would not be zero on average any more.
+        """
         result = np.zeros(len(self.is_slow), dtype=bool)
-        for begin, end in _runs(self.is_slow):
-            result[begin:end] = end - begin >= _MIN_SAMPLES
+        reach = self._smoothed[2] // 2 + 1
+        for begin, end in runs(self.is_slow):
+            if end - begin >= _MIN_SAMPLES:
+                result[max(begin - reach, 0) : end + reach] = True
         return result
 
     @cached_property
@@ -187,18 +218,31 @@ class AxisRecord:
         """The stretches of motion."""
         t = self.times_s
         usable = ~self.is_rest & (t >= self.start_s)
+        usable[: self._smoothed[2] // 2 + 1] = False  # where the velocity is smoothed from one side
         borders = [0.5 * (gap.start_s + gap.end_s) for gap in self.drive.gaps]
         for gap in self.drive.gaps:
             usable &= ~((t > gap.start_s) & (t < gap.end_s))
         found = []
-        for begin, end in _runs(usable):
+        for begin, end in runs(usable):
             # A gap in the force between two positions ends a piece, too.
             parts = np.flatnonzero(np.diff(np.searchsorted(borders, t[begin:end]))) + 1
             edges = [begin, *(begin + parts).tolist(), end]
-            found += [self._piece(i, j) for i, j in pairwise(edges) if j - i >= _MIN_SAMPLES]
-        return tuple(found)
+            found += [self._piece(self._in_motion(i), j) for i, j in pairwise(edges)]
+        return tuple(piece for piece in found if piece is not None)
 
-    def _piece(self, begin: int, end: int) -> Piece:
+    def _in_motion(self, begin: int) -> int:
+        """Return where from there on the axis surely moves.
+
+        About rest the first velocity hardly matters, and not linearly: an estimate of it would find no end.
+        """
+        if not self.is_slow[begin]:
+            return begin
+        moving = np.flatnonzero(~self.is_slow[begin:])
+        return begin + (int(moving[0]) if len(moving) else len(self.is_slow)) + self._smoothed[2] // 2 + 1
+
+    def _piece(self, begin: int, end: int) -> Piece | None:
+        if end - begin < _MIN_SAMPLES:
+            return None
         first = math.floor((self.times_s[begin] - self.start_s) / self.period_s + 1e-6)
         last = math.ceil((self.times_s[end - 1] - self.start_s) / self.period_s - 1e-6)
         first = max(first, 0)
@@ -220,6 +264,11 @@ def require_motion(records: Sequence[AxisRecord]) -> None:
                 f"output {record.output.name!r} has {len(record.times_s)} positions under the force; an axis needs "
                 f"at least {3 * _MIN_SAMPLES}: record longer"
             )
+        if math.isnan(record.noise_sd):
+            raise EstimationError(
+                f"output {record.output.name!r} has no 32 positions in a row without a hole, which tell its noise: "
+                "expected even stamps and few missing samples. Check the stamps, or sample without losses"
+            )
     travel = max(float(np.ptp(record.positions)) for record in records)
     noise = max(record.noise_sd for record in records)
     pieces = [(record, piece) for record in records for piece in record.pieces]
@@ -240,7 +289,7 @@ def require_motion(records: Sequence[AxisRecord]) -> None:
             )
 
 
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return begin and end of every run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

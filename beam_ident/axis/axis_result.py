@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.stored_form import read, require_shapes, written
+from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, written
 from beam_ident.errors import EstimationError
 
 SCHEMA = 1
@@ -23,6 +23,9 @@ MEANINGS = {
     "coulomb_difference": "dry friction forward less backward",
     "viscous_difference": "viscous friction forward less backward",
     "delay": "delay from force to motion",
+    "stiffness": "stiffness of the drive",
+    "drive_damping": "damping of the drive's spring",
+    "drive_mass": "of the mass, ahead of that spring",
 }
 
 
@@ -55,6 +58,7 @@ class AxisCheck:
     whiteness : str -- the same in words
     terms : tuple of AxisTerm
         Forces that the inverse dynamics of the record show beyond the model, over four standard deviations.
+    is_searched : bool -- whether such forces were looked for: behind a compliant drive they are not
     """
 
     fit_percent: float
@@ -62,6 +66,7 @@ class AxisCheck:
     is_white: bool
     whiteness: str
     terms: tuple[AxisTerm, ...]
+    is_searched: bool = field(default=True, metadata=ADDED_LATER)
 
     @property
     def verdict(self) -> str:
@@ -69,6 +74,8 @@ class AxisCheck:
         words = (
             f"the simulated positions fit by {self.fit_percent:.3f} %, residuals of {self.residual_sd:.2g} m"
         )
+        if not self.is_searched:
+            return words
         if self.terms:
             named = ", ".join(f"{term.name} ({term.force:.2g})" for term in self.terms)
             return f"{words}; forces that the model lacks: {named}"
@@ -100,6 +107,11 @@ class AxisResult:
     reason : str
     iterations : int
     warnings : tuple of str
+    encoder : str -- whose position it is, that of the "hub" or of the "drive"
+    known_drive_mass : float -- mass ahead of the drive's spring that was given [kg]; NaN where none was
+    stiffer_than : float
+        What the stiffness of a drive whose spring was looked for and does not show is above, with 95 % [N/m]; NaN
+        where none was looked for, where it was found, and where the records cannot tell.
 
     Notes
     -----
@@ -128,6 +140,9 @@ class AxisResult:
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+    encoder: str = field(default="hub", metadata=ADDED_LATER)
+    known_drive_mass: float = field(default=float("nan"), metadata=ADDED_LATER)
+    stiffer_than: float = field(default=float("nan"), metadata=ADDED_LATER)
 
     @property
     def standard_deviations(self) -> FloatArray:
@@ -198,8 +213,40 @@ class AxisResult:
         lines.append(
             f"{self.method.replace('_', ' ')}, {self.n_samples} positions in {self.n_pieces} stretches of motion"
         )
+        if self.drive_verdict:
+            lines.append(self.drive_verdict)
         lines.append(self.check.verdict)
         return "\n".join([*lines, *(f"note: {warning}" for warning in self.warnings)])
+
+    @property
+    def is_compliant(self) -> bool:
+        """Whether the drive's spring was found."""
+        return "stiffness" in self.names
+
+    @property
+    def drive_resonance(self) -> float:
+        """At which drive and hub swing against each other without friction [rad/s]; 0 without a spring."""
+        if not self.is_compliant:
+            return 0.0
+        mass, drive = self.value("mass"), self._drive_mass
+        return float(np.sqrt(self.value("stiffness") * mass / (drive * (mass - drive))))
+
+    @property
+    def _drive_mass(self) -> float:
+        return self.value("drive_mass") if "drive_mass" in self.names else self.known_drive_mass
+
+    @property
+    def drive_verdict(self) -> str:
+        """What the record says of the drive's spring, in one sentence; empty where nobody asked."""
+        if self.is_compliant:
+            frequency_hz = self.drive_resonance / (2.0 * np.pi)
+            return f"the drive is compliant: it swings against the hub at {frequency_hz:.4g} Hz"
+        if np.isnan(self.stiffer_than):
+            return ""
+        words = (
+            f"the drive is stiff as far as the record shows: stiffer than {self.stiffer_than:.3g} N/m (95 %)"
+        )
+        return words if not np.isnan(self.known_drive_mass) else f"{words}, whatever its mass"
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""
@@ -287,7 +334,10 @@ def units_of(names: tuple[str, ...], unit: str, in_newtons: bool) -> tuple[str, 
         "viscous": f"{force} s/m",
         "viscous_difference": f"{force} s/m",
         "delay": "s",
+        "stiffness": f"{force}/m",
+        "drive_damping": f"{force} s/m",
     }
     return tuple(
-        known["mass"] if name.startswith("modal_mass_") else known.get(name, force) for name in names
+        known["mass"] if name.startswith("modal_mass_") or name == "drive_mass" else known.get(name, force)
+        for name in names
     )

@@ -1,14 +1,11 @@
 """Inverse dynamics with instrumental variables, in weak form.
 
-Newton's law of the axis, f = m x'' + c x' + R(x'), is multiplied by a smooth window w that is zero with its
-derivatives at both ends, and integrated by parts:
-
-    int w f = m int w'' x - c int w' x + F_c int w sgn(x') + F_0 int w
-
-so that no measured position is differentiated. Windows lie where the direction of the motion is sure; many, which
-overlap, make many equations, linear in the parameters. They also filter: force and positions pass through the same
-low-pass, which is what filtered derivatives are for (Gautier and Poignet, Control Engineering Practice 9 (2001)
-1361-1372).
+Newton's law of the axis, f = m x'' + c x' + R(x'), is averaged under a triangle about every stamp that is zero at
+the stamps beside it: what that leaves of m x'' is m times the second difference of the positions, exactly, and the
+mean of a force that is known between its samples is exact too. So nothing is lost by sampling, however short the
+windows are. Smooth windows over these means make the equations, linear in the parameters; they lie where the
+direction of the motion is sure, and overlap. They also filter: force and positions pass through the same low-pass,
+which is what filtered derivatives are for (Gautier and Poignet, Control Engineering Practice 9 (2001) 1361-1372).
 
 An unmeasured force enters as an error of f, and a servo that holds the axis to its reference keeps it out of the
 motion; noise of the position enters x and is what least squares is biased by. Instruments mend that (Janot, Vandanjon
@@ -23,16 +20,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 from scipy.signal import fftconvolve
 
-from beam_ident.arrays import BoolArray, FloatArray
+from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.axis.axis_output_error import MODAL_MASS, MassAndFriction
-from beam_ident.axis.axis_record import AxisRecord
+from beam_ident.axis.axis_record import AxisRecord, runs
 from beam_ident.axis.axis_result import AxisTerm
 from beam_ident.errors import EstimationError
-from beam_ident.noise.autoregression import autoregression, score_covariance
+from beam_ident.noise.autoregression import coloured_covariance
 
 _POWER = 4  # of the window (1 - s^2)^4
+_TRIANGLE = np.array([1.0, 10.0, 1.0]) / 12.0  # of a smooth signal at its knots: its mean under a triangle
 _SPACING = 8  # windows in the length of one
 _NARROWEST = 9  # samples of a window
 _MAX_SHARE = 0.25  # of the longest stretch in one direction, for a window
@@ -73,16 +72,24 @@ class InverseDynamicsFit:
 
 
 @dataclass(frozen=True, eq=False)
+class _Motion:
+    """A motion on a regular grid: means under a triangle about every knot, and the direction, shape (n,) each."""
+
+    acceleration: FloatArray
+    speed: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class _Even:
-    """Positions, force and direction on the regular grid that the positions nearly have; NaN where unknown."""
+    """Motion and force on the regular grid that the positions nearly have; what is not known is not ``is_moving``."""
 
     period_s: float
     positions: FloatArray
     force: FloatArray
-    direction: FloatArray
+    motion: _Motion
     is_moving: BoolArray
-    instrument: FloatArray
-    instrument_direction: FloatArray
+    instrument: _Motion
     reactions: FloatArray
 
 
@@ -157,8 +164,7 @@ def unmodelled_forces(
     inverse = np.linalg.pinv(X.T @ X, rcond=1e-13, hermitian=True)
     found = inverse @ (X.T @ left)
     noise = left - X @ found
-    variance = float(noise @ noise) / max(len(noise) - len(found), 1)
-    spread = inverse @ (variance * score_covariance(X, autoregression(noise))) @ inverse
+    spread = coloured_covariance(inverse, X, noise)
     z = found / np.sqrt(np.maximum(np.diag(spread), 1e-300))
     # Only what no other term can stand for counts as a term's force.
     rms = np.abs(found) / np.sqrt(np.maximum(np.diag(inverse), 1e-300) * len(left))
@@ -177,30 +183,26 @@ def _of_terms(
     own: _Even, parameters: MassAndFriction, width: int, is_fit: bool
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return what the windows leave of the force, and what each force that a model may lack would add."""
-    h = own.period_s
-    is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
-    places = np.arange(0, len(is_whole), max(1, width // _SPACING))
-    places = places[is_whole[places]]
-    columns = _columns(own.positions, own.direction, h, width, WITH_DIFFERENCE)[places]
+    places, direction = _places(own, width), own.motion.direction
+    columns = _columns(own.motion, width, WITH_DIFFERENCE)[places]
     model = columns @ np.array([parameters.value(name) for name in WITH_DIFFERENCE])
-    left = _windowed(own.force, 0, h, width)[places] - model
+    left = _windowed(own.force, width)[places] - model
     for modal_mass, reaction in zip(parameters.modal_masses, own.reactions, strict=False):
-        left = left + modal_mass * _windowed(reaction, 0, h, width)[places]
-    smooth = np.ones(width) / width
-    velocity = fftconvolve(np.gradient(own.positions, h), smooth, "same")
+        left = left + modal_mass * _windowed(reaction, width)[places]
+    velocity = fftconvolve(own.motion.speed, np.ones(width) / width, "same")
     fast = float(np.sqrt(np.mean(np.square(velocity[own.is_moving]))))
     x = own.positions - float(np.mean(own.positions[own.is_moving]))
     signals = {
-        "slow motion": own.direction * np.exp(-np.abs(velocity) / (_SLOW * fast)),
+        "slow motion": direction * np.exp(-np.abs(velocity) / (_SLOW * fast)),
         "the square of the speed": velocity * np.abs(velocity) / fast,
         "the position": x,
         "the square of the position": np.square(x),
     }
-    terms = {name: _windowed(signal, 0, h, width)[places] for name, signal in signals.items()}
+    terms = {name: _windowed(signal, width)[places] for name, signal in signals.items()}
     return left, dict(zip(_OWN, columns.T, strict=True)) | terms
 
 
-def _on_grid(record: AxisRecord, delay_s: float, motion: FloatArray | None) -> _Even:
+def _on_grid(record: AxisRecord, delay_s: float, given: FloatArray | None) -> _Even:
     t = record.times_s
     period = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1] + 0.5 * period, period)
@@ -209,29 +211,38 @@ def _on_grid(record: AxisRecord, delay_s: float, motion: FloatArray | None) -> _
     moving = known & ~record.is_slow[nearest]
     for gap in record.drive.gaps:
         moving &= ~((even - delay_s > gap.start_s - period) & (even - delay_s < gap.end_s + period))
-    moving &= even - delay_s - 0.5 * period >= record.start_s
-    once = record.force.antiderivative()
-    ends = np.clip(
-        np.concatenate([even - 0.5 * period, [even[-1] + 0.5 * period]]) - delay_s,
-        once.knots[0],
-        once.knots[-1],
-    )
-    area = once(ends)
-    force = np.diff(area) / period
+    moving &= even - delay_s - period >= record.start_s
+    # A triangle reaches to the neighbours, and a mean speed to theirs.
+    moving = binary_erosion(moving, np.ones(5))
     velocity = np.interp(even, t, record.velocities)
-    own = motion if motion is not None else record.positions
-    instrument = np.interp(even, t, own)
-    speed = velocity if motion is None else np.gradient(instrument, period)
+    x = np.interp(even, t, record.positions)
+    motion = _motion(x, velocity, period)
+    instrument = motion
+    if given is not None:
+        followed = np.interp(even, t, given)
+        moving &= binary_erosion(np.isfinite(followed), np.ones(5))
+        followed = np.where(np.isfinite(followed), followed, 0.0)
+        instrument = _motion(followed, np.gradient(followed, period), period)
+    at_knots = [np.interp(even, _knots(record), own) for own in record.reactions]
     return _Even(
         period,
-        np.interp(even, t, record.positions),
-        force,
-        np.sign(velocity),
-        moving & np.isfinite(instrument),
-        np.where(np.isfinite(instrument), instrument, 0.0),
-        np.sign(np.where(np.isfinite(speed), speed, 0.0)),
-        np.array([np.interp(even, _knots(record), own) for own in record.reactions]),
+        x,
+        record.mean_force(even - delay_s, period),
+        motion,
+        moving,
+        instrument,
+        np.array([np.convolve(own, _TRIANGLE, "same") for own in at_knots]),
     )
+
+
+def _motion(x: FloatArray, velocity: FloatArray, period: float) -> _Motion:
+    """Return means under triangles of a motion known at its knots, the two at either end unknown."""
+    acceleration, speed = np.zeros(len(x)), np.zeros(len(x))
+    acceleration[1:-1] = np.diff(x, 2) / period**2
+    # The mean speed is the change of the mean position from step to step, by cubics.
+    mean = 0.5 * (x[1:-2] + x[2:-1]) - (x[3:] - x[2:-1] - x[1:-2] + x[:-3]) / 24.0
+    speed[2:-2] = np.diff(mean) / period
+    return _Motion(acceleration, speed, np.sign(velocity))
 
 
 def _knots(record: AxisRecord) -> FloatArray:
@@ -239,8 +250,7 @@ def _knots(record: AxisRecord) -> FloatArray:
 
 
 def _longest_run(flags: BoolArray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))
+    return max((end - begin for begin, end in runs(flags)), default=0)
 
 
 def _solved(
@@ -249,27 +259,25 @@ def _solved(
     """Return the estimate with windows of ``width`` samples, None where there are too few of them."""
     columns, instruments, forces = [], [], []
     for own in even:
-        is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
-        places = np.arange(0, len(is_whole), max(1, width // _SPACING))
-        places = places[is_whole[places]]
-        h = own.period_s
+        places = _places(own, width)
         plain = [name for name in names if name != "delay" and not name.startswith(MODAL_MASS)]
         swinging = [name for name in names if name.startswith(MODAL_MASS)]
-        X = _columns(own.positions, own.direction, h, width, plain)[places]
-        Z = _columns(own.instrument, own.instrument_direction, h, width, plain)[places]
-        f = _windowed(own.force, 0, h, width)[places]
+        X, Z = (_columns(motion, width, plain)[places] for motion in (own.motion, own.instrument))
+        f = _windowed(own.force, width)[places]
         for name in swinging:
             # What swings on the axis helps to move it: its part of the force is on the other side of the equation.
-            reaction = own.reactions[int(name.removeprefix(MODAL_MASS)) - 1]
-            column = -_windowed(reaction, 0, h, width)[places]
+            column = -_windowed(own.reactions[int(name.removeprefix(MODAL_MASS)) - 1], width)[places]
             X, Z = np.column_stack([X, column]), np.column_stack([Z, column])
         if "delay" in names:
             # f(t - T) = f - T f': the force's slope is a column, and that of the force which the motion needs, by the
-            # first four terms as least squares know them, is its instrument.
-            rough = np.linalg.lstsq(X[:, :4], f, rcond=None)[0] if len(f) >= _MIN_EQUATIONS else np.zeros(4)
-            slope = -_windowed(own.force, 1, h, width)[places]
-            X = np.column_stack([X, slope])
-            Z = np.column_stack([Z, _slope_of_force(own, rough, width)[places]])
+            # first terms as least squares know them, is its instrument.
+            mass, viscous, coulomb = np.zeros(3)
+            if len(f) >= _MIN_EQUATIONS:
+                mass, viscous, coulomb = np.linalg.lstsq(X[:, :4], f, rcond=None)[0][:3]
+            motion = own.instrument
+            needed = mass * motion.acceleration + viscous * motion.speed + coulomb * motion.direction
+            slopes = [_windowed(np.gradient(push, own.period_s), width) for push in (own.force, needed)]
+            X, Z = np.column_stack([X, slopes[0][places]]), np.column_stack([Z, slopes[1][places]])
         columns.append(X)
         instruments.append(Z)
         forces.append(f)
@@ -287,9 +295,7 @@ def _solved(
         return None
     theta = np.linalg.solve(product, Z.T @ f)
     left = f - X @ theta
-    variance = float(left @ left) / max(len(f) - len(theta), 1)
-    inverse = np.linalg.inv(product)
-    covariance = inverse @ (variance * score_covariance(Z, autoregression(left))) @ inverse.T
+    covariance = coloured_covariance(np.linalg.inv(product), Z, left)
     values = dict(zip(names, map(float, theta / scale), strict=True))
     values["delay"] = delay_s + values.get("delay", 0.0)
     return InverseDynamicsFit(
@@ -301,51 +307,27 @@ def _solved(
     )
 
 
-def _slope_of_force(own: _Even, parameters: FloatArray, width: int) -> FloatArray:
-    """Return the windowed slope of the force that the instruments' motion needs."""
-    h, x = own.period_s, own.instrument - float(np.mean(own.instrument))
-    mass, viscous, coulomb, _ = parameters
-    turned = -coulomb * _windowed(own.instrument_direction, 1, h, width)
-    return np.asarray(-mass * _windowed(x, 3, h, width) + viscous * _windowed(x, 2, h, width) + turned)
+def _places(own: _Even, width: int) -> IndexArray:
+    """Return where windows begin that lie wholly within motion in one direction."""
+    is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
+    places = np.arange(0, len(is_whole), max(1, width // _SPACING))
+    return np.asarray(places[is_whole[places]])
 
 
-def _columns(
-    positions: FloatArray, direction: FloatArray, period: float, width: int, names: Sequence[str]
-) -> FloatArray:
+def _columns(motion: _Motion, width: int, names: Sequence[str]) -> FloatArray:
     """Return what the windows make of the terms of the equation, shape (n_windows, n_terms)."""
-    # A constant in x has no part in any window's derivatives but by rounding.
-    x = positions - float(np.mean(positions))
-    speed = -_windowed(x, 1, period, width)
     terms = {
-        "mass": _windowed(x, 2, period, width),
-        "viscous": speed,
-        "coulomb": _windowed(direction, 0, period, width),
-        "offset": np.ones(len(speed)),
-        "viscous_difference": np.zeros(0),
-    }
-    if "viscous_difference" in names:
+        "mass": motion.acceleration,
+        "viscous": motion.speed,
+        "coulomb": motion.direction,
+        "offset": np.ones(len(motion.speed)),
         # (c + d/2) x' forward, (c - d/2) x' backward: d |x'| / 2.
-        velocity = np.gradient(x, period)
-        terms["viscous_difference"] = 0.5 * _windowed(direction * velocity, 0, period, width)
-    return np.stack([terms[name] for name in names], axis=1)
+        "viscous_difference": 0.5 * motion.direction * motion.speed,
+    }
+    return np.stack([_windowed(terms[name], width) for name in names], axis=1)
 
 
-def _windowed(values: FloatArray, derivative: int, period: float, width: int) -> FloatArray:
-    """Return the means of a signal under a window, or under one of its derivatives, at every place."""
-    s = np.linspace(-1.0, 1.0, width + 2)[1:-1]
-    reach = 0.5 * (width + 1) * period
-    u = 1.0 - s**2
-    window = u**_POWER
-    area = float(np.sum(window))
-    if derivative == 1:
-        window = -2.0 * _POWER * s * u ** (_POWER - 1) / reach
-    elif derivative == 2:
-        window = (
-            -2.0 * _POWER * u ** (_POWER - 1) + 4.0 * _POWER * (_POWER - 1) * s**2 * u ** (_POWER - 2)
-        ) / reach**2
-    elif derivative == 3:
-        n = _POWER * (_POWER - 1)
-        window = (
-            12.0 * n * s * u ** (_POWER - 2) - 8.0 * n * (_POWER - 2) * s**3 * u ** (_POWER - 3)
-        ) / reach**3
-    return np.asarray(fftconvolve(values, window[::-1] / area, "valid"))
+def _windowed(values: FloatArray, width: int) -> FloatArray:
+    """Return the means of a signal under a window at every place."""
+    window = (1.0 - np.linspace(-1.0, 1.0, width + 2)[1:-1] ** 2) ** _POWER
+    return np.asarray(fftconvolve(values, window / np.sum(window), "valid"))

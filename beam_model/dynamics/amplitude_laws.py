@@ -6,7 +6,13 @@ Mook 1979, section 2.3):
 
     d omega/omega = (3 v/(2 m omega^2) - h/(4 m)) A^2,      d zeta = 4/(3 pi) (1/2 rho_a C_d b) int |phi|^3 dz A/m
 
-with m, the modal mass, and phi scaled to 1 at z_0.
+with m, the modal mass, and phi scaled to 1 at z_0. The ringing crosses zero at
+
+    omega sqrt(1 - zeta_0^2 - (1 - 2 c) zeta_0 zeta_q - (k - 2 c) zeta_q^2)
+
+with the drag's share zeta_q: to second order (Bogoliubov and Mitropolsky 1961) the harmonics s_n = 3/(n (4 - n^2)),
+n = 3, 5 .., of the drag act back by k = 4 sum n^2 s_n^2/(n^2 - 1), and move the crossings by
+c = 2 sum -(-1)^((n-1)/2) s_n/(n^2 - 1).
 """
 
 from __future__ import annotations
@@ -21,6 +27,9 @@ from beam_model.arrays import FloatArray
 from beam_model.dynamics.nonlinear import AirDrag, NonlinearTerms
 from beam_model.errors import BeamParameterError
 from beam_model.galerkin.model import BeamModel
+
+_OF_BOTH = 1.0959  # 1 - 2 c
+_OF_DRAG = 0.2798  # k - 2 c
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,13 @@ class AmplitudeLaw:
     drag: float
 
     def frequencies(self, amplitudes: ArrayLike) -> FloatArray:
-        """Return the frequency of the ringing, omega sqrt(1 - zeta^2) [rad/s], at amplitudes [m].
+        """Return the frequency at which the ringing crosses zero [rad/s], at amplitudes [m].
 
         Where the mode does not oscillate it is 0.
         """
         A = np.asarray(amplitudes, dtype=np.float64)
-        rings = np.sqrt(np.maximum(1.0 - self.damping_ratios(A) ** 2, 0.0))
+        linear, drag = self.damping_ratio, self.drag * A
+        rings = np.sqrt(np.maximum(1.0 - linear**2 - _OF_BOTH * linear * drag - _OF_DRAG * drag**2, 0.0))
         return np.asarray(self.natural_frequency * (1.0 + self.hardening * A**2) * rings)
 
     def damping_ratios(self, amplitudes: ArrayLike) -> FloatArray:

@@ -46,22 +46,38 @@ class HubFriction:
         [N s/m].
     static : float
         Force that breaks the hub loose from rest [N]; 0: Coulomb's. Above it the hub moves by stick and slip.
+    coulomb_difference, viscous_difference : float
+        By how much more resists motion along +x than motion against it [N], [N s/m]: ``coulomb`` and ``viscous`` are
+        the means.
     """
 
     coulomb: float = 0.0
     viscous: float = 0.0
     static: float = 0.0
+    coulomb_difference: float = 0.0
+    viscous_difference: float = 0.0
 
     def __post_init__(self) -> None:
         coulomb = check_number("friction.coulomb", self.coulomb, "N", at_least=0.0)
-        check_number("friction.viscous", self.viscous, "N s/m", at_least=0.0)
+        viscous = check_number("friction.viscous", self.viscous, "N s/m", at_least=0.0)
+        for name, unit, most in (("coulomb", "N", 2.0 * coulomb), ("viscous", "N s/m", 2.0 * viscous)):
+            value = getattr(self, f"{name}_difference")
+            check_number(f"friction.{name}_difference", value, unit, at_least=-most, at_most=most)
         if check_number("friction.static", self.static, "N", at_least=0.0) != 0.0:
             check_number("friction.static", self.static, "N", at_least=coulomb)
 
+    def dry(self, direction: float) -> float:
+        """Return the dry friction against motion along +x (1) or -x (-1) [N]."""
+        return self.coulomb + 0.5 * direction * self.coulomb_difference
+
+    def breakaway(self, direction: float) -> float:
+        """Return the force in this direction up to which the hub stays where it is [N]."""
+        return max(self.static, self.dry(direction))
+
     @property
-    def breakaway(self) -> float:
-        """Force up to which the hub stays where it is [N]."""
-        return max(self.static, self.coulomb)
+    def can_hold(self) -> bool:
+        """Whether the hub stays at rest under small forces, at least in one direction."""
+        return max(self.static, self.coulomb) > 0.0
 
 
 @dataclass(frozen=True)
@@ -172,15 +188,17 @@ class AxisStepper:
         self._stops, self._servo, self._terms = stops, servo, terms
         self._n = n = model.n_modes
         matrices = model.matrices
-        C = matrices.C.copy()
-        C[0, 0] += self._friction.viscous
-        matrices = replace(matrices, C=C)
         frequencies = model.basis.natural_frequencies
-        A, B = matrices.state_space()
-        self._A, self._B = A[n + 1 :], B[n + 1 :]
         scale = np.concatenate([[frequencies[0]], frequencies, np.ones(n + 1)])
-        self._moving = PolynomialFlow(A, B, self.period, scale)
-        self._piece = self._moving.piece
+        self._moving: dict[float, PolynomialFlow] = {}
+        self._A: dict[float, FloatArray] = {}
+        for direction in (1.0, -1.0):
+            C = matrices.C.copy()
+            C[0, 0] += self._friction.viscous + 0.5 * direction * self._friction.viscous_difference
+            A, B = replace(matrices, C=C).state_space()
+            self._moving[direction] = PolynomialFlow(A, B, self.period, scale)
+            self._A[direction], self._B = A[n + 1 :], B[n + 1 :]
+        self._piece = min(flow.piece for flow in self._moving.values())
         # The beam on a still hub: its clamped modes, coupled by damping at most.
         held = np.zeros((2 * n, 2 * n))
         held[:n, n:] = np.eye(n)
@@ -299,7 +317,7 @@ class AxisStepper:
         """Return whether the hub is at rest where something can hold it."""
         if state[self._n + 1] != 0.0:
             return False
-        return self._friction.breakaway > 0.0 or any(self._touched(state))
+        return self._friction.can_hold or any(self._touched(state))
 
     def _touched(self, state: FloatArray) -> tuple[bool, bool]:
         """Return whether the hub touches the lower and the upper stop."""
@@ -320,7 +338,7 @@ class AxisStepper:
         for side, is_stopped in ((-1.0, upper), (1.0, lower)):
             if not is_stopped:
                 margin = side * net
-                margin[0] += self._friction.breakaway
+                margin[0] += self._friction.breakaway(-side)
                 instants.append(first_zero(margin, end))
         released = min((s for s in instants if s is not None), default=end)
         return self._with_elastic(state, value_at(coefficients, released)), released * self._held.piece
@@ -338,8 +356,9 @@ class AxisStepper:
         rounding.
         """
         n, direction = self._n, self._direction(state, force)
-        piece = self._moving.piece
-        coefficients = self._moving.coefficients(state, force - direction * self._friction.coulomb)
+        moving = self._moving[direction]
+        piece = moving.piece
+        coefficients = moving.coefficients(state, force - direction * self._friction.dry(direction))
         end = span / piece
         first, side = end, 0.0
         for gap, its_side in self._gaps(coefficients, direction):
@@ -360,8 +379,8 @@ class AxisStepper:
     def _gaps(self, coefficients: FloatArray, direction: float) -> list[tuple[FloatArray, float]]:
         """Return what an event ends when it passes zero: way to a stop, whose side is +-1, or speed, side 0."""
         gaps = []
-        if self._friction.breakaway > 0.0:
-            # Without dry friction the velocity changes its sign freely, and coming to rest is no event.
+        if self._friction.can_hold or self._friction.viscous_difference != 0.0:
+            # Where friction is the same in both directions, the velocity changes its sign freely: no event.
             gaps.append((direction * coefficients[:, self._n + 1], 0.0))
         if self._stops is not None:
             for limit, side in ((self._stops.upper, 1.0), (self._stops.lower, -1.0)):
@@ -392,9 +411,11 @@ class AxisStepper:
 
     def _is_released(self, state: FloatArray, force: float) -> bool:
         """Return whether neither friction nor a stop holds a resting hub; a stop holds against any push into it."""
-        net, breakaway = self._net_force(state, force), self._friction.breakaway
+        net, friction = self._net_force(state, force), self._friction
         lower, upper = self._touched(state)
-        return (net > breakaway and not upper) or (-net > breakaway and not lower)
+        return (net > friction.breakaway(1.0) and not upper) or (
+            -net > friction.breakaway(-1.0) and not lower
+        )
 
     def _strike(self, state: FloatArray, side: float) -> None:
         """Change the state as a blow on a stop does: the hub's velocity turns, the beam's rates take the jolt."""
@@ -412,8 +433,9 @@ class AxisStepper:
         """Return alpha'' and q'' of the linear model, shape (1 + n,)."""
         if self._rests(state) and not self._is_released(state, force):
             return np.concatenate([[0.0], self._held_A @ self._elastic(state)])
-        driven = force - self._direction(state, force) * self._friction.coulomb
-        return np.asarray(self._A @ state + self._B * driven)
+        direction = self._direction(state, force)
+        driven = force - direction * self._friction.dry(direction)
+        return np.asarray(self._A[direction] @ state + self._B * driven)
 
     def _disturb(self, terms: NonlinearTerms, state: FloatArray, duration: float, force: float) -> None:
         """Change the rates by the nonlinear terms over ``duration``, by the midpoint rule."""

@@ -7,18 +7,22 @@ the rig's beam are handed over with the record.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from beam_ident import AxisResult, InputSignal, OutputSignal, Prior, TimeRecord, identify_axis
+from beam_ident import AxisResult, InputSignal, OutputSignal, TimeRecord, identify_axis
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag
-from beam_ros.bags.signals import OWN_STAMPS_GAP, HubSamples
-from beam_ros.hub.clock_mapping import fit_affine
+from beam_ros.bags.signals import HubSamples
+from beam_ros.offline.loading.hub_clock import (
+    device_clock,
+    device_times,
+    in_stretch,
+    on_every_tick,
+    stretches_of,
+)
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.rig.rig import Rig
 from beam_ros.signals.stray_stamps import without_stray_batches
@@ -27,67 +31,14 @@ _RESOLVED = 0.5  # rad from tick to tick: a mode that turns by more is left out
 _MAX_MODES = 3
 
 
-def longest_epoch(samples: HubSamples, notes: list[str]) -> slice:
-    """Choose the samples between two restarts of the device that are most: each restart begins another clock."""
-    borders = [0, *(np.flatnonzero(np.diff(samples.epochs)) + 1).tolist(), len(samples.epochs)]
-    longest = int(np.argmax(np.diff(borders)))
-    first, last = borders[longest], borders[longest + 1]
-    if len(borders) > 2:
-        notes.append(
-            f"{samples.topic}: the device restarted {len(borders) - 2} times; the longest time without a restart was "
-            f"used, {last - first} of {len(samples.epochs)} samples, since each restart begins a clock and a zero of "
-            "its own"
-        )
-    return slice(first, last)
-
-
-def on_every_tick(
-    times: FloatArray, values: FloatArray, samples: HubSamples, rate: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the samples with a stamp for every tick between the first and the last, NaN where one was lost."""
-    seen = np.flatnonzero(np.isfinite(values))
-    if len(seen) < 2:
-        return times, values
-    times, values = times[seen[0] : seen[-1] + 1], values[seen[0] : seen[-1] + 1]
-    steps = np.diff(times)
-    period_s = samples.period_ns * rate * 1e-9 or float(np.median(steps))
-    widest = 1.5 if samples.period_ns else OWN_STAMPS_GAP
-    # How many are missing before every sample but the first.
-    missing = np.where(steps > widest * period_s, np.maximum(np.rint(steps / period_s), 2.0) - 1.0, 0.0)
-    places = np.arange(len(times)) + np.concatenate([[0], np.cumsum(missing.astype(np.intp))])
-    every = np.arange(places[-1] + 1)
-    filled = np.full(len(every), np.nan)
-    filled[places] = values
-    return np.interp(every, places, times), filled
-
-
-def device_clock(samples: HubSamples, syncs: Sequence[Any], part: slice) -> tuple[float, Prior]:
-    """Return host seconds per device second, and what is known of the rate that remains."""
-    epoch = int(samples.epochs[part.start])
-    own = [sync for sync in syncs if sync.epoch == epoch]
-    if len(own) < 3:
-        return 1.0, Prior(0.0, 50e-6)
-    line = fit_affine(own)
-    is_exact = all(sync.rtt_ns == 0 for sync in own)
-    return line.rate, Prior(0.0, 0.0 if is_exact else math.sqrt(float(line.covariance[1, 1])))
-
-
-def device_times(samples: HubSamples, part: slice, rate: float, origin_ns: int) -> FloatArray:
-    """Put the samples on the host's clock: whole ticks on one line, which the stamps place.
-
-    The stamps of batches wander by microseconds as the driver slews its map; ticks are counted exactly. Samples
-    without a tick, which a host asked for one by one, lie where their stamps say.
-    """
-    stamps_ns = samples.stamps_ns[part]
-    if samples.period_ns == 0:
-        return np.asarray((stamps_ns - origin_ns) * 1e-9)
-    ticks = np.concatenate([[0], np.cumsum(np.rint(np.diff(stamps_ns) / (samples.period_ns * rate)))])
-    line = ticks * (samples.period_ns * rate)
-    offset = float(np.mean((stamps_ns - origin_ns) - line))
-    return np.asarray((line + offset) * 1e-9)
-
-
-def identify_axis_of(paths: Sequence[AnyPath], rig: Rig | None, notes: list[str]) -> AxisResult:
+def identify_axis_of(
+    paths: Sequence[AnyPath],
+    rig: Rig | None,
+    notes: list[str],
+    *,
+    encoder: str = "hub",
+    drive_mass: float | None = None,
+) -> AxisResult:
     """Identify the axis of one or several bags.
 
     Parameters
@@ -95,6 +46,7 @@ def identify_axis_of(paths: Sequence[AnyPath], rig: Rig | None, notes: list[str]
     paths : sequence of Path -- bags of one axis
     rig : Rig or None -- whose beam stands on it; None: nothing is known to swing on the axis
     notes : list of str -- what a reader should know is added here
+    encoder, drive_mass -- of a compliant drive, as for ``beam_ident.identify_axis``
 
     Raises
     ------
@@ -108,8 +60,16 @@ def identify_axis_of(paths: Sequence[AnyPath], rig: Rig | None, notes: list[str]
     if not followed:
         records = [TimeRecord(one.inputs[:1], one.outputs, one.start_ns, one.name) for one in records]
     modes = [] if rig is None else _modes_on_hub(rig, records[0].inputs[0].period_s or 0.0)
+    if modes and encoder == "drive":
+        notes.append(
+            "the axis is identified without the beam's modes: an encoder on the drive does not measure how their "
+            "base moves"
+        )
+        modes = []
     reference = "reference" if followed else None
-    return identify_axis(records, force="force", reference=reference, modes=modes)
+    return identify_axis(
+        records, force="force", reference=reference, modes=modes, encoder=encoder, drive_mass=drive_mass
+    )
 
 
 def axis_record(path: AnyPath, notes: list[str]) -> TimeRecord:
@@ -135,14 +95,15 @@ def axis_record(path: AnyPath, notes: list[str]) -> TimeRecord:
         raise BagError(
             f"{path}: hub/measured carries no positions, which an axis is identified from; record them"
         )
-    part = longest_epoch(measured, notes)
+    origin_ns = int(measured.stamps_ns[0])
+    parts = stretches_of(measured, origin_ns, notes)
+    part = parts[0]
+    if len(parts) > 1:
+        notes.append("the axis is taken from the longest of these stretches")
     rate, _ = device_clock(measured, syncs, part)
-    origin_ns = int(measured.stamps_ns[part.start])
-    epoch = int(measured.epochs[part.start])
 
     def signal(samples: HubSamples, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        own = np.flatnonzero(samples.epochs == epoch)
-        here = slice(int(own[0]), int(own[-1]) + 1)
+        here = in_stretch(samples, measured, part)
         return on_every_tick(device_times(samples, here, rate, origin_ns), values[here], samples, rate)
 
     sources = [samples for samples in (applied, measured) if samples is not None and _has(samples.efforts)]
@@ -169,9 +130,9 @@ def rig_values(result: AxisResult, rig: Rig) -> dict[str, float | str]:
 
     Notes
     -----
-    The rig file has one dry and one viscous friction for both directions: their means. It has no constant force,
-    which a level axis lacks. Friction below 0, which noise can leave of none, is 0. A simulated hub that follows its
-    commands exactly feels no friction: where the rig has neither a servo nor forces for commands, it is left out.
+    The rig file has no constant force: on a level axis what differs between the directions is dry friction, and no
+    record tells the two apart. Friction below 0, which noise can leave of none, is 0. A simulated hub that follows
+    its commands exactly feels no friction: where the rig has neither a servo nor forces for commands, it is left out.
     """
     beam = rig.beam_model().parameters
     found: dict[str, float | str] = {"hub.mass": result.moving_mass - (beam.total_mass - beam.hub_mass)}
@@ -181,11 +142,15 @@ def rig_values(result: AxisResult, rig: Rig) -> dict[str, float | str]:
     found["hub.command_mode"] = rig.hub.command_mode
     if servo_hz:
         found["simulation.servo_frequency"] = servo_hz
-    return found | {
-        "simulation.friction_coulomb": max(result.value("coulomb"), 0.0),
-        "simulation.friction_viscous": max(result.value("viscous"), 0.0),
-        "simulation.friction_static": 0.0,
+    apart = {
+        "coulomb": result.resistance_forward - result.resistance_backward,
+        "viscous": result.value("viscous_difference"),
     }
+    for name, difference in apart.items():
+        mean = max(result.value(name), 0.0)
+        found[f"simulation.friction_{name}"] = mean
+        found[f"simulation.friction_{name}_difference"] = min(max(difference, -2.0 * mean), 2.0 * mean)
+    return found | {"simulation.friction_static": 0.0}
 
 
 def rig_file_of(values: Mapping[str, float | str]) -> str:

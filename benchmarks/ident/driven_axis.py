@@ -13,14 +13,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.signal import butter, filtfilt
 
 from beam_ident import AxisResult, InputSignal, OutputSignal, TimeRecord, identify_axis
 from beam_ident.arrays import FloatArray
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
 
-_SPEED_GAIN = 90.0  # 1/s, of the servo's loop of speed, in units of the mass
-_PLACE_GAIN = 60.0  # 1/s
+_HALVES = 24  # of a period, until an instant is known
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class DrivenAxis:
     is_closed_loop : bool -- whether a servo follows the moves, or their force is simply fed forward
     duration_s, period_s : float
     stroke, speed : float -- of the longest of the moves [m], and how fast the typical one is [m/s]
+    speed_gain, place_gain : float -- of the servo's two loops [1/s], the first in units of the mass
     """
 
     mass: float = 95.1
@@ -58,6 +59,8 @@ class DrivenAxis:
     period_s: float = 1e-3
     stroke: float = 0.23
     speed: float = 0.1
+    speed_gain: float = 90.0
+    place_gain: float = 60.0
 
     @property
     def truth(self) -> FloatArray:
@@ -99,15 +102,15 @@ class DrivenAxis:
         knocks = rng.standard_normal(n)
         forces, seen = np.empty(n), np.empty(n)
         waiting = [0.0] * self.delay_steps
-        x, v, unknown, last = 0.0, 0.0, 0.0, 0.0
+        state, unknown, last = self._at_rest(), 0.0, 0.0
         memory = math.exp(-h / 0.02)
         for k in range(n):
-            y = x + float(noise[k])
+            y = self._sensed(state) + float(noise[k])
             seen[k] = round(y / self.quantum) * self.quantum if self.quantum else y
             if self.is_closed_loop:
                 slope = (float(seen[k]) - last) / h
-                error = _PLACE_GAIN * (float(reference[k]) - float(seen[k])) + float(wanted[k]) - slope
-                force = self.mass * _SPEED_GAIN * error
+                error = self.place_gain * (float(reference[k]) - float(seen[k])) + float(wanted[k]) - slope
+                force = self.mass * self.speed_gain * error
             else:
                 slope = float(wanted[k])
                 way = math.copysign(1.0, slope) if slope else 0.0
@@ -117,15 +120,22 @@ class DrivenAxis:
             forces[k] = min(max(force, -self.max_force), self.max_force)
             waiting.append(float(forces[k]))
             unknown = memory * unknown + self.disturbance * math.sqrt(1.0 - memory**2) * float(knocks[k])
-            x, v = self._after(h, x, v, waiting.pop(0) + unknown)
+            state = self._after(h, state, waiting.pop(0) + unknown)
         inputs = (
             InputSignal("force", "N", (0.0, h), forces, "zoh"),
             InputSignal("reference", "m", (0.0, h), reference, "linear"),
         )
         return TimeRecord(inputs, (OutputSignal("position", "m", (0.0, h), seen),), name=f"seed {seed}")
 
-    def _after(self, left: float, x: float, v: float, force: float) -> tuple[float, float]:
+    def _at_rest(self) -> Any:
+        return 0.0, 0.0
+
+    def _sensed(self, state: Any) -> float:
+        return float(state[0])
+
+    def _after(self, left: float, state: Any, force: float) -> Any:
         """Return position and velocity after a time under a constant force, from event to event."""
+        x, v = state
         for _ in range(20):
             if v == 0.0:
                 if force - self.offset > self.coulomb[0] + self.static:
@@ -152,6 +162,75 @@ class DrivenAxis:
                 return x, v
             v, left = 0.0, left - spent
         return x, 0.0
+
+
+@dataclass(frozen=True)
+class CompliantAxis(DrivenAxis):
+    """An axis whose drive pulls the hub by a spring; friction is the hub's.
+
+    Parameters
+    ----------
+    drive_mass : float -- part of the mass ahead of the spring [kg]
+    stiffness, damping : float -- of the spring [N/m], [N s/m]
+    is_of_drive : bool -- whether the encoder sits on the drive, else on the hub
+    """
+
+    drive_mass: float = 20.0
+    stiffness: float = 1e6
+    damping: float = 240.0
+    is_of_drive: bool = False
+    speed_gain: float = 30.0
+    place_gain: float = 20.0
+
+    @cached_property
+    def _steps(self) -> dict[int, list[tuple[FloatArray, FloatArray]]]:
+        """What the period, its half, its quarter ... do to drive and hub, by the direction of the hub's motion.
+
+        State: place and speed of the drive, place and speed of the hub; inputs: force on the drive, force on the hub.
+        """
+        found = {}
+        k, d = self.stiffness, self.damping
+        for way in (1, -1, 0):
+            drag = self.viscous[0] if way > 0 else self.viscous[1]
+            A = np.zeros((6, 6))
+            A[0, 1] = A[2, 3] = 1.0
+            A[1, :5] = np.array([-k, -d, k, d, 1.0]) / self.drive_mass
+            A[3] = np.array([k, d, -k, -d - drag, 0.0, 1.0]) / (self.mass - self.drive_mass)
+            if not way:
+                A[2], A[3] = 0.0, 0.0
+            halves = [expm(A * self.period_s * 0.5**j) for j in range(_HALVES)]
+            found[way] = [(own[:4, :4], own[:4, 4:]) for own in halves]
+        return found
+
+    def _at_rest(self) -> Any:
+        return np.zeros(4)
+
+    def _sensed(self, state: Any) -> float:
+        return float(state[0] if self.is_of_drive else state[2])
+
+    def _after(self, left: float, state: Any, force: float) -> Any:
+        """Return the state after the period: an event ends the longest half, quarter ... that it leaves whole."""
+        done = 0.0
+        while done < 1.0:
+            pull = self._pull(state)
+            way = int(np.sign(state[3])) or int(pull > self.coulomb[0]) - int(pull < -self.coulomb[1])
+            dry = self.coulomb[0] if way > 0 else -self.coulomb[1]
+            forces = np.array([force, -self.offset - dry])
+            # As long a step as ends on a whole multiple of itself.
+            for j in range(next(i for i in range(_HALVES) if (done * 2**i) % 1.0 == 0.0), _HALVES):
+                over_state, over_force = self._steps[way][j]
+                new = over_state @ state + over_force @ forces
+                if way * new[3] >= 0.0 if way else -self.coulomb[1] <= self._pull(new) <= self.coulomb[0]:
+                    break
+            else:
+                new[3] = 0.0
+            state, done = new, done + 0.5**j
+        return state
+
+    def _pull(self, state: Any) -> float:
+        """Return what would move a hub at rest [N]."""
+        spring = self.stiffness * (state[0] - state[2]) + self.damping * (state[1] - state[3])
+        return float(spring) - self.offset
 
 
 def filtered_least_squares(record: TimeRecord, cutoff_hz: float = 50.0) -> FloatArray:
@@ -224,6 +303,107 @@ class DrivenAxisCase(AgainstBound):
         }
 
 
+@dataclass
+class CompliantDriveCase(AgainstBound):
+    """Records of one axis with a compliant drive, whose spring is looked for.
+
+    Parameters
+    ----------
+    axis : CompliantAxis
+    options : dict -- of ``identify_axis``
+    """
+
+    axis: CompliantAxis
+    options: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        own = {"stiffness": self.axis.stiffness, "drive_damping": self.axis.damping}
+        if "drive_mass" not in self.options:
+            own["drive_mass"] = self.axis.drive_mass
+        self.names = ("mass", "viscous", "coulomb", "offset", *own)
+        self.truth = np.array([*self.axis.truth, *own.values()])
+
+    @cached_property
+    def bound(self) -> FloatArray:  # type: ignore[override]
+        """Standard deviations stated for records of the middle."""
+        return stated_bound(lambda seed: np.array(self.run(seed).sd), 3)
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; a drive that is called stiff is a failure."""
+        record = self.axis.record(seed)
+        start = time.perf_counter()
+        found = identify_axis(record, force="force", **self.options)
+        seconds = time.perf_counter() - start
+        if not found.is_compliant:
+            return Outcome(seconds)
+        rows = np.array([(found.value(name), found.sd(name)) for name in self.names])
+        return Outcome(seconds, rows[:, 0], rows[:, 1])
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Return the figures of ``AgainstBound``, and the coverage of each parameter."""
+        good = [o for o in outcomes if self.is_near(o)]
+        inside = [np.abs(o.estimate - self.truth) < 1.96 * o.sd for o in good]
+        each = [round(float(c), 3) for c in np.mean(inside, axis=0)]
+        return super().summarise(outcomes) | {"coverage of each": dict(zip(self.names, each, strict=True))}
+
+
+@dataclass
+class StiffDriveCase:
+    """Records of axes without a spring in the drive, each of another kind, and what is said of one.
+
+    Parameters
+    ----------
+    axes : tuple of DrivenAxis -- taken in turn
+    """
+
+    axes: tuple[DrivenAxis, ...]
+
+    def run(self, seed: int) -> Outcome:
+        """Look for a spring with the encoder on the hub and on the drive, the mass of that known and unknown."""
+        axis = self.axes[seed % len(self.axes)]
+        record = axis.record(seed)
+        share = 0.2 * axis.mass
+        start = time.perf_counter()
+        found = [
+            identify_axis(record, force="force", **options)
+            for options in (
+                {"drive_mass": share},
+                {"encoder": "drive", "drive_mass": share},
+                {"encoder": "drive"},
+            )
+        ]
+        seconds = time.perf_counter() - start
+        names = ("hub", "drive", "drive of unknown mass")
+        return Outcome(
+            seconds / 3.0,
+            figures={
+                name: -1.0 if one.is_compliant else one.stiffer_than
+                for name, one in zip(names, found, strict=True)
+            },
+        )
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Return how often the drive was called stiff, and the middle of the limits that were stated."""
+        rows = np.array([list(o.figures.values()) for o in outcomes])
+        names = list(outcomes[0].figures)
+        return {
+            "called stiff": dict(zip(names, np.mean(~(rows < 0.0), axis=0).round(3).tolist(), strict=True)),
+            "median limit N/m": {
+                name: f"{value:.2g}" for name, value in zip(names, np.nanmedian(rows, axis=0), strict=True)
+            },
+        }
+
+
+_FAST = {"duration_s": 8.0, "speed": 0.2}
+_STIFF = (
+    DrivenAxis(**_FAST),
+    DrivenAxis(**_FAST, delay_steps=3),
+    DrivenAxis(**_FAST, noise=1e-6, quantum=1e-5),
+    DrivenAxis(**_FAST, coulomb=(30.0, 15.0), viscous=(150.0, 250.0)),
+    DrivenAxis(**_FAST, static=15.0),
+    DrivenAxis(**_FAST, disturbance=1.0),
+)
+
 STUDIES = {
     "axis-closed-loop": Study("axis behind a servo, 25 s at 1 kHz, 5 um", 200, DrivenAxisCase),
     "axis-noisy-position": Study(
@@ -236,5 +416,22 @@ STUDIES = {
         "axis behind a servo, 2 N of unmeasured force",
         200,
         lambda: DrivenAxisCase(DrivenAxis(disturbance=2.0), {"reference": "reference"}),
+    ),
+    "axis-compliant-drive": Study(
+        "axis with a drive on a spring of 40 Hz, encoder on the drive",
+        200,
+        lambda: CompliantDriveCase(CompliantAxis(**_FAST, is_of_drive=True), {"encoder": "drive"}),
+    ),
+    "axis-compliant-drive-seen-from-hub": Study(
+        "axis with a drive on a spring of 40 Hz, encoder on the hub",
+        200,
+        lambda: CompliantDriveCase(
+            CompliantAxis(**_FAST, speed_gain=8.0, place_gain=6.0), {"drive_mass": 20.0}
+        ),
+    ),
+    "axis-stiff-drive": Study(
+        "axes without a spring: delay, coarse encoder, friction by direction, stiction, unmeasured forces",
+        120,
+        lambda: StiffDriveCase(_STIFF),
     ),
 }

@@ -65,14 +65,21 @@ class Oscillator:
 
     def curves(self, duration_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return amplitudes, frequencies [Hz] and damping ratios from the reversals of a long decay."""
-        t, x = self.swing(duration_s, 4000.0)
-        up = np.flatnonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))
-        crossings = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
-        cycles = [x[(t >= a) & (t < b)] for a, b in pairwise(crossings)]
-        # A maximum lies at a quarter of its cycle, a minimum at three: together they stand for its middle.
-        middle = np.array([np.sqrt(-cycle.max() * cycle.min()) for cycle in cycles])
-        decrement = np.log(middle[:-2] / middle[2:]) / (4.0 * np.pi)
-        return middle[1:-1], 1.0 / np.diff(crossings)[1:-1], decrement
+        return read_off(*self.swing(duration_s, 4000.0))
+
+
+def read_off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return maxima, frequencies [Hz] and damping ratios of the half cycles of a finely sampled decay."""
+    at = np.flatnonzero(np.signbit(x[:-1]) != np.signbit(x[1:]))
+    crossings = t[at] - x[at] * (t[at + 1] - t[at]) / (x[at + 1] - x[at])
+    size = np.abs(x)
+    tops = np.array([first + 1 + int(np.argmax(size[first + 1 : last + 1])) for first, last in pairwise(at)])
+    before, top, after = size[tops - 1], size[tops], size[tops + 1]
+    maxima = top + (before - after) ** 2 / (8.0 * (2.0 * top - before - after))
+    logs = np.log(maxima)
+    # Decrements over one cycle and over two: from both, that at the maximum itself.
+    one, two = (logs[1:-3] - logs[3:-1]) / (2.0 * np.pi), (logs[:-4] - logs[4:]) / (4.0 * np.pi)
+    return maxima[2:-2], 0.5 / np.diff(crossings)[2:-2], (4.0 * one - two) / 3.0
 
 
 def noisy(
@@ -109,18 +116,29 @@ def driven_record(
     kappa = oscillator.hardening * 8.0 * OMEGA**2 / (3.0 * UNIT**2)
     viscous, stiffness = 2.0 * oscillator.zeta * OMEGA, OMEGA**2
 
-    def slope(x: float, v: float, a: float) -> float:
-        dry = mu * max(-1.0, min(1.0, v / 1e-5))
-        return -viscous * v - dry - beta * abs(v) * v - stiffness * x - kappa * x**3 - a
+    def stepped(x: float, v: float, h: float, side: float, drive: tuple[float, ...]) -> tuple[float, float]:
+        """Return where a step of ``h`` leads under a friction that keeps its side."""
+
+        def slope(x: float, v: float, a: float) -> float:
+            return -viscous * v - mu * side - beta * abs(v) * v - stiffness * x - kappa * x**3 - a
+
+        a0, a1, a2 = drive
+        k1, l1 = v, slope(x, v, a0)
+        k2, l2 = v + 0.5 * h * l1, slope(x + 0.5 * h * k1, v + 0.5 * h * l1, a1)
+        k3, l3 = v + 0.5 * h * l2, slope(x + 0.5 * h * k2, v + 0.5 * h * l2, a1)
+        k4, l4 = v + h * l3, slope(x + h * k3, v + h * l3, a2)
+        return x + h * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0, v + h * (l1 + 2.0 * l2 + 2.0 * l3 + l4) / 6.0
 
     x, v, path = 0.0, 0.0, [0.0]
-    for a0, a1, a2 in zip(acceleration[:-2:2], acceleration[1:-1:2], acceleration[2::2], strict=False):
-        k1, l1 = v, slope(x, v, a0)
-        k2, l2 = v + 0.5 * step * l1, slope(x + 0.5 * step * k1, v + 0.5 * step * l1, a1)
-        k3, l3 = v + 0.5 * step * l2, slope(x + 0.5 * step * k2, v + 0.5 * step * l2, a1)
-        k4, l4 = v + step * l3, slope(x + step * k3, v + step * l3, a2)
-        x += step * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0
-        v += step * (l1 + 2.0 * l2 + 2.0 * l3 + l4) / 6.0
+    for drive in zip(acceleration[:-2:2], acceleration[1:-1:2], acceleration[2::2], strict=False):
+        side = float(np.sign(v))
+        ahead = stepped(x, v, step, side, drive)
+        if mu > 0.0 and v * ahead[1] < 0.0:
+            # Friction turns over where the velocity is zero: the step is taken in two.
+            share = v / (v - ahead[1])
+            x, v = stepped(x, v, share * step, side, drive)
+            ahead = stepped(x, 0.0, (1.0 - share) * step, -side, drive)
+        x, v = ahead
         path.append(x)
     seen = np.arange(0, len(path) - 20, 20)
     y = position[::2][seen] + np.array(path)[seen] + noise * rng.standard_normal(seen.size)

@@ -7,9 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from beam_ident import AmplitudeCurves, EstimationError, OutputSignal, amplitude_curves
-from tests.beam_ident.amplitude.oscillators import UNIT, Oscillator, noisy
+from benchmarks.ident.amplitude import STUDIES
+from benchmarks.ident.study import figures
+from tests.beam_ident.amplitude.oscillators import OMEGA, UNIT, Oscillator, noisy, read_off
 
 CUBIC = Oscillator(hardening=0.002, quadratic=0.002)
 SOFT = Oscillator(hardening=-0.01, quadratic=0.004)
@@ -34,23 +37,96 @@ def inside(curves: AmplitudeCurves, oscillator: Oscillator) -> tuple[bool, bool]
 
 @pytest.mark.parametrize("oscillator", [CUBIC, SOFT, DRY], ids=["cubic", "soft", "dry"])
 def test_the_true_curves_lie_in_their_bands(oscillator: Oscillator) -> None:
-    found = [inside(amplitude_curves(noisy(oscillator, 1e-4, seed)), oscillator) for seed in range(6)]
-    # Six bands of 95 %: two misses of one kind happen once in thirty times.
-    assert np.all(np.sum(found, axis=0) >= 4)
+    found = [amplitude_curves(noisy(oscillator, 1e-4, seed)) for seed in range(3)]
+    # Three bands of 95 %: two misses of one kind happen once in a hundred times.
+    assert np.all(np.sum([inside(curves, oscillator) for curves in found], axis=0) >= 2)
+    for curves in found:
+        # Bands that have room for more than the noise hold the truth always.
+        reach = 0.5 * np.diff(curves.frequency_band_hz, axis=0)[0] / curves.frequency_sd_hz
+        assert np.all((reach > 2.2) & (reach < 3.0))
+
+
+def test_bands_hold_a_curve_that_is_of_no_law() -> None:
+    """A bent strip's inertia changes with its place, which damps to second order: no term of the first law does."""
+    inertia, zeta, beta = 0.06 / UNIT**2, 0.005, 0.008 * 3.0 * np.pi / (4.0 * UNIT)
+    kappa = 2.0 / 3.0 * inertia * OMEGA**2  # a frequency that hardly changes, as the strip's
+
+    def slope(_t: float, y: np.ndarray) -> list[float]:
+        x, v = y
+        force = (2.0 * zeta * OMEGA + beta * abs(v)) * v + OMEGA**2 * x + kappa * x**3 + inertia * x * v**2
+        return [v, -force / (1.0 + inertia * x**2)]
+
+    fine = np.arange(0.0, 15.0, 2.5e-4)
+    found = solve_ivp(slope, (0.0, 15.0), [UNIT, 0.0], "DOP853", fine, rtol=1e-10, atol=1e-14, max_step=0.01)
+    x, held = found.y[0], []
+    A, f, zetas = (values[::-1] for values in read_off(fine, x))
+    for seed in range(4):
+        noise = 1e-5 * np.random.default_rng(seed).standard_normal(len(x[::40]))
+        curves = amplitude_curves(OutputSignal("z285", "m", fine[::40], x[::40] + noise))
+        seen = (curves.amplitudes > A[0]) & (curves.amplitudes < A[-1])
+        for values, band in ((f, curves.frequency_band_hz), (zetas, curves.damping_band)):
+            expected = np.interp(curves.amplitudes[seen], A, values)
+            held.append(bool(np.all((expected >= band[0][seen]) & (expected <= band[1][seen]))))
+        assert np.median(np.diff(curves.damping_band, axis=0)[0] / curves.damping_ratios) < 0.01
+    # Eight bands of 95 %: two misses happen once in twenty times, three once in a hundred and seventy.
+    assert sum(held) >= 6, held
+
+
+def test_what_is_stiffer_to_one_side_keeps_its_damping() -> None:
+    """x'' + 2 zeta w x' + w^2 (x + b x^2) = 0, whose damping came out 4 % off, beside a band of 2 %.
+
+    Of its swings from side to side the damping is zeta, and the frequency falls by 5/12 b^2 A^2, both to second order
+    (Nayfeh and Mook 1979).
+    """
+    b, zeta = 4.0, 0.004
+
+    def slope(_t: float, y: np.ndarray) -> list[float]:
+        return [y[1], -2.0 * zeta * OMEGA * y[1] - OMEGA**2 * (y[0] + b * y[0] ** 2)]
+
+    t = np.arange(0.0, 20.0, 5e-3)
+    x = solve_ivp(slope, (0.0, 20.0), [0.02, 0.0], "DOP853", t, rtol=1e-10, atol=1e-14).y[0]
+    curves = amplitude_curves(
+        OutputSignal("tip", "m", t, x + 2e-6 * np.random.default_rng(1).standard_normal(len(t)))
+    )
+    assert curves.damping_ratios == pytest.approx(zeta, rel=0.01)
+    falls = OMEGA / (2.0 * np.pi) * (1.0 - 5.0 / 12.0 * (b * curves.amplitudes) ** 2)
+    assert curves.frequencies_hz == pytest.approx(falls, rel=5e-5)
+
+
+def test_a_rest_before_the_release_is_left_out() -> None:
+    ringing = noisy(CUBIC, 1e-4, 1)
+    still = 2e-3 + 1e-6 * np.random.default_rng(2).standard_normal(300)
+    period = float(np.diff(ringing.times_s[:2])[0])
+    late = OutputSignal(
+        ringing.name, "m", (0.0, period), np.concatenate([still, ringing.values]), ringing.exposure_s
+    )
+    found, expected = amplitude_curves(late), amplitude_curves(ringing)
+    assert found.frequencies_hz[-1] == pytest.approx(expected.frequencies_hz[-1], rel=1e-4)
+    assert any("rested first" in warning for warning in found.warnings)
+    assert not any("rested" in warning for warning in expected.warnings)
+
+
+@pytest.mark.parametrize(("zeta", "duration_s"), [(1e-4, 15.0), (5e-4, 10.0), (4e-3, 3.0)])
+def test_amplitudes_that_hardly_differ_are_one_pole(zeta: float, duration_s: float) -> None:
+    curves = amplitude_curves(noisy(Oscillator(zeta=zeta), 1e-4, 3, duration_s))
+    assert curves.is_one_pole
+    assert curves.converged
+    middle = len(curves.amplitudes) // 2
+    low, high = curves.damping_band[:, middle]
+    assert low < zeta < high
+    assert high - low < 1e-3
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize("oscillator", [CUBIC, SOFT, DRY], ids=["cubic", "soft", "dry"])
-@pytest.mark.parametrize("noise", [2e-5, 2e-4])
-def test_the_bands_hold_as_often_as_they_say(oscillator: Oscillator, noise: float) -> None:
-    found = [inside(amplitude_curves(noisy(oscillator, noise, seed)), oscillator) for seed in range(200)]
-    assert np.all(np.mean(found, axis=0) >= 0.91)
-
-
-@pytest.mark.verify
-def test_a_linear_decay_is_called_linear_in_95_percent() -> None:
-    verdicts = [amplitude_curves(noisy(Oscillator(), 1e-4, seed)).is_one_pole for seed in range(200)]
-    assert 0.91 <= np.mean(verdicts) <= 0.99
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_the_bands_hold_as_often_as_they_say(name: str) -> None:
+    found = figures(STUDIES[name], 40)
+    assert found["failures"] == 0
+    # Of 40 bands of 95 %, fewer than 34 hold once in a hundred times.
+    assert found["frequency inside"] >= 0.85, found
+    assert found["damping inside"] >= 0.85, found
+    if name == "amplitude-linear":
+        assert found["one pole"] >= 0.85, found
 
 
 def test_verdicts_name_what_changes() -> None:
@@ -108,6 +184,10 @@ def test_curves_are_stored_whole() -> None:
     again = AmplitudeCurves.from_dict(json.loads(json.dumps(curves.to_dict())))
     assert np.array_equal(again.frequency_band_hz, curves.frequency_band_hz)
     assert again.verdict == curves.verdict
+    assert again.third_harmonic == curves.third_harmonic
+    older = {key: value for key, value in curves.to_dict().items() if key != "third_harmonic"}
+    w = curves.frequency_coefficients
+    assert AmplitudeCurves.from_dict(older).third_harmonic == w[1] / (12.0 * w[0])
 
 
 def test_what_cannot_have_a_curve_is_refused() -> None:

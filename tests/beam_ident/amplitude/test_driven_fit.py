@@ -48,6 +48,9 @@ def test_three_levels_give_the_curves_of_the_decay(oscillator: Oscillator) -> No
     for place in (0.008, 0.012, 0.018):
         assert curves.frequency_hz_at(place) == pytest.approx(np.interp(place, A, f), rel=3e-5)
         assert curves.damping_ratio_at(place) == pytest.approx(np.interp(place, A, zeta), rel=6e-3)
+        # A clock rate that the linear model errs by would be ten deviations and more.
+        sd = np.interp(place, curves.amplitudes, curves.frequency_sd_hz)
+        assert abs(curves.frequency_hz_at(place) - np.interp(place, A, f)) < 4.0 * sd
     assert not curves.is_one_pole
     assert curves.verdict.startswith("one pole does not describe the data")
 

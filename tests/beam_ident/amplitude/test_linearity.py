@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from beam_ident import IdentificationResult, identify
+from beam_ident import EstimationError, IdentificationResult, driven_amplitude_curves, identify
 from beam_ident.amplitude.linearity import Linearity, driven, linearity
 from tests.beam_ident.amplitude.oscillators import UNIT, Oscillator, driven_record
 from tests.beam_ident.truth import beam_record
@@ -97,3 +97,19 @@ def test_stored_words_and_numbers_agree() -> None:
     assert content["verdict"] == found.verdict
     assert content["modes"][0]["p_value"] == found.modes[0].p_value
     assert content["is_linear"] is False
+
+
+def test_signals_that_never_change_are_refused() -> None:
+    record = driven_record(Oscillator(zeta=0.01), 0, duration_s=8.0)
+    model = identify(record, n_modes=1).model
+    (output,) = record.outputs
+    dead = replace(record, outputs=(replace(output, values=np.zeros(len(output.values))),))
+    with pytest.raises(EstimationError, match="is constant"):
+        linearity([dead], model)
+    with pytest.raises(EstimationError, match="is constant"):
+        driven_amplitude_curves([dead], model)
+    still = replace(
+        record, inputs=(replace(record.inputs[0], values=np.zeros(len(record.inputs[0].values))),)
+    )
+    with pytest.raises(EstimationError, match="in no record"):
+        driven_amplitude_curves([still], model)

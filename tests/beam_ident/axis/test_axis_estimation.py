@@ -11,7 +11,7 @@ from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, c
 from beam_ident.axis.axis_record import AxisRecord
 from beam_ident.axis.inverse_dynamics import NAMES, fit_inverse_dynamics
 from beam_model import AxisStepper, BeamModel, Damping, HubFriction, PositionServo
-from benchmarks.ident.driven_axis import DrivenAxis, filtered_least_squares
+from benchmarks.ident.driven_axis import CompliantAxis, DrivenAxis, filtered_least_squares
 from tests.beam_model.rigs import strip
 
 SHORT = DrivenAxis(duration_s=8.0)
@@ -83,6 +83,17 @@ def test_friction_that_differs_by_direction_and_a_delay_are_seen_in_the_data() -
     assert found.resistance_backward == pytest.approx(15.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_late_servo_that_feeds_noise_back_leaves_no_false_delay(seed: int) -> None:
+    # Every whole period was a minimum of its own, and masses were a hundred standard deviations off in one of them.
+    axis = DrivenAxis(duration_s=8.0, delay_steps=3, noise=2e-5)
+    found = identify_axis(axis.record(seed), force="force")
+    assert abs(found.value("delay") - 3e-3) < 4.0 * found.sd("delay")
+    assert np.max(np.abs((found.estimates[:4] - axis.truth) / found.standard_deviations[:4])) < 4.0
+    # The two methods agree: instruments are made of the simulated motion, not of the noisy one.
+    assert np.max(np.abs(found.other_estimates - axis.truth) / found.other_sd) < 4.0
+
+
 def test_a_known_mass_turns_a_current_into_newtons() -> None:
     record = SHORT.record(5)
     current = InputSignal("current", "A", (0.0, SHORT.period_s), record.inputs[0].values / 7.5)
@@ -102,6 +113,10 @@ def test_forces_that_nobody_measured_are_left_to_inverse_dynamics() -> None:
     assert found.method == "instrumental_variables"
     assert np.max(np.abs((found.estimates[:4] - axis.truth) / found.standard_deviations[:4])) < 4.0
     assert any("nobody measured" in warning for warning in found.warnings)
+    # Without the reference the motion that these forces make is in the instruments too.
+    unled = identify_axis(axis.record(2), force="force")
+    assert any("reference=" in warning for warning in unled.warnings)
+    assert not any("reference=" in warning for warning in found.warnings)
 
 
 def test_inverse_dynamics_see_a_delay_and_a_difference_by_direction_too() -> None:
@@ -173,6 +188,62 @@ def test_a_beam_on_the_axis_takes_its_part_of_the_mass_where_its_modes_are_known
     assert abs(identify_axis(record).moving_mass / mass - 1.0) < 0.05
 
 
+SPRUNG = CompliantAxis(duration_s=4.0, period_s=2e-3, speed=0.3, is_of_drive=True)
+
+
+def test_a_spring_between_drive_and_hub_is_found_from_the_drives_encoder_without_any_masses() -> None:
+    found = identify_axis(SPRUNG.record(1), force="force", encoder="drive")
+    truth = dict(zip(NAMES, SPRUNG.truth, strict=True)) | {"stiffness": 1e6, "drive_mass": 20.0}
+    for name, value in truth.items():
+        assert abs(found.value(name) - value) < 4.0 * found.sd(name)
+    assert found.sd("stiffness") < 0.1 * 1e6
+    assert found.units[found.names.index("stiffness")] == "N/m"
+    # Two masses on a spring: omega^2 = k (1/m_d + 1/m_h).
+    omega = np.sqrt(1e6 * (1.0 / 20.0 + 1.0 / (SPRUNG.mass - 20.0)))
+    assert found.drive_resonance == pytest.approx(omega, rel=0.02)
+    assert "compliant" in found.summary()
+    assert found.check.is_white
+    # What is left of a new record is the encoder's noise, a tenth wider by the errors of the parameters.
+    assert check_axis(found, SPRUNG.record(2)).residual_sd < 1.1 * SPRUNG.noise
+    assert not any("disagree" in warning for warning in found.warnings)
+    # A stiff axis would be wrong about the mass by many of its deviations.
+    stiff = identify_axis(SPRUNG.record(1), force="force")
+    assert abs(stiff.value("mass") - SPRUNG.mass) > 4.0 * stiff.sd("mass")
+
+
+def test_the_hubs_encoder_tells_the_stiffness_where_the_mass_of_the_drive_is_known() -> None:
+    axis = dataclasses.replace(SPRUNG, is_of_drive=False, speed_gain=8.0, place_gain=6.0, duration_s=8.0)
+    found = identify_axis(axis.record(2), force="force", drive_mass=20.0)
+    for name, value in (*zip(NAMES, axis.truth, strict=True), ("stiffness", 1e6)):
+        assert abs(found.value(name) - value) < 4.0 * found.sd(name)
+    assert found.sd("stiffness") < 0.1 * 1e6
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        DrivenAxis(duration_s=4.0, speed=0.3),
+        DrivenAxis(duration_s=4.0, speed=0.3, delay_steps=3, noise=1e-6, quantum=1e-5),
+        DrivenAxis(duration_s=4.0, speed=0.3, coulomb=(30.0, 15.0), static=15.0),
+    ],
+    ids=["plain", "late and coarse", "sticking"],
+)
+def test_a_drive_without_a_spring_is_called_stiffer_than_a_limit(axis: DrivenAxis) -> None:
+    found = identify_axis(axis.record(0), force="force", encoder="drive", drive_mass=20.0)
+    assert not found.is_compliant
+    # A spring of 40 Hz is found in such records; one that is ten times softer is far from what they allow.
+    assert found.stiffer_than > 1e5
+    assert "stiffer than" in found.summary()
+
+
+def test_forces_that_nobody_measured_leave_open_whether_a_drive_is_compliant() -> None:
+    axis = DrivenAxis(disturbance=2.0, duration_s=6.0)
+    found = identify_axis(axis.record(2), force="force", reference="reference", drive_mass=20.0)
+    assert not found.is_compliant
+    assert np.isnan(found.stiffer_than)
+    assert any("cannot be told" in warning for warning in found.warnings)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -194,6 +265,11 @@ def test_arguments_out_of_place_are_refused() -> None:
         ({"force": "force", "mass": 1.0, "mass_sd": -1.0}, "mass_sd"),
         ({"force": "force", "delay_s": np.inf}, "delay_s is inf"),
         ({"force": "force", "position": "angle"}, "angle"),
+        ({"force": "force", "encoder": "motor"}, "expected 'hub' or 'drive'"),
+        ({"force": "force", "drive_mass": -1.0}, "drive_mass is -1.0 kg"),
+        ({"force": "force", "drive_mass": 96.0}, "a part of it"),
+        ({"force": "force", "encoder": "drive", "mass": 95.0}, "without mass="),
+        ({"force": "force", "encoder": "drive", "modes": [(30.0, 0.01)]}, "leave out one of"),
     ):
         with pytest.raises(ValueError, match=words):
             identify_axis(record, **options)
@@ -202,3 +278,62 @@ def test_arguments_out_of_place_are_refused() -> None:
     )
     with pytest.raises(EstimationError, match="expected m"):
         identify_axis(angle)
+
+
+@pytest.mark.parametrize("period_s", [2e-3, 5e-3, 10e-3])
+def test_inverse_dynamics_lose_nothing_by_sampling(period_s: float) -> None:
+    # x'' = (u - c x') / m of a held force in closed form; windows of nine samples gave a mass 1.6 % too large.
+    mass, viscous, n = 0.4, 3.0, int(8.0 / period_s)
+    t = period_s * np.arange(n)
+    force = 2.0 * np.sin(7.0 * t) + 3.0 * np.sin(31.0 * t + 1.0) + 4.0 * np.sin(83.0 * t)
+    decay, position, speed = np.exp(-viscous / mass * period_s), np.zeros(n), 0.0
+    for k in range(n - 1):
+        final = force[k] / viscous
+        position[k + 1] = position[k] + final * period_s + (speed - final) * (1.0 - decay) * mass / viscous
+        speed = final + (speed - final) * decay
+    record = TimeRecord(
+        (InputSignal("force", "N", (0.0, period_s), force),),
+        (OutputSignal("position", "m", (0.0, period_s), position),),
+    )
+    found = fit_inverse_dynamics([AxisRecord(record.inputs[0], record.outputs[0])]).parameters
+    assert found.mass == pytest.approx(mass, rel=1e-4)
+    assert found.viscous == pytest.approx(viscous, rel=1e-4)
+    assert abs(found.coulomb) < 1e-3
+
+
+def with_signals(record: TimeRecord, push=None, seen=None, start_s: float = 0.0) -> TimeRecord:
+    """Return a record with other forces or positions, and stamps that begin elsewhere."""
+    drive, output = record.input("force"), record.outputs[0]
+    values = drive.values if push is None else push(drive.values)
+    positions = output.values if seen is None else seen(output.values)
+    return dataclasses.replace(
+        record,
+        inputs=(dataclasses.replace(drive, times_s=drive.times_s + start_s, values=values),),
+        outputs=(dataclasses.replace(output, times_s=output.times_s + start_s, values=positions),),
+    )
+
+
+def test_stamps_since_1970_change_nothing() -> None:
+    record = DrivenAxis(duration_s=4.0, period_s=2e-3, noise=2e-5, speed=0.3).record(0)
+    one, other = (identify_axis(with_signals(record, start_s=start), force="force") for start in (0.0, 1.7e9))
+    # Their rounding is 0.24 us: at 0.3 m/s far below the encoder's noise.
+    assert np.max(np.abs(one.estimates - other.estimates)[:4] / one.standard_deviations[:4]) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"seen": lambda y: -y}, "against the force"),
+        ({"push": lambda u: np.full(len(u), 2.0)}, "is constant"),
+        ({"push": lambda u: np.random.default_rng(0).standard_normal(len(u))}, "is not seen that"),
+        (
+            {"seen": lambda y: np.where(np.random.default_rng(1).random(len(y)) < 0.3, np.nan, y)},
+            "32 positions",
+        ),
+    ],
+    ids=["other sign", "constant force", "unrelated force", "a third missing"],
+)
+def test_signals_that_are_not_those_of_one_axis_are_refused(change, words) -> None:
+    record = DrivenAxis(duration_s=4.0, period_s=2e-3, noise=2e-5, speed=0.3).record(0)
+    with pytest.raises(EstimationError, match=words):
+        identify_axis(with_signals(record, **change), force="force")

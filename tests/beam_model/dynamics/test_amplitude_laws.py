@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from beam_model import AirDrag, BeamModel, BeamParameterError, Damping, NonlinearMotionStepper, NonlinearTerms
-from beam_model.dynamics.amplitude_laws import amplitude_law
+from beam_model.dynamics.amplitude_laws import AmplitudeLaw, amplitude_law
 from tests.beam_model.rigs import strip
 
 
@@ -39,6 +40,23 @@ def test_a_swing_integrated_in_time_obeys_the_law() -> None:
     law, middle = amplitude_law(model, 0, 0.30, drag), np.sqrt(peaks[:-1] * peaks[1:])
     found = np.log(peaks[:-1] / peaks[1:]) / (2.0 * np.pi)
     assert found == pytest.approx(law.damping_ratios(middle), rel=0.01)
+
+
+@pytest.mark.parametrize(("linear", "drag"), [(0.005, 0.02), (0.02, 0.05), (0.0, 0.03)])
+def test_the_ringing_of_a_dragged_oscillator_crosses_zero_at_the_laws_frequency(linear, drag):
+    force = drag * 3.0 * np.pi / 4.0  # of |x'| x': zeta_q = 4 beta A/(3 pi) at omega = 1
+
+    def derivative(t: float, x: np.ndarray) -> list[float]:
+        return [x[1], -2.0 * linear * x[1] - force * abs(x[1]) * x[1] - x[0]]
+
+    crossings, turns = (lambda t, x, k=k: x[k] for k in (0, 1))
+    ringing = solve_ivp(
+        derivative, (0.0, 60.0), [1.0, 0.0], events=[crossings, turns], rtol=1e-11, atol=1e-13, max_step=0.05
+    )
+    peaks = np.abs(ringing.y_events[1][:, 0])
+    at = np.searchsorted(ringing.t_events[1], ringing.t_events[0][:-1])  # the maximum between two crossings
+    found = np.pi / np.diff(ringing.t_events[0])
+    np.testing.assert_allclose(found, AmplitudeLaw(1.0, linear, 0.0, drag).frequencies(peaks[at]), rtol=2e-6)
 
 
 def test_a_height_without_motion_is_refused() -> None:

@@ -63,6 +63,40 @@ def test_a_rigid_slide_comes_to_rest_where_friction_says() -> None:
     assert axis.position == pytest.approx(0.1**2 * heavy.parameters.total_mass / 20.0, rel=2e-3)
 
 
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_friction_may_differ_between_the_directions(direction: float) -> None:
+    friction = HubFriction(10.0, 30.0, coulomb_difference=8.0, viscous_difference=-20.0)
+    heavy = BeamModel(strip(hub_mass=50.0, damping=Damping(ratios=(0.005,))), 3)
+    dry, drag = (14.0, 20.0) if direction > 0.0 else (6.0, 40.0)
+    axis = AxisStepper(heavy, PERIOD, friction)
+    axis.step(direction * (dry - 0.01))
+    assert axis.is_held
+    axis.state[4] = 0.1 * direction
+    for _ in range(1200):
+        axis.step(0.0)
+    assert axis.velocity == 0.0
+    # M v' = -F - c v: the way to rest is M/c (v - F/c ln(1 + c v / F)).
+    way = heavy.parameters.total_mass / drag * (0.1 - dry / drag * np.log1p(drag * 0.1 / dry))
+    assert axis.position == pytest.approx(direction * way, rel=2e-3)
+
+
+def test_viscous_friction_that_differs_changes_where_the_velocity_does() -> None:
+    heavy = BeamModel(strip(hub_mass=50.0, damping=Damping(ratios=(0.005,))), 3)
+    ends = []
+    for divisor in (1, 7):
+        axis = AxisStepper(heavy, PERIOD / divisor, HubFriction(viscous=100.0, viscous_difference=160.0))
+        for force in (40.0, -60.0, 30.0, -5.0):
+            for _ in range(37 * divisor):
+                axis.step(force)
+        ends.append(axis.state.copy())
+    assert ends[1] == pytest.approx(ends[0], abs=1e-12)
+
+
+def test_friction_that_would_push_is_refused() -> None:
+    with pytest.raises(BeamParameterError, match="coulomb_difference"):
+        HubFriction(coulomb=1.0, coulomb_difference=-2.1)
+
+
 @pytest.mark.parametrize("scenario", ["friction", "stops", "both"])
 def test_halving_the_tick_changes_nothing(scenario: str) -> None:
     friction = HubFriction(coulomb=2.0, viscous=1.0) if scenario != "stops" else None
