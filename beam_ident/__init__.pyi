@@ -88,7 +88,7 @@ from beam_ident.modal_analysis import phase_collinearity as phase_collinearity
 from beam_ident.modal_analysis import stabilisation_chart as stabilisation_chart
 from beam_ident.modal_estimation.free_decay import fit_free_decay as fit_free_decay
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes as fit_frequency_modes
-from beam_ident.modal_estimation.time_domain import identify as identify
+from beam_ident.modal_identification.time_domain import identify as identify
 from beam_ident.noise.scores import InputCorrelation as InputCorrelation
 from beam_ident.noise.scores import Scores as Scores
 from beam_ident.noise.scores import Whiteness as Whiteness

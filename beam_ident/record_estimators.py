@@ -21,7 +21,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes
-from beam_ident.modal_estimation.time_domain import identify
+from beam_ident.modal_identification.time_domain import identify
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.subspace.model import SubspaceModel, subspace_model
 from beam_ident.transfer_function.structure_gates import information_criterion

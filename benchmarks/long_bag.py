@@ -32,7 +32,9 @@ from benchmarks.ident_cost import filmed_record
 _START_NS = 1_700_000_000_000_000_000
 _TICK_NS, _BATCH, _FRAME_TICKS = 1_000_000, 20, 5
 _KIB = 1024.0 if sys.platform != "darwin" else 1.0
-_READ = "import sys; from pathlib import Path; from beam_ros.offline.identification import load_experiment; "
+_READ = (
+    "import sys; from pathlib import Path; from beam_ros.offline.loading.experiment import load_experiment; "
+)
 
 
 def write_bag(path: Path, seconds: float) -> None:

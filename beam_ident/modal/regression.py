@@ -13,7 +13,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -33,10 +33,11 @@ from beam_ident.numerics.pole_response import PoleResponses
 
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
 MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
+_LATENCY_SHARE = 0.1  # of a record that is shorter than two seconds: no latency is looked for beyond
 
 _MIN_SAMPLES = 20
 _PIECE_ROWS = 8192  # what one piece needs stays in the cache
-_LONG = 2 * _PIECE_ROWS  # rows of a record from which on it is taken in pieces
+MAX_WHOLE = 2 * _PIECE_ROWS  # rows of a record that is not taken in pieces
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,19 @@ class ColumnBlock:
                 result[:, -1] = speed * self.rate_factor if self.by_rate is None else self.by_rate @ found
         return result
 
+    def turned(self, turn: Callable[[FloatArray], FloatArray]) -> ColumnBlock:
+        """Return the block with all rows passed through a linear map, after which rows are no instants any more."""
+        if self.by_time is None:
+            return replace(self, matrix=turn(self.matrix))
+        parts = [self.matrix, self.by_time * self.latency_factor[:, None]]
+        parts.append(self.by_time * self.rate_factor[:, None] if self.by_rate is None else self.by_rate)
+        parts += [slopes for mode in self.modes for slopes in (mode.by_log_omega, mode.by_zeta)]
+        ends = np.cumsum([part.shape[1] for part in parts])
+        matrix, late, fast, *slopes = np.split(turn(np.concatenate(parts, axis=1)), ends[:-1], axis=1)
+        modes = tuple(ModeSlopes(*pair) for pair in zip(slopes[::2], slopes[1::2], strict=True))
+        ones, none = np.ones(len(matrix)), np.zeros(len(matrix))
+        return ColumnBlock(np.asfortranarray(matrix), self.mode_columns, modes, late, ones, none, fast)
+
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
@@ -152,11 +166,18 @@ class _GridColumns:
     restarts: tuple[RestartColumns, ...]
 
 
+def farthest_latency(drives: Sequence[InputSignal]) -> float:
+    """Return how far the stamps may be moved against inputs that are measured together or one after the other [s]."""
+    shortest = min(last - first for first, last in (drive.span_s for drive in drives))
+    return min(MAX_LATENCY_S, _LATENCY_SHARE * shortest)
+
+
 class _Driving:
     """What an input does, as exact signals that are made when they are asked for."""
 
     def __init__(self, drive: InputSignal, structure: ModalStructure) -> None:
         self._measured, self._structure = drive, structure
+        self._margin_s = CLOCK_MARGIN_S / MAX_LATENCY_S * farthest_latency([drive])
         self._is_position = structure.kind == "base_motion"
         self.rest = float(drive.values[0]) if self._is_position else 0.0
         self._responses: PoleResponses | None = None
@@ -164,7 +185,7 @@ class _Driving:
     @cached_property
     def drive(self) -> PiecewisePolynomial:
         """The input, a position above where it begins."""
-        signal = self._measured.signal(margin_s=CLOCK_MARGIN_S, from_rest=not self._is_position)
+        signal = self._measured.signal(margin_s=self._margin_s, from_rest=not self._is_position)
         signal.coefficients[:, 0] -= self.rest  # made here, and as long as the record
         return signal
 
@@ -184,7 +205,7 @@ class _Driving:
         if self._is_position or structure.is_test:
             smooth = self.drive
             if self._measured.hold == "linear":
-                smooth = self._measured.signal("cubic", CLOCK_MARGIN_S)
+                smooth = self._measured.signal("cubic", self._margin_s)
         if structure.is_motion or structure.kind == "accelerance":
             return smooth, 2
         return (smooth, 1) if structure.kind == "mobility" else (self.drive, 0)
@@ -414,7 +435,6 @@ class ModalRegression:
 
     is_noise_known = False
     is_sequence = True
-    max_latency_s = MAX_LATENCY_S
 
     def __init__(
         self,
@@ -428,6 +448,7 @@ class ModalRegression:
             raise EstimationError("no record to identify from; give at least one TimeRecord")
         self.structure = structure
         self.inputs = [chosen_inputs(record, input_name) for record in records]  # of every record
+        self.max_latency_s = farthest_latency([drive for drives in self.inputs for drive in drives])
         self.input_names = tuple(drive.name for drive in self.inputs[0])
         smooth = [[d if smoothing is None else smoothing.of(d) for d in drives] for drives in self.inputs]
         self.restarts = Restarts.at_poor_bridges(self.inputs, structure) if restarts is None else restarts
@@ -472,13 +493,16 @@ class ModalRegression:
                     f"known; expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
         self.own_columns: dict[int, FloatArray] = {}
+        self.turns: tuple[Callable[[FloatArray], FloatArray], ...] = ()  # of every output's rows
+        self.unturned = self
         # A piece of a long regression knows its record, and where the rows of every output stand in the whole.
         self.record: int | None = None
         self.places = [slice(0, len(values)) for values in self.values]
         self._find_blocks()
 
     def _find_blocks(self) -> None:
-        keys = [(parts, j if j in self.own_columns else -1) for j, parts in enumerate(self._parts)]
+        is_own = [bool(self.turns) or j in self.own_columns for j in range(len(self._parts))]
+        keys = [(parts, j if is_own[j] else -1) for j, parts in enumerate(self._parts)]
         self._block_keys = list(dict.fromkeys(keys))
         self.block_of: tuple[int, ...] = tuple(self._block_keys.index(key) for key in keys)
 
@@ -515,6 +539,19 @@ class ModalRegression:
         ]
         return result
 
+    def turned(self, turns: Sequence[Callable[[FloatArray], FloatArray]]) -> ModalRegression:
+        """Return the regression with rows and values passed through a linear map for every output.
+
+        Parameters
+        ----------
+        turns : sequence of callable -- from columns of an output, shape (n_rows, n), to as many rows
+        """
+        result = self._like()
+        result.turns, result.unturned = tuple(turns), self
+        result._find_blocks()
+        result.values = [turn(own[:, None])[:, 0] for turn, own in zip(turns, self.values, strict=True)]
+        return result
+
     def row_levels(self, output: int) -> FloatArray:
         """Return by what every sample of an output is divided, shape (n_samples,)."""
         sizes = [part.stop - part.start for _, part in self.segments[output]]
@@ -522,12 +559,12 @@ class ModalRegression:
 
     @cached_property
     def pieces(self) -> tuple[ModalRegression, ...]:
-        """The same regression cut in time, one record after the other; itself where every record is short.
+        """The same regression cut in time, one record after the other; itself where every record is short or turned.
 
         A piece has rows of one stretch of one record, of all outputs, with the columns of the whole.
         """
         longest = max(part.stop - part.start for own in self.segments for _, part in own)
-        if longest <= _LONG:
+        if longest <= MAX_WHOLE or self.turns:
             return (self,)
         return tuple(piece for index in range(len(self._prepared)) for piece in self._pieces_of_record(index))
 
@@ -763,12 +800,7 @@ class ModalRegression:
         ]
 
     def blocks(
-        self,
-        omegas: FloatArray,
-        zetas: FloatArray,
-        clock: ClockState,
-        gradients: bool,
-        with_restarts: bool = True,
+        self, omegas: FloatArray, zetas: FloatArray, clock: ClockState, gradients: bool
     ) -> list[ColumnBlock]:
         """Return the columns of every group of outputs that share stamps.
 
@@ -776,6 +808,22 @@ class ModalRegression:
         first input and under each other one, then for each record offset, ramp, and the real and imaginary free
         response of each mode; then for each restart its drifts, and the free responses again.
         """
+        found = self._plain_blocks(omegas, zetas, clock, gradients)
+        if not self.turns:
+            return found
+        return [
+            block.turned(self.turns[own]) for block, (_, own) in zip(found, self._block_keys, strict=True)
+        ]
+
+    def _plain_blocks(
+        self,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        clock: ClockState,
+        gradients: bool,
+        with_restarts: bool = True,
+    ) -> list[ColumnBlock]:
+        """Return the blocks before any turn of their rows."""
         cache = {
             (index, number): prepared.columns(number, omegas, zetas, clock, gradients, with_restarts)
             for index, prepared in enumerate(self._prepared)
@@ -801,7 +849,7 @@ class ModalRegression:
         Where modes begin anew, what free motion since then explains is taken out: a bridge that nobody believes
         leaves nothing else there.
         """
-        blocks = self.blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
+        blocks = self._plain_blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
         found = [block.matrix.T[block.mode_columns] for block in blocks]
         poles = modal_poles(omegas, zetas)[:, None]
         for columns, (parts, _) in zip(found, self._block_keys, strict=True):
@@ -817,7 +865,13 @@ class ModalRegression:
                         free = np.exp(poles * (instants[low:high] - gap.end_s))
                         _take_out(columns[:, :, first + low : first + high], free)
                 first += len(rows)
-        return found
+        if not self.turns:
+            return found
+        turned = [
+            self.turns[own](columns.reshape(-1, columns.shape[2]).T).T
+            for columns, (_, own) in zip(found, self._block_keys, strict=True)
+        ]
+        return [np.reshape(own, columns.shape) for own, columns in zip(turned, found, strict=True)]
 
     def _assemble(
         self,

@@ -22,6 +22,7 @@ from beam_ident.modal.structure import ModalStructure
 from beam_ident.numerics.free_motion import free_motions
 
 _SAME_LATENCY_S = 1e-4
+_SAME_SHARE = 0.005  # of the shortest gap, where gaps are short
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,11 @@ class Restarts:
 
     def is_near(self, other: Restarts) -> bool:
         """Whether another one has the same gaps, and a latency that finds the same samples inside them."""
-        return (self.gaps, self.rigid) == (other.gaps, other.rigid) and (
-            self.count == 0 or abs(self.latency - other.latency) < _SAME_LATENCY_S
-        )
+        if (self.gaps, self.rigid) != (other.gaps, other.rigid):
+            return False
+        shortest = min((gap.end_s - gap.start_s for own in self.gaps for gap in own), default=np.inf)
+        near = min(_SAME_LATENCY_S, _SAME_SHARE * shortest)
+        return self.count == 0 or abs(self.latency - other.latency) < near
 
     @property
     def count(self) -> int:

@@ -1,1 +1,1 @@
-"""Modes from time records, frequency records and free decays."""
+"""Fits of modes, their search, and what identifies frequency records and free decays."""

@@ -136,7 +136,7 @@ def fit_free_decay(
         OutputSignal(s.name, s.unit, s.times_s[keep], s.values[keep], s.exposure_s)
         for s, keep in zip(signals, kept, strict=True)
     ]
-    if math.isinf(start_s) and (begin := _end_of_rest(seen)) is not None:
+    if math.isinf(start_s) and (begin := end_of_rest(seen)) is not None:
         decay = fit_free_decay(signals, n_modes, begin, end_s, max_modes)
         said = f"The outputs rested first: the decay is taken from {begin:.6g} s (start_s says otherwise)."
         return replace(decay, warnings=(said, *decay.warnings))
@@ -154,7 +154,7 @@ def fit_free_decay(
         raise failure or err from err
 
 
-def _end_of_rest(signals: Sequence[OutputSignal]) -> float | None:
+def end_of_rest(signals: Sequence[OutputSignal]) -> float | None:
     """Return when structures that stood still at first swing furthest, or None where they rang from the beginning.
 
     Notes
@@ -261,10 +261,12 @@ class _DecaySearch(ModeSearch[StackedRegression]):
             elapsed = self.signals[own[0]].times_s - self.signals[own[0]].times_s[0]
             residuals = np.stack([fit.residuals[j] for j in own], axis=1)
             residuals = residuals / np.maximum(np.linalg.norm(residuals, axis=0), 1e-300)
+            # The frequencies are evenly spaced: those of every block are the first ones, shifted.
+            turned = np.exp(-1j * (self.omegas[:256, None] - self.omegas[0]) * elapsed)
             for first in range(0, len(self.omegas), 256):
-                here = slice(first, first + 256)
-                turned = np.exp(-1j * self.omegas[here, None] * elapsed)
-                power[here] += np.sum(np.square(np.abs(turned @ residuals)), axis=1)
+                shifted = np.exp(-1j * self.omegas[first] * elapsed)[:, None] * residuals
+                found = turned[: len(self.omegas) - first] @ shifted
+                power[first : first + 256] += np.sum(np.square(np.abs(found)), axis=1)
         padded = np.concatenate([[0.0], power, [0.0]])
         peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
         peaks = peaks[np.argsort(-power[peaks])][:_PEAKS]

@@ -31,12 +31,12 @@ from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.line_basis import LineBasis
 from beam_ident.modal.stacked_regression import Part, StackedRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
+from beam_ident.modal_estimation.dependent_lines import from_common_noise, from_neighbours
 from beam_ident.modal_estimation.free_base import with_kind_of
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, Family, rivals
 from beam_ident.modal_estimation.mode_search import MAX_MODES, ModeSearch, Weighed, checked_limit
 from beam_ident.modal_estimation.variable_projection import designs
-from beam_ident.noise.autoregression import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -207,66 +207,14 @@ class _LineSearch(ModeSearch[StackedRegression]):
         Every line weighs by its own noise from the start; what weights of few periods lose, and what errors of
         several outputs have in common, widens the intervals.
         """
-        covariance = self._under_common_noise(fit) * weighting_loss(self._freedom)
-        covariance = covariance + self._of_neighbours(fit)
+        jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
+        covariance = fit.covariance + from_common_noise(fit, jacobians, self.data)
+        covariance = covariance * weighting_loss(self._freedom) + from_neighbours(fit, jacobians, self.data)
         return Weighed(dataclasses.replace(fit, covariance=covariance), self.plain, self.plain)
 
     @property
     def _freedom(self) -> float:
         return min(record.degrees_of_freedom for record in self.data)
-
-    def _of_neighbours(self, fit: ModalFit) -> FloatArray:
-        """Return what errors that neighbouring lines share add to the covariance (``noise.autoregression``)."""
-        jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
-        middle = np.zeros_like(fit.covariance)
-        place = fit.n_theta
-        for j, (design, residuals) in enumerate(zip(jacobians, fit.residuals, strict=True)):
-            width = len(fit.coefficients[j])
-            own = np.append(np.arange(fit.n_theta), place + np.arange(width))
-            place += width
-            first = 0
-            for record in self.data:
-                rows = slice(first, first + 2 * record.n_lines)
-                first += 2 * record.n_lines
-                excess = excess_over_lines(design[rows], residuals[rows], record.line_correlation)
-                middle[np.ix_(own, own)] += excess / fit.sigmas[j] ** 2
-        return np.asarray(fit.covariance @ middle @ fit.covariance)
-
-    def _under_common_noise(self, fit: ModalFit) -> FloatArray:
-        """Return the covariance where errors of several outputs depend on each other.
-
-        Notes
-        -----
-        ``C + C J^T (S - 1) J C`` with S the correlation of the weighted errors between outputs.
-        For circular errors of correlation ``rho = a + jb`` the real parts correlate by a, and the
-        real part of one with the imaginary part of the other by b.
-        """
-        m = len(fit.coefficients)
-        if m < 2 or any(record.covariance is None for record in self.data):
-            return fit.covariance
-        jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
-        n_theta, width = fit.n_theta, len(fit.coefficients[0])
-        places = [np.append(np.arange(n_theta), n_theta + j * width + np.arange(width)) for j in range(m)]
-        middle = np.zeros_like(fit.covariance)
-        first = 0
-        for record in self.data:
-            n = record.n_lines
-            assert record.covariance is not None
-            sd = np.sqrt(np.maximum(np.einsum("lpp->lp", record.covariance).real, 1e-300))
-            for i in range(m):
-                for j in range(i):
-                    rho = (record.covariance[:, i, j] / (sd[:, i] * sd[:, j]))[:, None]
-                    one, other = (jacobians[k][first : first + 2 * n] for k in (i, j))
-                    real, imaginary = other[:n], other[n:]
-                    shared = [
-                        rho.real * real - rho.imag * imaginary,
-                        rho.imag * real + rho.real * imaginary,
-                    ]
-                    part = one.T @ np.concatenate(shared)
-                    middle[np.ix_(places[i], places[j])] += part
-                    middle[np.ix_(places[j], places[i])] += part.T
-            first += 2 * n
-        return np.asarray(fit.covariance + fit.covariance @ middle @ fit.covariance)
 
     def result(self, n_modes: int | None, max_modes: int) -> FrequencyDomainResult:
         """Search, and return what was found."""

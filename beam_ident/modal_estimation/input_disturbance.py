@@ -35,8 +35,10 @@ from beam_ident.numerics.state_recursion import StateRecursion
 
 _SETTLED = 1e-9  # relative change from step to step below which the filter's gains are kept
 _TIME_RESOLUTION_S = 1e-7  # steps between stamps that differ by less share a transition
+_FINE_SHARE = 1e-4  # of the median step, where samples are as quick as that
 _FEW_STEPS = 100  # of one kind in a row: fewer are taken one by one
 _CHUNK = 1 << 18  # samples of an input at once
+_ROUNDING = 1e-13  # of the largest eigenvalue of a covariance
 _BOX_POINTS, _BOX_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -164,18 +166,21 @@ class InputDisturbance:
 
     def _transitions(self, steps: FloatArray) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Return transitions and covariances of the driven state (Van Loan 1978), and which goes with each step."""
-        rounded = np.round(steps / _TIME_RESOLUTION_S).astype(np.int64)
+        resolution = min(_TIME_RESOLUTION_S, _FINE_SHARE * float(np.median(steps)))
+        rounded = np.round(steps / resolution).astype(np.int64)
         key = rounded.tobytes()
         if key not in self._known_steps:  # many draws pass through one filter
-            self._known_steps[key] = self._driven_states(rounded)
+            self._known_steps[key] = self._driven_states(rounded, resolution)
         return self._known_steps[key]
 
-    def _driven_states(self, rounded: IndexArray) -> tuple[FloatArray, FloatArray, IndexArray]:
+    def _driven_states(
+        self, rounded: IndexArray, resolution: float
+    ) -> tuple[FloatArray, FloatArray, IndexArray]:
         size = len(self._dynamics)
         distinct, place = np.unique(rounded, return_inverse=True)
         # The longest step is divided so that the exponential of -A stays small.
         growth = float(np.max(np.abs(np.diag(self._dynamics)), initial=1e-12))
-        durations = distinct * _TIME_RESOLUTION_S
+        durations = distinct * resolution
         n_halvings = max(int(np.ceil(np.log2(max(float(np.max(durations)) * growth, 1e-12)))), 0)
         # Van Loan: exp([-A, q b b^T; 0, A^T] h) = [.., F^-1 P_d; 0, F^T] holds F and P_d of (I.16).
         generator = np.zeros((2 * size, 2 * size))
@@ -407,12 +412,18 @@ class DisturbanceFilter:
             covariance = transition @ covariance @ transition.T + driven[kinds[k]]
             carried = covariance @ rows.T
             lower, failed = lapack.dpotrf(rows @ carried + own, lower=1)
-            carried = carried + same
             if failed:
-                raise np.linalg.LinAlgError("the covariance of the residuals is not positive definite")
+                # Outputs that show 10^8 times as much of the input's noise as of their own leave the difference
+                # of equal numbers.
+                covariance = _raised(covariance, 0.0)
+                carried = covariance @ rows.T
+                lower = lapack.dpotrf(_raised(rows @ carried + own, _ROUNDING), lower=1)[0]
+            carried = carried + same
             inverse = lapack.dtrtri(lower, lower=1)[0]
             scaled = carried @ inverse.T
             covariance = covariance - scaled @ scaled.T
+            if failed:
+                covariance = _raised(covariance, 0.0)
             self._gain_of[k] = len(self._gains)
             self._gains.append(_Gains(selected, rows, inverse, scaled))
             if is_same[k] and abs(covariance - before).max() <= _SETTLED * abs(covariance).max():
@@ -422,6 +433,12 @@ class DisturbanceFilter:
                 k = last
             else:
                 k += 1
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of what ``whiten`` divides by."""
+        of_steps = [-float(np.sum(np.log(np.diag(gains.inverse)))) for gains in self._gains]
+        return float(np.sum(np.array(of_steps)[self._gain_of]))
 
     def whiten(
         self,
@@ -503,6 +520,12 @@ class DisturbanceFilter:
             return slice(0, len(rows)), rows
         span = self.observations.span(places)
         return span, np.where(rows[span] >= 0, rows[span] - np.array([own.start for own in places]), -1)
+
+
+def _raised(covariance: FloatArray, least: float) -> FloatArray:
+    """Return a covariance that rounding has left indefinite, its eigenvalues raised to a share of the largest."""
+    levels, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((axes * np.maximum(levels, least * levels[-1])) @ axes.T)
 
 
 def _gathered(columns: Sequence[FloatArray], rows: IndexArray) -> FloatArray:

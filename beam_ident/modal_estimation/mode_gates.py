@@ -138,8 +138,9 @@ def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]
         names = ", ".join(str(mode + 1) for mode in group)
         warnings.append(
             f"Modes {names} overlap and move the outputs alike. Two modes may do so, but so does a single one whose "
-            "damping or stiffness depends on its amplitude (air drag, friction): compare with a run of half the "
-            f"amplitude; n_modes={len(fit.omegas) - len(group) + 1} gives one mode in their place."
+            "damping or stiffness depends on its amplitude (air drag, friction), or that a sensor with a dead band "
+            "sees: compare with a run of half the amplitude; "
+            f"n_modes={len(fit.omegas) - len(group) + 1} gives one mode in their place."
         )
     return warnings
 

@@ -144,6 +144,7 @@ class ModalScan:
         self.omegas = 2.0 * np.pi * np.geomspace(band.low_hz, band.high_hz, n_points)
         self._candidates: list[_Candidates] | None = None
         self._levels: list[FloatArray] = []
+        self._turned: ModalRegression | None = None
         self._clock = ClockState()
 
     def weigh(self, levels: Sequence[FloatArray]) -> None:
@@ -153,7 +154,11 @@ class ModalScan:
             return
         self._levels = list(levels)
         self.regression = self._plain.weighed(levels)
-        self._candidates = None
+        self._turned = self._candidates = None
+
+    def turn(self, turned: ModalRegression) -> None:
+        """Look for modes in rows of the regression that are passed through linear maps."""
+        self._turned, self._candidates = turned, None
 
     @property
     def is_tangled(self) -> bool:
@@ -188,7 +193,7 @@ class ModalScan:
         if self._candidates is None or moved:
             self._candidates = self._prepare(self.omegas, np.full_like(self.omegas, SCAN_DAMPING), clock)
             self._clock = clock
-        complement = complement or _Complement(self.regression, model)
+        complement = complement or _Complement(self._turned or self.regression, model)
         return complement.gains(self._candidates)
 
     def propose(self, model: ModalFit, excluded: Sequence[float] = ()) -> Candidate | None:
@@ -200,7 +205,7 @@ class ModalScan:
         excluded : sequence of float
             Frequencies [rad/s] whose neighbourhood has been tried in vain.
         """
-        complement = _Complement(self.regression, model)
+        complement = _Complement(self._turned or self.regression, model)
         gains = _without(self.gains(model, complement), self.omegas, excluded)
         best = int(np.argmax(gains))
         if not np.isfinite(gains[best]):
@@ -217,7 +222,8 @@ class ModalScan:
         knots = max(len(drive.times_s) for drive in self.regression.drives)
         n_at_once = min(_CHUNK, max(_STATES // knots, _FEW // 4))
         chunks = [slice(first, first + n_at_once) for first in range(0, len(omegas), n_at_once)]
-        found = [self.regression.candidates(omegas[part], zetas[part], clock) for part in chunks]
+        regression = self._turned or self.regression
+        found = [regression.candidates(omegas[part], zetas[part], clock) for part in chunks]
         return [_Candidates.of(np.concatenate(parts)) for parts in zip(*found, strict=True)]
 
 

@@ -231,9 +231,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             return self._stopped(
                 stop, f"the search for more than {n} of {wanted}, and the weighing by the noise"
             )
-        if n_modes is None and (
-            self._is_unsettled or len(self.chosen.omegas) > len(self._believed[0].omegas)
-        ):
+        is_believed = self.chosen is self._believed[0] and not self._is_unsettled
+        if n_modes is None and not self.is_trusting and not is_believed:
             try:
                 if self._settle(limit):
                     ended = self._extend(None, limit)

@@ -20,6 +20,7 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.gaps import POOR_BRIDGE, InputGap, describe_gaps
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
+from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.identification_result import OutputFit
 from beam_ident.modal.regression import ClockState, ModalRegression
@@ -121,7 +122,11 @@ def output_speeds(
 
 
 def unweighed(regression: ModalRegression, fit: ModalFit) -> ModalFit:
-    """Return a fit of a weighed regression with residuals and noise in the units of the outputs."""
+    """Return a fit of a weighed or turned regression with residuals and noise in the units of the outputs."""
+    if regression.turns:
+        left = residuals_of(regression.unturned, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+        powers = np.array([float(np.mean(np.square(own))) for own in left])
+        return dataclasses.replace(fit, residuals=tuple(left), sigmas=np.sqrt(powers))
     levels = [regression.row_levels(j) for j in range(regression.n_outputs)]
     return dataclasses.replace(
         fit,

@@ -7,11 +7,10 @@ estimate nor are its plain intervals right.  The residuals of such a fit show th
 - with a known input, the colour of every output's residuals in every record (an autoregression or, at stamps of
   any spacing, a process in continuous time) whitens residuals and derivatives alike (generalised least squares);
   outliers are left out, and what is left weighs by Student's t (``noise.noise_model``);
-- with noise on the input, a Kalman filter does (``modal_estimation.input_disturbance``), and the
-  derivatives are those at the most likely true input.  With them the score has mean zero
-  at the true parameters, which takes away the bias of errors in variables: it is
-  the maximum of the likelihood over parameters *and* input, ``min r^T Sigma^-1 r``
-  (weighted total least squares; Soderstrom, Errors-in-Variables Methods, 2018).
+- with noise on the input, a Kalman filter does (``modal_estimation.input_disturbance``).  The noise is in the
+  derivatives as well, so that the score has a mean at the true parameters, the bias of errors in variables; drawn
+  noise tells that mean (``modal_estimation.noise_draws``), and it is taken away (Soderstrom, Errors-in-Variables
+  Methods, 2018).
 
 Gauss-Newton steps on all parameters, the linear ones included, end where both hold.
 
@@ -25,18 +24,20 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.data.records import TimeRecord
 from beam_ident.errors import IdentificationError
 from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
+from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, NoiseScore
 from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.noise.autoregression import ScoreCovariance, autoregression
@@ -47,29 +48,21 @@ from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTria
 from beam_ident.sensing.stamp_jitter import StampJitter
 
 _MAX_STEPS = 15
-_MAX_STEPS_AMONG_OUTLIERS = 40  # weights by the tails settle more slowly
+_MAX_SLOW_STEPS = 40  # of weights by the tails, and by noise of which the score itself is drawn
 _LOOKS = 2  # at the noise, once the fit has left what outliers did to its start
 _STEP_TOLERANCE = 1e-2  # of a standard deviation, per parameter
 _NEAR = 0.5  # the same, from where on the weights of rounded values need no caution
 _MAX_STEP = 0.1  # of a natural frequency
 _MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a pole
 _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased the start
-_DRAWS = 8  # of records with thousands of samples
-_DRAWN = 100_000  # samples of an output over all draws: those of a long record need less repetition
-_AT_ONCE = 50_000  # samples of an output that draws may hold together
 _STRETCH = 12_500  # samples of an output that are drawn for a long record, too few to be long themselves
 _MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
-_MIN_VARIANCE = 0.05  # of the residuals': an output is never taken to be less noisy than this
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """Parameters, in the order of ``ModalFit.covariance``."""
-
-    omegas: FloatArray
-    zetas: FloatArray
-    clock: ClockState
-    coefficients: tuple[FloatArray, ...]
+_LEVEL_TURNS = 3  # of the outputs' own variances and the filter
+_MIN_POWER = 0.5  # of innovations, whose variance is one where the noise is as stated
+_MIN_VARIANCE = 1e-4  # of the residuals': an output is never taken to be less noisy than this
+_MIN_VARIANCE_IN_SEARCH = (
+    0.05  # the same while modes are looked for, which a sigma far too large must not hide
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +83,6 @@ class _Linearisation:
     innovations: tuple[FloatArray, ...]
     whitened: Callable[[], Iterable[Sequence[FloatArray]]]
     filters: tuple[DisturbanceFilter, ...] = ()
-    disturbances: tuple[tuple[InputDisturbance, Observations], ...] = ()
 
 
 class WeightedFit:
@@ -211,25 +203,30 @@ class WeightedFit:
         if not self.is_needed:
             return self.fit
         fit = self.fit
-        point = _Point(fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+        point = FitPoint(fit.omegas, fit.zetas, fit.clock, fit.coefficients)
         travelled = np.zeros(len(fit.covariance))
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
-        looks = 0
-        for step in range(1, (_MAX_STEPS_AMONG_OUTLIERS if self._follows else _MAX_STEPS) + 1):
+        looks, before = 0, np.zeros(len(fit.covariance))
+        is_slow = self._follows or self._is_driven_by_noise
+        for step in range(1, (_MAX_SLOW_STEPS if is_slow else _MAX_STEPS) + 1):
             # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
             linear = self._linearise(point)
             design, right = self._with_priors(linear, point)
             solution = LinearSolution.of(design)
-            change = solution.coefficients(right)
+            change, inverse = solution.coefficients(right), solution.inverse_gram()
+            noise = self._noise_score(point, linear.filters)
+            if noise is not None:
+                inverse = _without_feigned(inverse, noise.information)
+                change = inverse @ (design.T @ right - noise.mean)
+                before = change = _careful(change, before, point)
             travelled += change
             # Hausman's comparison: under the right noise both estimates differ by no more than both scatter.
-            if not np.max(np.abs(travelled / reach)[: self.n_theta]) < farthest:
-                reason = "weighing by the noise moves the poles further than noise can; weights are equal"
-                if self._is_driven_by_noise:
-                    reason = f"{reason}. Check the sigma that is stated for the input"
-                return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
-            if not np.max(np.abs(change[: len(fit.omegas)])) < _MAX_STEP:
+            if not np.max(np.abs(travelled / reach)[: self.n_theta], initial=0.0) < farthest:
+                return self._with_equal_weights(
+                    "weighing by the noise moves the poles further than noise can"
+                )
+            if not np.max(np.abs(change[: len(fit.omegas)]), initial=0.0) < _MAX_STEP:
                 break
             point = self._moved(point, change)
             # D step is the step in units of its standard deviation: |D step|^2 = step^T H step.
@@ -244,50 +241,45 @@ class WeightedFit:
                     looks, self.noises = looks + 1, []
                     self._take_noise(self._residuals(point))
                     continue
-                return self._finished(point, linear, solution.inverse_gram(), step)
-            del linear  # holds an input of its own, which a long record has no room for twice
-        reason = "weighing by the noise did not settle; weights are equal"
-        return dataclasses.replace(fit, converged=self._keeps_equal_weights(fit), reason=reason)
+                if noise is not None and self._leaves_too_little(linear.innovations):
+                    return self._with_equal_weights("the input's noise alone would leave more than is left")
+                return self._finished(point, linear, inverse, noise, step)
+        return self._with_equal_weights("weighing by the noise did not settle")
 
-    def _keeps_equal_weights(self, fit: ModalFit) -> bool:
-        """Return whether equal weights are an answer: not where the input's noise biases them."""
-        return fit.converged and not self._is_driven_by_noise
+    def _leaves_too_little(self, innovations: Sequence[FloatArray]) -> bool:
+        """Return whether an output shows less than half of the input's noise that is stated."""
+        return any(float(np.mean(np.square(own))) < _MIN_POWER for own in innovations)
+
+    def _with_equal_weights(self, why: str) -> ModalFit:
+        """Return the given fit, not converged where the input's noise biases it."""
+        reason = f"{why}; weights are equal"
+        if self._is_driven_by_noise:
+            reason = f"{reason}. Check the sigma that is stated for the input"
+        converged = self.fit.converged and not self._is_driven_by_noise
+        return dataclasses.replace(self.fit, converged=converged, reason=reason)
 
     @property
     def _is_long(self) -> bool:
         return len(self.regression.pieces) > 1
 
-    def _linearise(self, point: _Point) -> _Linearisation:
-        driving = self.regression
+    def _linearise(self, point: FitPoint) -> _Linearisation:
         filters: list[DisturbanceFilter] = []
-        disturbances: list[tuple[InputDisturbance, Observations]] = []
-        residuals: Sequence[FloatArray] | None = None
         if self.smoothing is not None:
             residuals = self._residuals(point)
-            if self._is_long:
-                self._driven.release()
             # The innovations L^-1 r of (I.16) have unit power where the sigma_j^2 are right.
-            disturbances = self._disturbances(point)
-            filters = self._filters(disturbances)
+            filters = self._filters(self._disturbances(point))
             white = [r[:, None].copy() for r in residuals]
             for own in filters:
                 own.whiten(white)
-            self._adjust_variances(white, residuals)
-            for own in filters:
-                own.weigh(white)
-            # Sigma^-1 r of (I.17), and from it the most likely input a_hat of (I.14). The derivatives are those at
-            # a_hat, (I.15); the residuals stay those against the measured input, (I.12).
-            driving = self._cleaned(disturbances, [w[:, 0] for w in white])
+            self._adjust_variances(white, residuals, _MIN_VARIANCE)
         elif self._follows and self._is_long:
             self._take_noise(self._residuals(point))  # the weights of tails go with the residuals
 
         def whitened() -> Iterator[list[FloatArray]]:
-            yield from self._whitened(point, driving, filters, residuals)
-            if self._is_long and isinstance(driving, ModalRegression) and driving is not self.regression:
-                driving.release()  # there is room for the signals of one long input, not of two
+            return self._whitened(point, filters)
 
         if self._is_long:
-            return self._condensed(whitened, filters, disturbances)
+            return self._condensed(whitened, filters)
         (columns,) = whitened()
         stacked = np.zeros((sum(map(len, columns)), len(self.fit.covariance) + 1), order="F")
         first = 0
@@ -303,14 +295,12 @@ class WeightedFit:
             innovations,
             lambda: [columns],
             tuple(filters),
-            tuple(disturbances),
         )
 
     def _condensed(
         self,
         whitened: Callable[[], Iterable[Sequence[FloatArray]]],
         filters: Sequence[DisturbanceFilter],
-        disturbances: Sequence[tuple[InputDisturbance, Observations]],
     ) -> _Linearisation:
         """Return D and w of a long record in as many rows as the outputs touch columns."""
         n_outputs = len(self.fit.coefficients)
@@ -337,41 +327,27 @@ class WeightedFit:
             tuple(np.concatenate(seen) for seen in innovations),
             whitened,
             tuple(filters),
-            tuple(disturbances),
         )
 
-    def _whitened(
-        self,
-        point: _Point,
-        driving: ModalRegression | StackedRegression,
-        filters: Sequence[DisturbanceFilter],
-        residuals: Sequence[FloatArray] | None,
-    ) -> Iterator[list[FloatArray]]:
+    def _whitened(self, point: FitPoint, filters: Sequence[DisturbanceFilter]) -> Iterator[list[FloatArray]]:
         """Yield D and w of (I.10) side by side, of every output, piece by piece.
 
-        One pass of a filter whitens both: ``L^-1 (dM/deta a_hat)`` and ``L^-1 r``.
+        One pass of a filter whitens both: ``L^-1 dM/deta (a + nu)`` and ``L^-1 r``.
 
         Parameters
         ----------
-        point : _Point
-        driving : ModalRegression or StackedRegression -- on the inputs at which the derivatives are taken
+        point : FitPoint
         filters : sequence of DisturbanceFilter -- of every record, where the input's noise matters
-        residuals : sequence of ndarray or None
-            Against the measured input, of every output; None where the derivatives are at that input, too.
         """
         passes: dict[tuple[int, int], NoisePass] = {}
         states: dict[int, FloatArray] = {}
         pieces: Sequence[ModalRegression | StackedRegression] = self.regression.pieces
-        drivings: Sequence[ModalRegression | StackedRegression] = driving.pieces
-        for piece, driven in zip(pieces, drivings, strict=True):
-            blocks = driven.blocks(point.omegas, point.zetas, point.clock, gradients=True)
+        for piece in pieces:
+            blocks = piece.blocks(point.omegas, point.zetas, point.clock, gradients=True)
             columns = []
             for output, (block, found) in enumerate(zip(piece.block_of, point.coefficients, strict=True)):
                 rows = self._columns(output, blocks[block], found)
-                if residuals is None:
-                    rows[:, -1] = piece.values[output] - blocks[block].matrix @ found
-                else:
-                    rows[:, -1] = residuals[output][piece.places[output]]
+                rows[:, -1] = piece.values[output] - blocks[block].matrix @ found
                 columns.append(rows)
             if not filters:
                 if self._follows and not self._is_long:
@@ -387,7 +363,7 @@ class WeightedFit:
                     own.whiten(columns)
             yield columns
 
-    def _residuals(self, point: _Point) -> tuple[FloatArray, ...]:
+    def _residuals(self, point: FitPoint) -> tuple[FloatArray, ...]:
         """Return the residuals against the measured input, of every output."""
         return tuple(
             residuals_of(self.regression, point.omegas, point.zetas, point.clock, point.coefficients)
@@ -440,7 +416,7 @@ class WeightedFit:
                 np.divide(passed.apply(columns[part]), max(float(level), 1e-300), out=result[part])
         return result
 
-    def _with_priors(self, linear: _Linearisation, point: _Point) -> tuple[FloatArray, FloatArray]:
+    def _with_priors(self, linear: _Linearisation, point: FitPoint) -> tuple[FloatArray, FloatArray]:
         rows, values = [], []
         place = 2 * len(point.omegas)
         clock = ((self.latency, point.clock.latency), (self.clock_rate, point.clock.rate))
@@ -466,7 +442,7 @@ class WeightedFit:
             return linear.design, linear.residuals
         return np.vstack([linear.design, *rows]), np.append(linear.residuals, values)
 
-    def _moved(self, point: _Point, change: FloatArray) -> _Point:
+    def _moved(self, point: FitPoint, change: FloatArray) -> FitPoint:
         n = len(point.omegas)
         place = 2 * n
         latency, rate = point.clock.latency, point.clock.rate
@@ -480,7 +456,7 @@ class WeightedFit:
         for found in point.coefficients:
             coefficients.append(found + change[place : place + len(found)])
             place += len(found)
-        return _Point(
+        return FitPoint(
             # The parameter is log omega: a step multiplies.
             point.omegas * np.exp(change[:n]),
             np.clip(point.zetas + change[n : 2 * n], MIN_DAMPING, MAX_DAMPING),
@@ -501,7 +477,7 @@ class WeightedFit:
             )
         ]
 
-    def _disturbances(self, point: _Point) -> list[tuple[InputDisturbance, Observations]]:
+    def _disturbances(self, point: FitPoint) -> list[tuple[InputDisturbance, Observations]]:
         """Return the noise of every record's input and where it is seen."""
         regression = self._driven
         assert self.smoothing is not None
@@ -521,17 +497,55 @@ class WeightedFit:
             result.append((disturbance, Observations.of_record(regression, index, point.clock.latency)))
         return result
 
-    def _adjust_variances(self, white: list[FloatArray], residuals: Sequence[FloatArray]) -> None:
+    def _adjust_variances(
+        self, white: list[FloatArray], residuals: Sequence[FloatArray], least_share: float
+    ) -> None:
         """Move the outputs' own variances to where the innovations have unit power."""
         for output, (own, plain) in enumerate(zip(white, residuals, strict=True)):
             for record, part in self.regression.segments[output]:
                 # E v^2 = 1 - n_parameters / n where sigma_j^2 is right. Never below a share of the residuals'
                 # power: an output may otherwise be explained by the input's noise altogether.
                 power = float(np.mean(np.square(own[part])))
-                least = _MIN_VARIANCE * float(np.mean(np.square(plain[part])))
+                least = least_share * float(np.mean(np.square(plain[part])))
                 least *= min(float(self.own_shares[record, output]), 1.0)
                 before = self.record_variances[record, output]
                 self.record_variances[record, output] = max(before * power / self.freedom, least)
+
+    def on_likely_inputs(self) -> tuple[list[TimeRecord], FloatArray]:
+        """Return the records on their most likely inputs under the given fit, and the outputs' own variances there.
+
+        The outputs hold what leaves the residuals of the inputs as measured: rows as the last fit has them, at which
+        other modes can be tried. Samples that no row holds are NaN.
+
+        Returns
+        -------
+        tuple
+            Records, and variances of shape (n_records, n_outputs).
+        """
+        fit = self.fit
+        point = FitPoint(fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+        residuals = self._residuals(point)
+        disturbances = self._disturbances(point)
+        for _ in range(_LEVEL_TURNS):
+            filters = self._filters(disturbances)
+            white = [own[:, None].copy() for own in residuals]
+            for own in filters:
+                own.whiten(white)
+            self._adjust_variances(white, residuals, _MIN_VARIANCE_IN_SEARCH)
+        for own in filters:
+            own.weigh(white)
+        cleaned = self._cleaned(disturbances, [own[:, 0] for own in white])
+        left = residuals_of(cleaned, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+        records = []
+        for index, (record, (drive,)) in enumerate(zip(self.records, cleaned.inputs, strict=True)):
+            signals = {signal.name: np.full(len(signal.values), np.nan) for signal in record.outputs}
+            for j, name in enumerate(cleaned.output_names):
+                for _, part in (own for own in cleaned.segments[j] if own[0] == index):
+                    places = np.isin(record.output(name).times_s, cleaned.times[j][part])
+                    signals[name][places] = (cleaned.values[j] + residuals[j] - left[j])[part]
+            outputs = tuple(dataclasses.replace(own, values=signals[own.name]) for own in record.outputs)
+            records.append(dataclasses.replace(record, inputs=(drive,), outputs=outputs))
+        return records, self.record_variances
 
     def _cleaned(
         self, disturbances: list[tuple[InputDisturbance, Observations]], weighted: list[FloatArray]
@@ -555,65 +569,6 @@ class WeightedFit:
         driven = self._driven
         found = ModalRegression(records, driven.structure, None, smoothing, driven.restarts)
         return found.with_own_columns(driven.own_columns) if driven.own_columns else found
-
-    def _without_feigned_information(
-        self, point: _Point, linear: _Linearisation, covariance: FloatArray
-    ) -> FloatArray:
-        """Return the covariance (I.18), without the information that noise in the derivatives only feigns.
-
-        Notes
-        -----
-        Of the information H at the most likely input, N is that of what is left of the noise
-        there, which is independent of the weighed residuals.  So the score varies with H and
-        answers to a change of the parameters with ``H - N``: the covariance is ``(H - N)^-1 H
-        (H - N)^-1``, with N from a few seeded draws (Fuller, Measurement Error Models, 1987).
-        """
-        noise = self._feigned(point, linear.disturbances, linear.filters)
-        # With H^-1 = root root^T and root^T N root = U s U^T, (I.18) is (root U) (1 - s)^-2 (root U)^T. Beyond
-        # the limit on s, H - N is a difference of two numbers that the draws do not tell apart.
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
-        spread = (root @ turned) / (1.0 - np.clip(shares, 0.0, _MAX_FEIGNED))
-        return np.asarray((spread @ spread.T) * np.outer(scale, scale))
-
-    def _feigned(
-        self,
-        point: _Point,
-        disturbances: Sequence[tuple[InputDisturbance, Observations]],
-        filters: Sequence[DisturbanceFilter],
-    ) -> FloatArray:
-        """Return N of (I.18), shape as the covariance.
-
-        Notes
-        -----
-        What is left of the noise does not depend on the input, so that N grows with the length of a record alone:
-        that of a long one is known from a stretch of it.
-        """
-        if self._is_long and (stretch := self._stretch()) is not None:
-            own = stretch._disturbances(point)
-            own_filters = stretch._filters(own)
-            grown = self.regression.n_samples / stretch.regression.n_samples
-            return np.asarray(grown * stretch._feigned(point, own, own_filters))
-        # N of (I.18) comes through the poles, gains and residues alone: offset, ramp and free motion do not pass
-        # the input.
-        shared = [found[: self.n_shared] for found in point.coefficients]
-        longest = max(len(values) for values in self.regression.values)
-        n_draws, at_once = min(_DRAWS, math.ceil(_DRAWN / longest)), max(_AT_ONCE // longest, 1)
-        rng, total = np.random.default_rng(0), len(self.fit.covariance)
-        noise = np.zeros((total, total))
-        for first in range(0, n_draws, at_once):
-            some = min(at_once, n_draws - first)
-            left = self._left_noise(point, disturbances, filters, shared, rng, some)
-            # Several draws in one pass of the filter; N is the mean of D_left^T D_left over all.
-            together = self._noise_columns(point, left, shared)
-            for own_filter in filters:
-                own_filter.whiten(together)
-            for columns in together:
-                rows = columns.reshape(-1, total)
-                noise += rows.T @ rows / n_draws
-        return noise
 
     def _stretch(self) -> WeightedFit | None:
         """Return the same on a stretch from the middle of every record; None where not all outputs are seen there."""
@@ -644,82 +599,29 @@ class WeightedFit:
             )
         return result
 
-    def _noise_columns(
-        self, point: _Point, left: Sequence[Sequence[FloatArray]], shared: Sequence[FloatArray]
-    ) -> list[FloatArray]:
-        """Return the derivatives by all parameters at noise on the inputs, draw beside draw, of every output."""
-        draws: list[list[FloatArray]] = []
-        sizes = [len(found) for found in self.fit.coefficients]
-        for noise in left:
-            regression = self._on_inputs(noise, is_smooth=True)
-            blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-            columns, first = [], self.n_theta
-            for number, own, size in zip(regression.block_of, shared, sizes, strict=True):
-                block = blocks[number]
-                full = np.zeros((len(block.matrix), len(self.fit.covariance)), order="F")
-                full[:, : self.n_theta] = block.slopes(
-                    _padded(own, block), self.latency.is_free, self.clock_rate.is_free
-                )
-                full[:, first : first + len(own)] = block.matrix[:, : len(own)]
-                columns.append(full)
-                first += size
-            draws.append(columns)
-        return [np.concatenate(own, axis=1).copy(order="C") for own in zip(*draws, strict=True)]
+    @cached_property
+    def _drawn(self) -> tuple[WeightedFit, NoiseDraws]:
+        """Return draws of the noise, and the fit to whose rows they belong: of a long record to a stretch of it."""
+        own = (self._stretch() if self._is_long else None) or self
+        assert own.smoothing is not None
+        clock_is_free = self.latency.is_free, self.clock_rate.is_free
 
-    def _left_noise(
-        self,
-        point: _Point,
-        disturbances: Sequence[tuple[InputDisturbance, Observations]],
-        filters: Sequence[DisturbanceFilter],
-        shared: Sequence[FloatArray],
-        rng: np.random.Generator,
-        n_draws: int,
-    ) -> list[list[FloatArray]]:
-        """Return draws of what noise is left on every record's most likely input."""
-        assert self.smoothing is not None
-        regression = self._driven
-        inputs: list[list[FloatArray]] = []
-        residuals = [np.empty((len(values), n_draws)) for values in regression.values]
-        for draw in range(n_draws):
-            noise = []
-            for drive in regression.drives:
-                # A draw of r = e - H nu as in (I.12), at the estimate and with its variances.
-                values = drive.sigma * rng.standard_normal(len(drive.values))
-                raw = InputSignal(drive.name, drive.unit, drive.times_s, values, drive.hold)
-                noise.append(self.smoothing.of(raw).values)
-            inputs.append(noise)
-            blocks = self._on_inputs(noise, is_smooth=True).blocks(
-                point.omegas, point.zetas, point.clock, gradients=False
-            )
-            for output, block in enumerate(regression.block_of):
-                own = rng.standard_normal(len(residuals[output])) * np.sqrt(self._row_variances(output))
-                matrix = blocks[block].matrix
-                residuals[output][:, draw] = own - matrix @ _padded(shared[output], blocks[block])
-            self._add_late_stamps(residuals, draw, disturbances, rng)
-        for own_filter in filters:
-            own_filter.whiten(residuals)
-            own_filter.weigh(residuals)
-        for draw, noise in enumerate(inputs):
-            weighted = [values[:, draw] for values in residuals]
-            for index, (disturbance, observations) in enumerate(disturbances):
-                # nu - nu_hat: what the most likely input still holds of this draw's noise.
-                noise[index] = noise[index] + disturbance.most_likely(observations, weighted)
-        return inputs
+        def on_inputs(values: Sequence[FloatArray]) -> ModalRegression:
+            return own._on_inputs(values, is_smooth=True)
 
-    def _add_late_stamps(
-        self,
-        residuals: Sequence[FloatArray],
-        draw: int,
-        disturbances: Sequence[tuple[InputDisturbance, Observations]],
-        rng: np.random.Generator,
-    ) -> None:
-        """Add a draw of what the stamps' jitter does to the outputs, in place."""
-        for jitter, (_, observations) in zip(self.jitters, disturbances, strict=False):
-            if jitter.sd_s > 0.0:
-                late = jitter.sd_s * rng.standard_normal(len(observations.times))
-                for output, rows in enumerate(observations.rows.T):
-                    seen = rows >= 0
-                    residuals[output][rows[seen], draw] += (late * jitter.speeds[:, output])[seen]
+        return own, NoiseDraws(own._driven, own.smoothing, on_inputs, self.n_shared, clock_is_free)
+
+    def _noise_score(self, point: FitPoint, filters: Sequence[DisturbanceFilter]) -> NoiseScore | None:
+        """Return what noise on the inputs does to the score, None where it does not matter."""
+        if not self._is_driven_by_noise:
+            return None
+        own, draws = self._drawn
+        if own is not self:
+            own.record_variances = self.record_variances
+            filters = own._filters(own._disturbances(point))
+        spreads = [np.sqrt(own._row_variances(output)) for output in range(len(point.coefficients))]
+        score = draws.score(point, spreads, filters, own.jitters)
+        return score.of_longer(self.regression.n_samples / own.regression.n_samples)
 
     def _row_variances(self, output: int) -> FloatArray:
         """Return the variance of an output's own noise at every row."""
@@ -728,7 +630,14 @@ class WeightedFit:
             result[part] = self.record_variances[record, output]
         return result
 
-    def _finished(self, point: _Point, linear: _Linearisation, inverse: FloatArray, steps: int) -> ModalFit:
+    def _finished(
+        self,
+        point: FitPoint,
+        linear: _Linearisation,
+        inverse: FloatArray,
+        noise: NoiseScore | None,
+        steps: int,
+    ) -> ModalFit:
         """Return the fit, with what correlation is left in the innovations in its covariance."""
         inflations = [
             np.concatenate(
@@ -741,15 +650,8 @@ class WeightedFit:
         ]
         touched = [self._touched(output) for output in range(len(point.coefficients))]
         covariance = _sandwich(inverse, linear.innovations, touched, linear.whitened, inflations)
-        reason = self.fit.reason
-        if self._is_driven_by_noise:
-            try:
-                covariance = self._without_feigned_information(point, linear, covariance)
-            except (KeyboardInterrupt, MemoryError) as stop:
-                what = "the memory did not suffice" if isinstance(stop, MemoryError) else "interrupted"
-                reason = (
-                    f"{what}; standard deviations count information that noise on the input may only feign"
-                )
+        if noise is not None:  # (I.18)
+            covariance = covariance + inverse @ (noise.scatter + noise.mean_error) @ inverse
         residuals = self._residuals(point)
         powers = np.array([float(np.mean(np.square(r))) for r in residuals])
         for output, noises in enumerate(self.noises):
@@ -775,8 +677,6 @@ class WeightedFit:
             noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises)
             or self._said_of_stamps(),
             spreads=self._spreads(),
-            converged=self.fit.converged and reason == self.fit.reason,
-            reason=reason,
             iterations=self.fit.iterations + steps,
         )
 
@@ -800,11 +700,29 @@ class WeightedFit:
         return tuple(tuple(said[record] for record, _ in own) for own in self.regression.segments)
 
 
-def _padded(shared: FloatArray, block: ColumnBlock) -> FloatArray:
-    """Return linear parameters of a block's columns of which only the first are not zero."""
-    result = np.zeros(block.matrix.shape[1])
-    result[: len(shared)] = shared
-    return result
+def _careful(change: FloatArray, before: FloatArray, point: FitPoint) -> FloatArray:
+    """Return a step no longer than half the width of a resonance, and half of one that takes the one before it back.
+
+    So far the model goes along its derivatives; and a drawn score has no cost that could tell a step too long.
+    """
+    n = len(point.omegas)
+    farthest = np.max(np.abs(change[: 2 * n]) / np.tile(np.maximum(point.zetas, MIN_DAMPING), 2), initial=0.0)
+    shorter = 1.0 / max(2.0 * float(farthest), 1.0)
+    if float(change[: 2 * n] @ before[: 2 * n]) < 0.0:
+        shorter *= 0.5
+    return change * shorter
+
+
+def _without_feigned(inverse: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return ``(H - N)^-1`` of (I.18) from ``H^-1`` and N, the information that noise in the derivatives feigns."""
+    # With H^-1 = root root^T and root^T N root = U s U^T it is (root U) (1 - s)^-1 (root U)^T. Beyond the limit
+    # on s, H - N is a difference of two numbers that the draws do not tell apart.
+    scale = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    values, vectors = np.linalg.eigh(inverse / np.outer(scale, scale))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    shares, turned = np.linalg.eigh(root.T @ (noise * np.outer(scale, scale)) @ root)
+    spread = (root @ turned) / np.sqrt(1.0 - np.clip(shares, 0.0, _MAX_FEIGNED))
+    return np.asarray((spread @ spread.T) * np.outer(scale, scale))
 
 
 def _sandwich(

@@ -155,6 +155,20 @@ def score_covariance(design: FloatArray, coefficients: FloatArray) -> FloatArray
     return covariance.total
 
 
+def coloured_covariance(inverse: FloatArray, design: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the covariance of a linear estimate under the colour that its residuals have.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (n, n) -- what makes the estimate of ``D^T y``
+    design : ndarray, shape (n_rows, n) -- D, or its instruments
+    residuals : ndarray, shape (n_rows,)
+    """
+    variance = float(residuals @ residuals) / max(len(residuals) - design.shape[1], 1)
+    scores = variance * score_covariance(design, autoregression(residuals))
+    return np.asarray(inverse @ scores @ inverse.T)
+
+
 def line_autoregression(residuals: ComplexArray, max_order: int = _MAX_LINE_ORDER) -> ComplexArray:
     """Return the coefficients ``1, c_1 .. c_p`` of the autoregression over lines that BIC prefers.
 

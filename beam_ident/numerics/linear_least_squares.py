@@ -11,6 +11,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 from beam_ident.arrays import FloatArray, IndexArray
 
 _RANK_TOLERANCE = 1e-10
+_NOTHING = 1e-140  # length of a column, the inverse square of which is no number
 _CHOLESKY_TOLERANCE = 1e-5
 _WELL_APART = 1e-3  # sine of a row's angle to those before it; the square of rounding is left of it
 
@@ -36,8 +37,8 @@ class LinearSolution:
     def of(matrix: FloatArray) -> LinearSolution:
         """Decompose a tall matrix."""
         scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-        scales[scales == 0.0] = 1.0
-        scaled = matrix / scales
+        scaled = matrix / np.where(scales < _NOTHING, np.inf, scales)
+        scales[scales < _NOTHING] = 1.0
         # Columns of unit length: the rank is judged by directions, not by units.
         quick = _cholesky_qr(scaled)
         if quick is not None:

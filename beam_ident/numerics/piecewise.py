@@ -346,7 +346,9 @@ def regular_period(times_s: FloatArray) -> float | None:
     if n < 2:
         return None
     period = float(times_s[-1] - times_s[0]) / (n - 1)
-    allowed = min(_REGULAR_TOLERANCE, 1e-3 * period)
+    # Seconds since 1970 have steps of 0.24 us.
+    rounding = 2.0 * float(np.spacing(max(abs(times_s[0]), abs(times_s[-1]))))
+    allowed = min(max(_REGULAR_TOLERANCE, rounding), 1e-3 * period)
     for first in range(0, n, _AT_ONCE):
         some = times_s[first : first + _AT_ONCE]
         if not np.max(np.abs(some - times_s[0] - period * np.arange(first, first + len(some)))) <= allowed:

@@ -17,10 +17,9 @@ Equation numbers are those of docs/identification.md.
 
 from __future__ import annotations
 
-import itertools
+import math
 from dataclasses import dataclass
 from math import factorial
-from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -70,7 +69,18 @@ def phi_functions(z: ComplexArray, highest: int) -> list[ComplexArray]:
 
 
 def recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> ComplexArray:
-    """Return the states of ``x[k+1] = factor[k] x[k] + drive[k]`` from ``initial`` on."""
+    """Return the states of ``x[k+1] = factor[k] x[k] + drive[k]`` from ``initial`` on.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (n,) or of one entry, which all steps share
+    drive : ndarray, shape (n,)
+    initial : complex
+
+    Returns
+    -------
+    ndarray, shape (n + 1,)
+    """
     n = len(drive)
     states = np.empty(n + 1, dtype=np.complex128)
     states[0] = initial
@@ -78,13 +88,22 @@ def recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> Co
         feedback = complex(factor.ravel()[0])
         filtered, _ = lfilter([1.0], [1.0, -feedback], drive, zi=np.array([feedback * initial]))
         states[1:] = filtered
-    else:
-        pairs = zip(factor.tolist(), drive.tolist(), strict=True)
-
-        def advance(state: complex, pair: Any) -> complex:
-            return complex(pair[0] * state + pair[1])
-
-        states[1:] = list(itertools.accumulate(pairs, advance, initial=complex(initial)))[1:]
+        return states
+    # As many blocks as each has steps, all of them from zero at once: row k holds the k-th step of every block.
+    length = max(math.isqrt(n), 1)
+    n_blocks = -(-n // length)
+    rows = np.zeros((2, n_blocks * length), dtype=np.complex128)
+    rows[0, :n], rows[1, :n] = factor, drive
+    factors, inside = (np.ascontiguousarray(row.reshape(n_blocks, length).T) for row in rows)
+    for before, multiplied, after in zip(inside, factors[1:], inside[1:], strict=False):
+        after += multiplied * before
+    # What a block's first state adds to its later ones; from block to block a recursion is left.
+    carried = np.cumprod(factors, axis=0)
+    starts, state = np.empty(n_blocks, dtype=np.complex128), complex(initial)
+    for block, (carry, gained) in enumerate(zip(carried[-1].tolist(), inside[-1].tolist(), strict=True)):
+        starts[block] = state
+        state = carry * state + gained
+    states[1:] = (inside + carried * starts).T.ravel()[:n]
     return states
 
 

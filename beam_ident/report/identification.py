@@ -180,13 +180,18 @@ def identification_page(
     return page
 
 
+def _sentence(said: str) -> str:
+    """Return a verdict with a capital and a full stop."""
+    return f"{said[0].upper()}{said[1:]}."
+
+
 def _add_linearity(page: Page, found: Linearity) -> None:
     """Write whether one pole describes each mode, and how much it changes where it does not."""
     if found.is_linear:
-        page.paragraph(f"{found.verdict[0].upper()}{found.verdict[1:]}.")
+        page.paragraph(_sentence(found.verdict))
         return
     page.warning(
-        f"{found.verdict[0].upper()}{found.verdict[1:]}.",
+        _sentence(found.verdict),
         "State frequency and damping with their amplitude, or ask for the curves (--amplitude).",
         tone="doubt",
     )
@@ -199,7 +204,7 @@ def _add_curves(
     page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow], theory: Theory | None = None
 ) -> None:
     """Write how frequency and damping change with amplitude."""
-    page.paragraph(f"{curves.verdict[0].upper()}{curves.verdict[1:]}.")
+    page.paragraph(_sentence(curves.verdict))
     if not curves.is_one_pole:
         page.warning(
             "A frequency and a damping ratio of this mode hold at one amplitude only.",
@@ -241,9 +246,11 @@ def _add_axis(page: Page, axis: AxisResult) -> None:
         "of motion. Dry friction that differs by direction and a constant force cannot be told apart: without a "
         "known force, friction is taken to be equal in both directions.",
     )
-    page.paragraph(f"{axis.check.verdict[0].upper()}{axis.check.verdict[1:]}.")
+    if axis.drive_verdict:
+        page.paragraph(_sentence(axis.drive_verdict))
+    page.paragraph(_sentence(axis.check.verdict))
     for warning in axis.warnings:
-        page.warning(f"{warning[0].upper()}{warning[1:]}.", tone="doubt")
+        page.warning(_sentence(warning), tone="doubt")
 
 
 def poles_table(modes: Sequence[ModeRow]) -> str:

@@ -4,7 +4,7 @@ Residuals that are not noise say more than that.  Stamps that are late leave a m
 wrong clock the slope times time, a sensor that came loose the model itself from some instant on.  Each cause is a
 few columns; it is named where these columns explain more of the residuals than noise of the residuals' colour would.
 
-How often it is wrong: ``_LEVEL`` for each of nine kinds, divided by the instants or frequencies at which a kind was
+How often it is wrong: ``_LEVEL`` for each of ten kinds, divided by the instants or frequencies at which a kind was
 looked for, is one output in a thousand.  Of 1600 records of 1000 samples under white noise, a moving average, AR(0.9)
 and a wide resonance, two were given a cause; of 900 under noise as slow as a tenth to a half of the record, AR(0.99)
 to AR(0.998), none was said to drift.  A resonance as sharp as a line is said to be one more often (2 %).  A column
@@ -99,7 +99,7 @@ def _causes(
         return []
     left = residuals / spread
     left[outliers(left)] = 0.0  # they are named by themselves
-    columns = _columns(times, (modelled - np.mean(modelled)) / size)
+    columns = _columns(times, (modelled - np.mean(modelled)) / size, float(np.std(residuals)) / size)
     if len(spread) == n:
         columns = {name: functools.partial(_weighed, own, 1.0 / spread) for name, own in columns.items()}
     found: list[str] = []
@@ -294,8 +294,14 @@ class _Places:
         return _Places(own, beside, cause.looks)
 
 
-def _columns(times: FloatArray, model: FloatArray) -> dict[str, Column]:
-    """Return what causes leave of a record, by name; those that no search is needed for."""
+def _columns(times: FloatArray, model: FloatArray, noise: float) -> dict[str, Column]:
+    """Return what causes leave of a record, by name; those that no search is needed for.
+
+    Parameters
+    ----------
+    times, model : ndarray, shape (n,) -- stamps [s], and what the model says there in units of its own size
+    noise : float -- of the residuals, in the same units: a dead band takes as much from every value beyond it
+    """
     slope = np.gradient(model, times)
     curvature = np.gradient(slope, times)
     middle, half = 0.5 * float(times[0] + times[-1]), 0.5 * float(times[-1] - times[0])
@@ -315,6 +321,7 @@ def _columns(times: FloatArray, model: FloatArray) -> dict[str, Column]:
         "curvature": lambda here: curvature[here],
         "slope by time": lambda here: (times[here] - middle) * slope[here],
         "bent": bent,
+        "sign": lambda here: np.tanh(model[here] / noise),
         "powers": powers,
         "one": lambda here: np.ones(len(times[here])),
     }
@@ -368,6 +375,15 @@ def _candidates(
             1.0,
             lambda c: (
                 "nonlinear: they follow squares and cubes of the output (dead band, saturation, bent scale)"
+            ),
+        ),
+        _Cause(
+            "dead band",
+            ("sign", "bent"),
+            own,
+            1.0,
+            lambda c: (
+                "nonlinear: they follow the sign of the output and its powers (dead band, play, friction)"
             ),
         ),
         _Cause(

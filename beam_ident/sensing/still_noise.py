@@ -71,11 +71,29 @@ class StillNoise:
         quiet = float(np.median(np.sort(level[is_white])[: max(int(np.sum(is_white)) // 3, 1)]))
         still = is_white & (level <= _SPREAD * quiet)
         # An encoder that stands between two counts shows nothing of its rounding: that is known from its steps.
-        sigma = max(math.sqrt(float(np.mean(level[still]))), quantum(values) / math.sqrt(12.0))
+        sigma = max(math.sqrt(float(np.mean(level[still]))), _counted(values) / math.sqrt(12.0))
         count = int(np.sum(still)) * _WINDOW
         if count < _MIN_REST or not _rounding(values) < sigma < _SMALL_IN_REST * float(np.std(values)):
             return StillNoise()
         return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
+
+
+def _counted(values: FloatArray) -> float:
+    """Return the step in which a motion was counted, 0 where there is none, or where the steps are the input's own.
+
+    Notes
+    -----
+    A motion changes its count at any sample, and does not stand still before and after it has moved by several.  What
+    is held for some samples changes at every so-manieth only, or jumps and stands.
+    """
+    step = quantum(values)
+    moves = np.round(np.diff(values) / step).astype(np.int64) if step else np.zeros(3, dtype=np.int64)
+    changes = np.flatnonzero(moves)
+    if len(changes) < 2 or np.gcd.reduce(np.diff(changes)) > 1:
+        return 0.0
+    jumps = np.abs(moves[1:-1]) > 1
+    alone = jumps & (moves[:-2] == 0) & (moves[2:] == 0)
+    return 0.0 if 2 * np.count_nonzero(alone) > np.count_nonzero(jumps) else step
 
 
 def _floor(values: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
+from beam_ident import EstimationError, InputSignal, LogChirp, ModalModel, OutputSignal, TimeRecord, identify
 from beam_ident.sensing.commanded_motion import as_commanded
 from beam_model import BeamModel, BeamParameters, Damping
 from benchmarks.ident.study import AgainstBound, Outcome, Study, stated_bound
@@ -144,9 +145,64 @@ class LedRigCase(RigCase):
         return super().summarise(outcomes) | {"led": round(led, 4)}
 
 
+class NoisyEncoderCase(RigCase):
+    """The same without the commands: two modes, which such an encoder still shows, and no others.
+
+    The bound is what records state of themselves. A third mode that is a true one is no failure.
+    """
+
+    def __init__(self, encoder_sd: float, is_stated: bool) -> None:
+        super().__init__(encoder_sd)
+        self.is_stated = is_stated
+        rig = self.rig.full
+        self.truth = self._of_two(rig.natural_frequencies, rig.damping_ratios, np.asarray(rig.residues))
+
+    @staticmethod
+    def _of_two(frequencies: np.ndarray, ratios: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        return np.concatenate([frequencies[:2], ratios[:2], residues[:, :2].ravel()])
+
+    @cached_property
+    def bound(self) -> np.ndarray:
+        """Return the standard deviations that records state."""
+        return stated_bound(lambda seed: self._stated(seed)[1])
+
+    def _stated(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        record = self.rig.record(seed, **self.noise)
+        if not self.is_stated:
+            (drive,) = record.inputs
+            record = TimeRecord((dataclasses.replace(drive, sigma=0.0),), record.outputs)
+        model = identify(record).model
+        nearest = np.abs(
+            np.log(np.divide.outer(model.natural_frequencies, self.rig.full.natural_frequencies))
+        )
+        if model.n_modes < 2 or np.any(np.argmin(nearest, axis=1) != np.arange(model.n_modes)):
+            raise EstimationError(
+                f"modes at {model.frequencies_hz} Hz; expected those of the rig, two at least"
+            )
+        return (
+            self._of_two(model.natural_frequencies, model.damping_ratios, model.residues),
+            self._of_two(model.natural_frequency_sd, model.damping_ratio_sd, model.residue_sd),
+        )
+
+    def run(self, seed: int) -> Outcome:
+        """Identify one record; a mode that is missed or feigned is a failure."""
+        start = time.perf_counter()
+        try:
+            found = self._stated(seed)
+        except EstimationError:
+            return Outcome(time.perf_counter() - start)
+        return Outcome(time.perf_counter() - start, *found)
+
+
 STUDIES = {
     "rig": Study("rig, 0.1 um encoder, white camera noise", 400, RigCase),
     "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(colour=0.7)),
     "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(encoder_sd=1e-6)),
+    "rig-encoder-bare": Study(
+        "rig, 20 um of encoder noise, stated, no commands", 200, lambda: NoisyEncoderCase(20e-6, True)
+    ),
+    "rig-encoder-found": Study(
+        "rig, 20 um of encoder noise that nobody stated", 200, lambda: NoisyEncoderCase(20e-6, False)
+    ),
     "rig-encoder-20um": Study("rig, 20 um of encoder noise", 200, lambda: LedRigCase(encoder_sd=20e-6)),
 }

@@ -1,7 +1,7 @@
 """What every study is: a case that can identify one seeded record, and the figures of many of them.
 
 A study module registers its cases in a dictionary ``STUDIES`` of `Study` by name.  A case is
-made once in every process, so that it may hold whatever is dear to make.
+made once, before the processes are, so that it may hold whatever is dear to make.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def stated_bound(stated: Callable[[int], np.ndarray], records: int = 9) -> np.nd
 _case: Case | None = None
 
 
-def _prepare(study: Study) -> None:
+def _prepare(case: Case) -> None:
     global _case
-    _case = study.make_case()
+    _case = case
 
 
 def _run(seed: int) -> Outcome:
@@ -128,14 +128,13 @@ def _run(seed: int) -> Outcome:
     return _case.run(seed)
 
 
-def outcomes(study: Study, runs: int, workers: int) -> Iterator[Outcome]:
-    """Yield the outcome of every seed, in order, from ``workers`` processes."""
+def outcomes(case: Case, runs: int, workers: int) -> Iterator[Outcome]:
+    """Yield the outcome of every seed, in order, from ``workers`` processes that begin with the case as it is."""
     if workers == 1:
-        case = study.make_case()
         yield from map(case.run, range(runs))
         return
     context = multiprocessing.get_context("fork")
-    with context.Pool(workers, initializer=_prepare, initargs=(study,)) as pool:
+    with context.Pool(workers, initializer=_prepare, initargs=(case,)) as pool:
         yield from pool.imap(_run, range(runs), chunksize=2)
 
 
@@ -145,11 +144,11 @@ def figures(
     """Run a study and return its line of the table."""
     from tqdm import tqdm
 
-    runs = runs or study.runs
-    done = list(tqdm(outcomes(study, runs, workers), study.title, runs, disable=not progress, leave=False))
+    runs, case = runs or study.runs, study.make_case()
+    done = list(tqdm(outcomes(case, runs, workers), study.title, runs, disable=not progress, leave=False))
     return {
         "study": study.title,
         "runs": runs,
-        **study.make_case().summarise(done),
+        **case.summarise(done),
         "median s": round(float(np.median([o.seconds for o in done])), 4),
     }

@@ -32,7 +32,7 @@ def long_and_whole(monkeypatch) -> tuple[ModalRegression, ModalRegression]:
     records = [gappy(1), gappy(2).select(["z225", "z010"])]
     whole = ModalRegression(records, ModalStructure())
     assert len(whole.pieces) == 1
-    monkeypatch.setattr(regression_module, "_LONG", 300)
+    monkeypatch.setattr(regression_module, "MAX_WHOLE", 300)
     monkeypatch.setattr(regression_module, "_PIECE_ROWS", 130)
     return ModalRegression(records, ModalStructure()), whole
 

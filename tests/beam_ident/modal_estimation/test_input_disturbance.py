@@ -113,3 +113,23 @@ def test_what_passes_at_once_is_the_noise_that_drives_the_modes():
     # Taken for independent, the two made innovations correlate by 0.5; what is left is the window's form, and 0.02
     # of chance.
     assert np.max(np.abs(correlations)) < 0.15
+
+
+@pytest.mark.parametrize("kind", ["velocity", "acceleration", "force", "receptance"])
+def test_outputs_without_noise_of_their_own_leave_a_filter_of_finite_gains(kind):
+    # Six outputs of four states: of what they show, two directions at least are noise of their own alone.
+    rng, n = np.random.default_rng(3), 6
+    structure = ModalStructure(kind)
+    shared = np.column_stack([np.ones(n), 1e-7 * rng.standard_normal(n), rng.uniform(-1.0, 1.0, (n, 2))])
+    shared = shared[:, 0 if structure.has_direct else 1 :]
+    drive = InputSignal("hub", "", (0.0, PERIOD_S), np.zeros(4000), "cubic", 1.0)
+    noisy = InputDisturbance(drive, structure, OMEGAS, ZETAS, shared, np.full(n, 5e-3), Smoothing(1e6))
+    times = 0.02 + 0.01 * np.delete(np.arange(600), slice(200, 400))
+    observations = Observations.of([times] * n, [np.arange(len(times))] * n)
+    for own in (1e-10, 1e-14, 1e-18):
+        taken_out = noisy.filter(observations, np.full(n, own**2))
+        columns = list(rng.standard_normal((n, len(times), 1)))
+        taken_out.whiten(columns)
+        taken_out.weigh(columns)
+        assert np.all(np.isfinite(columns))
+        assert np.isfinite(taken_out.log_determinant)

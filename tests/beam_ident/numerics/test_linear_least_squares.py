@@ -35,3 +35,13 @@ def test_the_triangle_of_rows_has_their_lengths_and_angles(kind):
     assert not np.any(np.tril(triangle[:, : len(triangle)], -1))
     expected = np.abs(np.linalg.qr(rows.T, mode="r"))
     np.testing.assert_allclose(np.abs(triangle), expected, rtol=1e-6, atol=1e-12 * np.max(expected))
+
+
+def test_a_column_of_hardly_anything_is_left_out_and_its_inverse_square_never_formed():
+    matrix = np.random.default_rng(0).standard_normal((20, 2)) * np.array([1.0, 1e-200])
+    solution = LinearSolution.of(matrix)
+    with np.errstate(all="raise"):
+        gram = solution.inverse_gram()
+    assert list(solution.kept) == [0]
+    assert gram[0, 0] == pytest.approx(1.0 / float(matrix[:, 0] @ matrix[:, 0]))
+    assert gram[1, 1] == 0.0

@@ -98,3 +98,10 @@ def test_the_spline_of_a_regular_grid_is_continued_on_both_sides(lead, before):
     np.testing.assert_allclose(signal(np.array([-0.0095, -1e-6])), before)
     np.testing.assert_allclose(signal(np.array([0.0491, 0.0585])), values[-1])
     np.testing.assert_allclose(signal(PERIOD_S * np.arange(1, 50)), values[1:], atol=1e-12)
+
+
+def test_seconds_since_1970_are_regular_as_far_as_their_rounding_goes():
+    stamps = 1.7e9 + 2e-3 * np.arange(5000)
+    assert regular_period(stamps) == pytest.approx(2e-3, rel=1e-6)
+    jitter = 2e-6 * np.random.default_rng(0).standard_normal(5000)
+    assert regular_period(stamps + jitter) is None

@@ -125,3 +125,15 @@ def test_a_long_input_is_passed_through_the_poles_piece_by_piece(n_poles, monkey
     parts = PoleResponses(poles, signal).sample(instants)
     np.testing.assert_allclose(parts.values, whole.values, rtol=1e-12)
     np.testing.assert_allclose(parts.pole_slopes, whole.pole_slopes, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3, 10, 99, 1000])
+def test_a_recursion_whose_factor_changes_is_that_step_by_step(n):
+    rng = np.random.default_rng(n)
+    factors = rng.uniform(0.2, 1.0, n) * np.exp(1j * rng.uniform(-3.0, 3.0, n))
+    drives = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    states = [0.7 - 0.2j]
+    for factor, drive in zip(factors, drives, strict=True):
+        states.append(factor * states[-1] + drive)
+    found = pole_response.recursion(factors, drives, 0.7 - 0.2j)
+    np.testing.assert_allclose(found, states, rtol=1e-12, atol=1e-13)

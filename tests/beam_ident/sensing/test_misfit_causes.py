@@ -39,6 +39,8 @@ def said_of(spoilt: np.ndarray) -> str:
         (CLEAN + 0.1 * np.sin(2.0 * np.pi * 23.7 * TIMES), r"line at 23\.7 Hz with an amplitude of 0\.(09|10|1)"),
         (CLEAN + 0.3 * (TIMES / TIMES[-1]) ** 2, "drift"),
         (np.sign(CLEAN) * np.maximum(np.abs(CLEAN) - 0.3, 0.0), "nonlinear"),
+        # Half as wide as the noise: only the sign gives it away.
+        (np.sign(CLEAN) * np.maximum(np.abs(CLEAN) - 0.5 * np.std(NOISE), 0.0), "dead band"),
     ],
 )  # fmt: skip
 def test_a_cause_is_named_with_its_size_and_its_instant(spoilt, says):

@@ -66,6 +66,29 @@ def test_what_has_no_noise_of_a_sensor_gets_none():
         assert StillNoise.of(InputSignal("u", "", (0.0, 1e-3), values, hold)).sigma == 0.0
 
 
+def stepped(kind: str) -> np.ndarray:
+    """Return 12 s of a command that is held between its steps of 0.3."""
+    rng = np.random.default_rng(0)
+    anyhow = np.cumsum(np.diff(rng.integers(-12, 13, 201)))
+    if kind == "staircase":
+        return 0.3 * np.repeat(np.cumsum(np.where(np.arange(200) % 80 < 40, 1, -1)), 60)
+    return 0.3 * np.repeat(anyhow, 60 if kind == "levels" else rng.integers(40, 80, 200))
+
+
+@pytest.mark.parametrize("hold", ["linear", "cubic"])
+@pytest.mark.parametrize("kind", ["staircase", "levels", "levels for any time"])
+def test_the_levels_of_a_stepped_input_are_no_counts_of_an_encoder(kind, hold):
+    assert StillNoise.of(InputSignal("u", "N", (0.0, 1e-3), stepped(kind), hold)).sigma == 0.0
+
+
+def test_a_slow_motion_that_is_counted_has_the_noise_of_its_counts():
+    n = len(CHIRP.positions)
+    slow = np.interp(np.arange(0.0, n, 0.05), np.arange(n), CHIRP.positions)
+    step = 2.0 * np.max(np.abs(np.diff(slow)))
+    counted = InputSignal("hub", "m", (0.0, 1e-3), step * np.round(slow / step), "cubic")
+    assert StillNoise.of(counted).sigma == pytest.approx(step / np.sqrt(12.0), rel=0.01)
+
+
 def undeclared(record: TimeRecord) -> TimeRecord:
     return dataclasses.replace(record, inputs=(dataclasses.replace(record.inputs[0], sigma=0.0),))
 

@@ -26,7 +26,7 @@ from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.own_clocks import OwnClock
 from beam_ident.data.prior import Prior
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import MAX_LATENCY_S, ClockState, ModalRegression
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.autoregression import autoregression, score_covariance
 from beam_ident.noise.outliers import outliers
@@ -37,6 +37,7 @@ _MAX_RATE = 4e-3  # NTSC's 1000/1001 is 1e-3; quartz is far below
 _SEARCHED_SD = 5.0  # standard deviations of a finite prior
 _STRETCHES = 16
 _STEPS_PER_CYCLE = 10
+_MOST_PLACES = 400  # to either side, of latency and of rate each: 40 cycles of the fastest mode
 _RIDGE = 1e-4  # of a whole column's power: a stretch with less says nothing
 _OWN_CLOCK_LEVEL = 1e-3  # how often some output without a delay, or a rate, of its own is taken to have one
 _DEPENDENT = 1e-9  # of the largest information: delays that the common clock takes
@@ -72,8 +73,11 @@ def clock_places(
     fastest = float(fit.omegas[-1])
     # The rate acts by the time since the middle: half a record away a step of 2/duration moves by one step.
     step = 2.0 * np.pi / fastest / _STEPS_PER_CYCLE
-    latencies = _axis(fit.clock.latency, latency, MAX_LATENCY_S, step)
-    rates = _axis(fit.clock.rate, clock_rate, _MAX_RATE, 2.0 * step / regression.duration_s)
+    latency_reach = min(regression.max_latency_s, _MOST_PLACES * step)
+    rate_step = 2.0 * step / regression.duration_s
+    rate_reach = min(_MAX_RATE, _MOST_PLACES * rate_step)
+    latencies = _axis(fit.clock.latency, latency, latency_reach, step)
+    rates = _axis(fit.clock.rate, clock_rate, rate_reach, rate_step)
     shifts, drifts = (grid.ravel() for grid in np.meshgrid(latencies, rates, indexing="ij"))
     gains = np.zeros(len(shifts))
     present = 0.0
@@ -257,7 +261,7 @@ def own_delays(
     is_told = max(gains[rest]) > needed
     if is_told or not all(Whiteness.of(noise).is_white for noise in fit.residuals):
         # Past half a cycle of a mode the derivatives point anywhere: what is left at every delay decides.
-        places, left = _left_by_delay(regression, fit)
+        places, left = _left_by_delay(regression, fit, _MAX_OWN_DELAY_S, _MAX_STEPS)
         sizes = np.array([len(values) for values in regression.values])
         gains = np.maximum(gains, sizes * np.log(left[:, len(places) // 2] / np.min(left, axis=1)) / colour)
     best = max(rest, key=lambda j: float(gains[j]))
@@ -384,10 +388,25 @@ def _clock_of(fit: ModalFit) -> tuple[tuple[float, float], tuple[float, float]]:
     return (fit.clock.latency, float(variances[0])), (fit.clock.rate, float(variances[1]))
 
 
-def _left_by_delay(regression: ModalRegression, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+def moved_alone(regression: ModalRegression, fit: ModalFit) -> ClockState:
+    """Return the clock of one output whose latency, as far as any is looked for, leaves least of it, poles held.
+
+    Parameters
+    ----------
+    regression : ModalRegression -- of one output; thinned data will do
+    fit : ModalFit -- with poles about right, its clock anywhere
+    """
+    places, left = _left_by_delay(regression, fit, regression.max_latency_s, _MOST_PLACES)
+    delay = _best_delay(regression, fit, 0, places, left[0])
+    return ClockState(fit.clock.latency + delay, fit.clock.rate)
+
+
+def _left_by_delay(
+    regression: ModalRegression, fit: ModalFit, farthest_s: float, most: int
+) -> tuple[FloatArray, FloatArray]:
     """Return delays around none [s], and what each, poles held, leaves of every output, (n_outputs, n_delays)."""
     step = 2.0 * np.pi / float(fit.omegas[-1]) / _STEPS_PER_CYCLE
-    n = min(math.ceil(_MAX_OWN_DELAY_S / step), _MAX_STEPS)
+    n = min(math.ceil(min(farthest_s, regression.max_latency_s) / step), most)
     places = np.asarray(step * np.arange(-n, n + 1), dtype=np.float64)
     outputs = range(regression.n_outputs)
     return places, np.array([_left(regression, fit, float(delay), outputs) for delay in places]).T

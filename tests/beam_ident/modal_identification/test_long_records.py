@@ -7,20 +7,22 @@ import pytest
 
 from beam_ident import IdentificationResult, ModalModel, TimeRecord, identify
 from beam_ident.modal import regression
-from beam_ident.modal_estimation import time_domain, weighted_fit
+from beam_ident.modal_estimation import weighted_fit
+from beam_ident.modal_identification import fit_tests, identification_task, time_search
 from tests.beam_ident.modal.test_restarts import damaged
-from tests.beam_ident.modal_estimation.test_output_delays import late
-from tests.beam_ident.modal_estimation.test_weighted_fit import with_coloured_noise, with_encoder_noise
-from tests.beam_ident.truth import beam_record
+from tests.beam_ident.modal_estimation.test_weighted_fit import with_encoder_noise
+from tests.beam_ident.modal_identification.test_output_delays import late
+from tests.beam_ident.truth import beam_record, coloured_record
 
 
 @pytest.fixture
 def in_pieces(monkeypatch) -> None:
     """Take a record of a thousand samples for a long one."""
-    monkeypatch.setattr(regression, "_LONG", 500)
+    monkeypatch.setattr(regression, "MAX_WHOLE", 500)
     monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
-    monkeypatch.setattr(time_domain, "_MANY_STAMPS", 500)
-    monkeypatch.setattr(time_domain, "_THINNED", 400)
+    monkeypatch.setattr(identification_task, "_MANY_STAMPS", 500)
+    for module in (identification_task, time_search, fit_tests):
+        monkeypatch.setattr(module, "THINNED", 400)
     monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
 
 
@@ -43,9 +45,9 @@ def with_outliers(record: TimeRecord) -> TimeRecord:
 
 RECORDS = {
     "white": lambda: beam_record(3),
-    "coloured": lambda: with_coloured_noise(3),
+    "coloured": lambda: coloured_record(3),
     "encoder": lambda: with_encoder_noise(3, 1e-6, 1e-6, missing=0.1),
-    "several": lambda: [beam_record(1), with_coloured_noise(2).select(["z285", "z010"])],
+    "several": lambda: [beam_record(1), coloured_record(2).select(["z285", "z010"])],
 }
 
 
@@ -57,16 +59,21 @@ def test_a_record_in_pieces_is_identified_like_the_whole(kind, request):
     long = identify(record)
     assert [len(long.outputs), long.model.n_modes, long.converged] == [3, 3, True]
     (found, found_sds), (expected, sds) = flat(long.model), flat(whole.model)
-    assert np.max(np.abs(found - expected) / sds) < 0.1
-    # Noise on the input feigns information, which is drawn: on a stretch of a long record.
-    np.testing.assert_allclose(found_sds, sds, rtol=0.1 if kind == "encoder" else 1e-3)
+    # What noise on the input does to the score is drawn, on a stretch of a long record: the mean of 16 draws is known
+    # to a quarter of what that noise lets estimates scatter, and of half the record to less; deviations count it.
+    is_drawn = kind == "encoder"
+    assert np.max(np.abs(found - expected) / sds) < (0.6 if is_drawn else 0.1)
+    np.testing.assert_allclose(found_sds, sds, rtol=0.2 if is_drawn else 1e-3)
     assert long.outputs[1].scores.fit_percent == pytest.approx(whole.outputs[1].scores.fit_percent, abs=1e-4)
     np.testing.assert_allclose(long.outputs[0].deflection, whole.outputs[0].deflection, atol=1e-7)
+    for result, is_long in ((whole, False), (long, True)):
+        said = any("was searched as if hub had no noise" in warning for warning in result.warnings)
+        assert said == (is_long and kind == "encoder")
 
 
 DIFFICULT = {
     "tails": lambda: with_outliers(beam_record(3)),
-    "outliers under a colour": lambda: with_outliers(with_coloured_noise(3)),
+    "outliers under a colour": lambda: with_outliers(coloured_record(3)),
     "gaps": lambda: damaged(beam_record(3), ((2.0, 2.022), (4.0, 4.5))),
     "late": lambda: late(3, {"z225": -20e-3}),
 }
@@ -76,15 +83,15 @@ DIFFICULT = {
 def test_pieces_weigh_by_their_noise_like_the_whole(kind, monkeypatch):
     record = DIFFICULT[kind]()
     whole = identify(record, n_modes=3)
-    monkeypatch.setattr(regression, "_LONG", 500)
+    monkeypatch.setattr(regression, "MAX_WHOLE", 500)
     monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
     monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
     found, sds = flat(identify(record, n_modes=3).model)
     expected, expected_sds = flat(whole.model)
-    # Two ways to the same sums, each ended by a step of less than a thousandth of a deviation.
-    assert np.max(np.abs(found - expected) / expected_sds) < 2e-3
-    # With noise found on the input, what it feigns is drawn on a stretch.
-    np.testing.assert_allclose(sds, expected_sds, rtol=0.1 if kind == "late" else 1e-4)
+    # Two ways to the same sums, each ended by a step of less than a thousandth of a deviation. With noise found on
+    # the input, here an encoder's rounding, what it does to the score is drawn on a stretch: that moves it by 0.02.
+    assert np.max(np.abs(found - expected) / expected_sds) < {"gaps": 2e-3, "late": 0.06}.get(kind, 0.03)
+    np.testing.assert_allclose(sds, expected_sds, rtol={"gaps": 1e-4, "late": 0.1}.get(kind, 2e-3))
 
 
 def stopped_at(phrase: str, error: type[BaseException], record: TimeRecord) -> IdentificationResult:

@@ -7,8 +7,8 @@ import pytest
 
 from beam_ident import Prior, identify
 from beam_ident.modal.regression import ClockState, ModalRegression
-from beam_ident.modal_estimation.clock_search import clock_places
 from beam_ident.modal_estimation.variable_projection import ModalFit, fit_modes
+from beam_ident.modal_identification.clock_search import clock_places
 from benchmarks.ident.forced_beam import FREE, PLAIN, ForcedBeam, foreign_clock
 from benchmarks.ident.unlike_rig import unlike_rig
 

@@ -1,0 +1,189 @@
+"""Clocks that single outputs have of their own, and jumps of clocks, estimated beside the modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.own_clocks import OwnClock, middle_of
+from beam_ident.data.prior import Prior
+from beam_ident.data.records import TimeRecord
+from beam_ident.data.stamp_jumps import ClockJump, is_after
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.model import ModalModel
+from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal_identification.clock_search import (
+    own_clock_columns,
+)
+
+_MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
+_IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
+
+
+@dataclass(frozen=True, eq=False)
+class SignalClocks:
+    """What is known and estimated of the clocks of single signals, beside the clock that all outputs share.
+
+    Attributes
+    ----------
+    output_names, input_names : tuple of str -- of the regressions that estimate them
+    own : mapping -- clocks of outputs by name, as far as their stamps are corrected for them already
+    jumps : tuple of ClockJump
+    known : tuple of two mappings -- what is known of latencies and of rates of single outputs, by name
+    """
+
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    own: Mapping[str, OwnClock]
+    jumps: tuple[ClockJump, ...]
+    known: tuple[Mapping[str, Prior], Mapping[str, Prior]]
+
+    @staticmethod
+    def of(
+        regression: ModalRegression,
+        own: Mapping[str, OwnClock] = MappingProxyType({}),
+        jumps: Sequence[ClockJump] = (),
+        known: tuple[Mapping[str, Prior], Mapping[str, Prior]] = ({}, {}),
+    ) -> SignalClocks:
+        """Return those of the signals of a regression."""
+        return SignalClocks(regression.output_names, regression.input_names, own, tuple(jumps), known)
+
+    def __bool__(self) -> bool:
+        """Return whether there is anything to be estimated."""
+        return bool(self.own or self.jumps)
+
+    def estimated_in(
+        self, regression: ModalRegression, fit: ModalFit, records: Sequence[TimeRecord]
+    ) -> ModalRegression:
+        """Return a regression that knows own clocks of some outputs, and jumps of clocks, to be estimates."""
+        slopes, columns = own_clock_columns(regression, fit), {}
+        for j, (name, (by_delay, by_rate)) in enumerate(zip(regression.output_names, slopes, strict=True)):
+            own = [by_delay, by_rate][: self._n_of_clock(name)]
+            own += [by_delay * after for after in self._after_jumps(j, regression, records)]
+            if own:
+                columns[j] = np.stack(own, axis=1)
+        return regression.with_own_columns(columns)
+
+    def _n_of_clock(self, name: str) -> int:
+        """Return how many parameters the own clock of an output has: none, a delay, or a delay and a rate."""
+        return 1 + int(self.own[name].runs) if name in self.own else 0
+
+    def _after_jumps(
+        self, output: int, regression: ModalRegression, records: Sequence[TimeRecord]
+    ) -> list[FloatArray]:
+        """Return where the stamps of an output are late for each jump that it sees; -1 where they are early."""
+        name, times = regression.output_names[output], regression.times[output]
+        found = []
+        for jump in self._jumps_of(name):
+            # Jumps stand at stamps of the output's own clock.
+            own = self.own.get(name, OwnClock())
+            stamps = own.stamped(times, middle_of(records[jump.record]))
+            after = is_after(jump, self.jumps, stamps)
+            record = np.zeros_like(after)
+            for number, part in regression.segments[output]:
+                record[part] = float(number == jump.record)
+            found.append(after * record * (1.0 if name in jump.signals else -1.0))
+        return found
+
+    def _jumps_of(self, name: str) -> list[ClockJump]:
+        """Return the jumps that an output sees: of its own stamps, and of the input's."""
+        seen = {name, *self.input_names}
+        return [jump for jump in self.jumps if seen.intersection(jump.signals)]
+
+    def _own_places(self, output: int, fit: ModalFit) -> list[int]:
+        """Return where among all parameters those of an output's own clock are: delay, then jumps."""
+        name = self.output_names[output]
+        count = self._n_of_clock(name) + len(self._jumps_of(name))
+        end = fit.n_theta + sum(len(found) for found in fit.coefficients[: output + 1])
+        return list(range(end - count, end))
+
+    def beyond(self, output: int, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+        """Return what an output's own delay [s] and rate are beyond what its stamps were corrected by, and sd."""
+        places = self._own_places(output, fit)
+        n = self._n_of_clock(self.output_names[output])
+        values, sds = np.zeros(2), np.zeros(2)
+        values[:n] = fit.coefficients[output][-len(places) :][:n]
+        sds[:n] = np.sqrt(np.maximum(np.diag(fit.covariance)[places[:n]], 0.0))
+        return values, sds
+
+    def idle(self, fit: ModalFit) -> list[str]:
+        """Return the outputs whose own clock does not differ from that of the others after all."""
+        found = []
+        stated = {*self.known[0], *self.known[1]}
+        for name, own in self.own.items():
+            if name in stated:
+                continue
+            values, sds = self.beyond(self.output_names.index(name), fit)
+            values += np.array([own.delay, own.rate])
+            if np.all(np.abs(values) <= _IDLE_CLOCK * sds):
+                found.append(name)
+        return found
+
+    def priors(
+        self, fit: ModalFit, latency: Prior, clock_rate: Prior
+    ) -> list[tuple[tuple[int, ...], float, float]]:
+        """Return what is known of the latencies and rates of single outputs: common and own part together."""
+        found = []
+        commons = (latency, clock_rate)
+        place = 2 * len(fit.omegas)
+        for kind, (known, common, least) in enumerate(zip(self.known, commons, _MIN_SD, strict=True)):
+            shared = (place,) if common.is_free else ()
+            place += len(shared)
+            for name, prior in known.items():
+                own, clock = self._own_places(self.output_names.index(name), fit), self.own[name]
+                corrected = (clock.delay, clock.rate)[kind] + (0.0 if common.is_free else common.mean)
+                found.append(((*shared, own[kind]), prior.mean - corrected, max(prior.sd, least)))
+        return found
+
+    def estimated_jumps(self, fit: ModalFit) -> tuple[ClockJump, ...]:
+        """Return the jumps as what the outputs that see them say together."""
+        found = []
+        for jump in self.jumps:
+            places, values = [], []
+            for j, name in enumerate(self.output_names):
+                seen = self._jumps_of(name)
+                if jump not in seen:
+                    continue
+                own = self._own_places(j, fit)[-len(seen) :]
+                places.append(own[seen.index(jump)])
+                values.append(float(fit.coefficients[j][seen.index(jump) - len(seen)]))
+            covariance = fit.covariance[np.ix_(places, places)]
+            scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+            weights = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-9, hermitian=True)
+            weights = weights / np.outer(scale, scale)
+            total = max(float(np.sum(weights)), 1e-300)
+            further = float(np.sum(weights @ np.array(values))) / total
+            found.append(replace(jump, size_s=jump.size_s + further, size_sd=total**-0.5))
+        return tuple(found)
+
+    def clocked(self, model: ModalModel, fit: ModalFit) -> ModalModel:
+        """Return the model with the clocks that outputs have of their own."""
+        values, sds = np.zeros((len(fit.coefficients), 2)), np.zeros((len(fit.coefficients), 2))
+        for j, name in enumerate(model.output_names):
+            if (own := self.own.get(name)) is not None:
+                further, sds[j] = self.beyond(j, fit)
+                values[j] = np.array([own.delay, own.rate]) + further
+        return replace(
+            model,
+            output_delays=values[:, 0],
+            output_delay_sd=sds[:, 0],
+            output_rates=values[:, 1],
+            output_rate_sd=sds[:, 1],
+        )
+
+
+def clock_sentence(name: str, own: OwnClock) -> str:
+    """Return what must be known of an output with a clock of its own."""
+    if not own.runs:
+        return (
+            f"The stamps of {name} are {1e3 * own.delay:.4g} ms later than those of the other outputs: its own delay "
+            "was estimated along."
+        )
+    return (
+        f"The clock of {name} runs {1e6 * own.rate:+.4g} ppm fast and is {1e3 * own.delay:.4g} ms later than that of "
+        "the other outputs: its own delay and rate were estimated along."
+    )
