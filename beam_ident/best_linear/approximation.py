@@ -49,9 +49,9 @@ from beam_ident.responses.periodic_averaging import (
     periodic_response,
     without_negative,
 )
-from beam_ident.responses.periods import moving_mean
+from beam_ident.responses.periods import mean_of_neighbours
 
-_SIGNIFICANCE = 0.01  # chance that a linear system is called nonlinear
+_SIGNIFICANCE = 0.01  # chance that a linear system is called nonlinear, by the excited or by the other lines
 _KNOWN = 1e-6  # of an input: what scatters less was not measured
 _ROUNDING = 1e-9  # of a response: noise that is less counts as so much
 _SEEN = 2.0  # real degrees of freedom of a complex value
@@ -166,9 +166,10 @@ def _approximation(
         _SEEN * (M - 1.0),
         _SEEN * more,
     )
-    even, odd = (_at_rest(data.found, parity) for parity in (0, 1))
-    judged = nonlinear_distortion(data.found, _SIGNIFICANCE) if even or odd else None
     power = np.asarray(1.0 / (M * gain))
+    even, odd = (_at_rest(data, response, power, parity) for parity in (0, 1))
+    own = 0.5 * _SIGNIFICANCE if even or odd else _SIGNIFICANCE
+    judged = nonlinear_distortion(data.found, own) if even or odd else None
     p_value = _p_value(excited, response)
     return BestLinearApproximation(
         omegas=omegas,
@@ -184,7 +185,7 @@ def _approximation(
         input_power=power,
         distortion=judged,
         p_value=p_value,
-        verdict=_verdict(excited, response, power, p_value, judged),
+        verdict=_verdict(excited, response, power, p_value < own, judged),
         input_name=name,
         reference_name=reference_name,
         input_unit=first.input_units[0],
@@ -197,8 +198,16 @@ def _approximation(
     )
 
 
-def _at_rest(found: Sequence[PeriodicResponse], parity: int) -> LineVariances | None:
-    """Return what stands on the detection lines of one parity, as variances of the response; None without any."""
+def _at_rest(
+    data: Realisations, response: ComplexArray, power: FloatArray, parity: int
+) -> LineVariances | None:
+    """Return what stands on the detection lines of one parity, as variances of the response; None without any.
+
+    What the input has there is taken away through the response of all realisations: that of a single one has its
+    distortion in it. The power of the input is what stands behind the response at the lines on either side, so that
+    these variances and those of the excited lines are of one kind.
+    """
+    found = data.found
     sums: dict[int, list[Any]] = {}
     n_outputs = found[0].line_outputs.shape[0]
     for one in found:
@@ -206,11 +215,14 @@ def _at_rest(found: Sequence[PeriodicResponse], parity: int) -> LineVariances | 
         lines = lines[one.bins[lines] % 2 == parity]
         if not len(lines):
             continue
-        amplitudes = np.stack([periods_without_input(one, j, lines) for j in range(n_outputs)], axis=2)
+        own = data.numbers <= len(one.bins)
+        known = [(data.numbers[own] - 1, response[own, j]) for j in range(n_outputs)]
+        amplitudes = np.stack(
+            [periods_without_input(one, j, lines, known[j]) for j in range(n_outputs)], axis=2
+        )
         mean = np.mean(amplitudes, axis=0)
         squares = np.sum(np.abs(amplitudes - mean) ** 2, axis=0)
-        loud = np.flatnonzero(one.is_excited & (np.abs(one.input_spectrum) > 0.0))
-        size = np.interp(lines, loud, np.abs(one.input_spectrum[loud])) ** 2
+        size = 4.0 * np.interp(one.bins[lines], data.numbers, power)  # amplitudes are peaks of sines
         for k, line in enumerate(lines):
             row = sums.setdefault(int(one.bins[line]), [0.0, 0.0, 0, 0, 0.0])
             row[0] += np.abs(mean[k]) ** 2 / size[k]
@@ -255,9 +267,9 @@ def _folding(data: Realisations) -> Folding | None:
 def _p_value(excited: LineVariances, response: ComplexArray) -> float:
     """Return the chance that noise alone makes realisations differ as much, over all lines and outputs."""
     of_total, of_noise = excited.total_freedom[:, None], excited.noise_freedom[:, None]
-    width = int(min(np.ceil(_SMOOTHING / float(np.min(of_noise))), len(of_noise)))
+    width = int(np.ceil(_SMOOTHING / float(np.min(of_noise))))
     floor = _ROUNDING**2 * np.mean(np.abs(response) ** 2, axis=0) + 1e-300
-    level = np.maximum(moving_mean(excited.noise, width), floor)
+    level = np.maximum(mean_of_neighbours(excited.noise, width), floor)
     above = np.sum(of_total * excited.total / level, axis=0) / np.sum(of_total)
     # Without noise, what is left by rounding is no distortion.
     below = np.sum(of_noise * np.maximum(excited.noise, floor) / level, axis=0) / np.sum(of_noise)
@@ -269,10 +281,10 @@ def _verdict(
     excited: LineVariances,
     response: ComplexArray,
     power: FloatArray,
-    p_value: float,
+    is_apart: bool,
     judged: NonlinearDistortion | None,
 ) -> str:
-    """Return what the variances say in one sentence or two."""
+    """Return what the variances say, where realisations differ beyond their noise (``is_apart``) or not."""
     whole = np.sum(np.abs(response) ** 2 * power[:, None], axis=0)
     distortion, noise = (
         np.sum(values * power[:, None], axis=0) / whole
@@ -281,9 +293,9 @@ def _verdict(
     worst = int(np.argmax(distortion))
     decibel = 10.0 * np.log10(max(noise[worst], _ROUNDING**2))
     of_noise = f"the noise of a realisation, {decibel:.0f} dB of the response"
-    if p_value >= _SIGNIFICANCE and judged is not None and judged.is_nonlinear:
+    if not is_apart and judged is not None and judged.is_nonlinear:
         said = f"nonlinear by less than {of_noise}: only the lines that were not excited show it"
-    elif p_value >= _SIGNIFICANCE:
+    elif not is_apart:
         said = f"linear as far as {of_noise}, shows: realisations differ by no more than that"
     elif distortion[worst] > 0.0:
         said = f"nonlinear: distortion of {10.0 * np.log10(distortion[worst]):.0f} dB beside {of_noise}"

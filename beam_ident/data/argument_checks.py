@@ -280,6 +280,15 @@ def require_input(drive: InputSignal, is_needed: bool = True) -> None:
         raise EstimationError(f"input {drive.name!r} is zero throughout; it excites nothing")
 
 
+def require_signals(records: Sequence[TimeRecord]) -> None:
+    """Raise EstimationError for an input or output of absurd size, or an output that never changes in a record."""
+    for record in records:
+        for drive in record.inputs:
+            require_input(drive, is_needed=False)
+        for output in record.outputs:
+            require_output(output.name, output.values[output.is_valid])
+
+
 def require_excitation(records: Sequence[TimeRecord], name: str) -> None:
     """Raise EstimationError for an input that is at zero throughout all records."""
     if not any(np.any(record.input(name).values) for record in records):

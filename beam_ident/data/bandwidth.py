@@ -17,7 +17,7 @@ from scipy.signal import spectrogram
 from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.gaps import POOR_BRIDGE
+from beam_ident.data.gaps import POOR_BRIDGE, Bridge
 from beam_ident.data.records import InputSignal
 
 _BELOW, _BEYOND = 0.5, 1.3  # of a band's ends: how far a mode may stand outside
@@ -77,26 +77,17 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
         grid = np.arange(times[0], times[-1], step)
         values = np.interp(grid, times, values)
     segment = int(min(len(values), max(_MIN_SEGMENT, round(min(_SEGMENT_S, length_s / 4.0) / step))))
-    if _is_at_an_end(np.diff(values, differentiations), segment):
+    bridged = _bridged_force(drive, values, differentiations, step) if drive.gaps else None
+    if _is_at_an_end(np.diff(values, differentiations) if bridged is None else bridged, segment):
         # Continued there, mirrored, so that a force stays without a jump, and a motion (mirrored about its end as
         # well) without a kink.
-        mirrored: Literal["even", "odd"] = "odd" if differentiations else "even"
-        values = np.pad(values, min(segment // 2, len(values) - 1), "reflect", reflect_type=mirrored)
-    pieces = [values]
-    if drive.gaps:
-        pieces, segment = _between_gaps(drive, values, differentiations, step, segment)
-    spectra = [
-        spectrogram(
-            piece, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
-        )
-        for piece in pieces
-    ]
-    frequencies, densities = (
-        spectra[0][0][1:],
-        _smooth(np.concatenate([own[2] for own in spectra], axis=1)[1:]),
-    )
-    loudest = np.max(densities, axis=1)
-    force_like = loudest * (2.0 * np.pi * frequencies) ** (2 * differentiations)
+        values = _mirrored(values, segment, is_odd=differentiations > 0)
+        bridged = None if bridged is None else _mirrored(bridged, segment)
+    frequencies, loudest = _loudest(values if bridged is None else bridged, step, segment)
+    weights = (2.0 * np.pi * frequencies) ** (2 * differentiations)
+    if bridged is not None:
+        loudest = loudest / weights
+    force_like = loudest * weights
     if differentiations:
         # Rounding or noise of a position is white; differentiated it would drown the excitation.
         stands_out = loudest > _ABOVE_FLOOR * np.quantile(loudest, 0.2)
@@ -110,40 +101,66 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     return Band(low, max(high, 2.0 * low), True)
 
 
-def _between_gaps(
-    drive: InputSignal, values: FloatArray, differentiations: int, step: float, segment: int
-) -> tuple[list[FloatArray], int]:
-    """Return what is known of an input between gaps whose bridges would look like excitation, and a segment's length.
+def _loudest(values: FloatArray, step: float, segment: int) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies [Hz], and the largest density that any part of a signal has there."""
+    segment = min(segment, len(values))
+    frequencies, _, densities = spectrogram(
+        values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
+    )
+    return frequencies[1:], np.max(_smooth(densities[1:]), axis=1)
+
+
+def _mirrored(values: FloatArray, segment: int, is_odd: bool = False) -> FloatArray:
+    """Return a signal with what is next to its ends repeated beyond them, backwards."""
+    kind: Literal["odd", "even"] = "odd" if is_odd else "even"
+    return np.asarray(np.pad(values, min(segment // 2, len(values) - 1), "reflect", reflect_type=kind))
+
+
+def _bridged_force(
+    drive: InputSignal, values: FloatArray, differentiations: int, step: float
+) -> FloatArray | None:
+    """Return the force-like derivative of an input bridged by itself; None where the input's own bridges will do.
 
     The error of a bridge is zero at both ends of its gap: it bends, and jumps in its slope, as a wave of that length
-    does. An input that is nowhere known for long is returned as it is.
+    does. Differentiated it would look like excitation, and to leave out what is near it would leave out what is
+    excited there alone, as by a sweep.
+
+    They will do as well where nothing moves beside the gaps.
+
+    Parameters
+    ----------
+    drive : InputSignal -- with gaps
+    values : ndarray, shape (n,) -- its samples at regular stamps
+    differentiations : int -- from the input to what is like a force
+    step : float -- between the samples [s]
     """
-    force_like = np.diff(drive.values, differentiations) / step**differentiations
+    force_like: FloatArray = np.diff(values, differentiations) / step**differentiations
     places = [
         [round((instant - drive.times_s[0]) / step) for instant in (gap.start_s, gap.end_s)]
         for gap in drive.gaps
     ]
+    holes = [slice(max(first + 1 - differentiations, 0), last) for first, last in places]
     is_known = np.ones(len(force_like), dtype=bool)
-    for first, last in places:
-        is_known[max(first + 1 - differentiations, 0) : last] = False
+    for hole in holes:
+        is_known[hole] = False
     least = POOR_BRIDGE * float(np.std(force_like[is_known])) if np.any(is_known) else 0.0
     # A bridge may be rough as well, on a scale of its own.
     most = _ROUGH * float(np.max(np.abs(force_like[is_known]), initial=0.0))
-    offset = (len(values) - len(drive.values)) // 2  # mirrored at the ends
-    ends = [0, len(values)]
-    for gap, (first, last) in zip(drive.gaps, places, strict=True):
-        inside = np.abs(force_like[max(first + 1 - differentiations, 0) : last])
-        is_smooth = np.max(inside, initial=0.0) < most
+    is_poor = np.zeros(len(force_like) + 2, dtype=bool)
+    for gap, hole in zip(drive.gaps, holes, strict=True):
+        is_smooth = np.max(np.abs(force_like[hole]), initial=0.0) < most
         if not (is_smooth and gap.sigma * (math.pi / (gap.end_s - gap.start_s)) ** differentiations < least):
-            ends[-1:] = [offset + first + 1, offset + last, len(values)]
-    pieces = [values[first:last] for first, last in zip(ends[::2], ends[1::2], strict=True)]
-    longest = max(len(piece) for piece in pieces)
-    if longest < _MIN_SEGMENT:
-        return [values], segment
-    segment = min(segment, longest)
-    pieces = [piece for piece in pieces if len(piece) >= segment]
-    # The last samples of a piece as well.
-    return pieces + [piece[-segment:] for piece in pieces if len(piece) > segment], segment
+            is_poor[1:-1][hole] = True
+    if not np.any(is_poor):
+        return None
+    times = np.asarray(step * np.arange(len(force_like)), dtype=np.float64)
+    unknown = np.where(is_poor[1:-1], np.nan, force_like)
+    for first, last in np.flatnonzero(np.diff(is_poor)).reshape(-1, 2):
+        force_like[first:last] = 0.0
+        if first > 0 and last < len(force_like):  # at an end nothing is beside it
+            found = Bridge(times, unknown, first, last - first).values
+            force_like[first:last] = found if np.max(np.abs(found)) < most else 0.0
+    return force_like if np.any(force_like) else None
 
 
 def _is_at_an_end(force_like: FloatArray, segment: int) -> bool:

@@ -304,6 +304,16 @@ class FrequencyRecord:
             self._refuse(
                 f"no line between {low_hz} and {high_hz} Hz; it has {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
             )
+        return self._lines(keep)
+
+    def measured(self) -> FrequencyRecord:
+        """Return the lines that were measured at every pair of output and input."""
+        seen = np.all(np.isfinite(self.response), axis=(1, 2))
+        if not np.any(seen):
+            self._refuse("no line was measured at every pair of output and input; select() pairs that were")
+        return self if np.all(seen) else self._lines(np.flatnonzero(seen))
+
+    def _lines(self, keep: IndexArray) -> FrequencyRecord:
         return self._changed(
             omegas=self.omegas[keep],
             response=self.response[keep],

@@ -38,10 +38,15 @@ def _numbers(name: str, what: str, values: Any) -> FloatArray:
         if isinstance(values, np.ma.MaskedArray) and not np.iscomplexobj(values):
             values = np.ma.filled(values.astype(np.float64), np.nan)
         found = np.asarray(values)
-        if not np.iscomplexobj(found):
+        if not np.iscomplexobj(found) and found.dtype.kind not in "mM":
             return np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as err:
         raise RecordError(f"signal {name!r}: {what} are not numbers ({err}); expected real numbers") from err
+    if found.dtype.kind in "mM":
+        raise RecordError(
+            f"signal {name!r}: {what} are dates ({found.dtype}), whose unit is lost as a number; expected seconds: "
+            "(t - t[0]) / np.timedelta64(1, 's')"
+        )
     raise RecordError(f"signal {name!r}: {what} are complex; expected real numbers")
 
 

@@ -2,7 +2,8 @@
 
 A camera or a device that takes its samples at a steady rate shows a jump in its stamps: the interval there is not the
 period.  But samples may be lost there as well, or instead: by how much the clock jumped, and whether it did at all,
-is for the data to say.
+is for the data to say.  Where an input's clock jumps by whole periods, the hole looks like lost samples and is filled
+in (``data.gaps``): that nothing was lost there is possible, too.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import InputSignal, TimeRecord
 
 _MIN_STAMPS = 60  # stamps that show whether a rate is steady
 _STANDS_OUT = 8.0  # deviations of the intervals from their period
@@ -54,7 +55,9 @@ class ClockJump:
         )
 
 
-def possible_jumps(record: TimeRecord, number: int, input_names: Sequence[str]) -> list[list[ClockJump]]:
+def possible_jumps(
+    record: TimeRecord, number: int, input_names: Sequence[str], at_gaps: bool = True
+) -> list[list[ClockJump]]:
     """Return for every interval at which a steady clock may have jumped by how much that may have been.
 
     Parameters
@@ -62,17 +65,26 @@ def possible_jumps(record: TimeRecord, number: int, input_names: Sequence[str]) 
     record : TimeRecord
     number : int -- of the record
     input_names : sequence of str -- inputs whose clock is looked at beside the outputs'
+    at_gaps : bool -- whether gaps of these inputs, of whole periods, may be jumps as well
     """
     clocks: dict[bytes, tuple[FloatArray, list[str]]] = {}
     stamps = [(name, record.input(name).times_s) for name in input_names]
     stamps += [(seen.name, seen.times_s) for seen in record.outputs]
     for name, own in stamps:
         clocks.setdefault(own.tobytes(), (own, []))[1].append(name)
-    return [
+    found = [
         [ClockJump(number, tuple(names), at_s, size) for size in sizes]
         for times, names in clocks.values()
         for at_s, sizes in _suspicious(times)
     ]
+    for drive in map(record.input, input_names if at_gaps else ()):
+        period = float(np.median(np.diff(drive.times_s)))
+        gaps = drive.gaps if len(drive.gaps) <= _MOST else ()
+        sizes = [(gap.end_s, gap.end_s - gap.start_s - period) for gap in gaps]
+        found += [
+            [ClockJump(number, (drive.name,), at_s, size)] for at_s, size in sizes if 0.0 < size < _MAX_JUMP_S
+        ]
+    return found
 
 
 def _suspicious(times_s: FloatArray) -> list[tuple[float, list[float]]]:
@@ -112,9 +124,22 @@ def without_jumps(record: TimeRecord, number: int, jumps: Sequence[ClockJump]) -
         late = [jump.size_s * (times_s >= jump.at_s) for jump in own if name in jump.signals]
         return np.asarray(times_s - np.sum(late, axis=0)) if late else times_s
 
-    inputs = tuple(replace(drive, times_s=steady(drive.name, drive.times_s)) for drive in record.inputs)
+    def driven(drive: InputSignal) -> InputSignal:
+        # Where a clock has jumped, nothing was lost: what fills the gap there was never sampled.
+        at = {jump.at_s for jump in own if drive.name in jump.signals}
+        is_filling = np.zeros(len(drive.times_s), dtype=bool)
+        gaps = []
+        for gap in drive.gaps:
+            if gap.end_s in at:
+                is_filling |= (drive.times_s > gap.start_s) & (drive.times_s < gap.end_s)
+            else:
+                start_s, end_s = steady(drive.name, np.array([gap.start_s, gap.end_s])).tolist()
+                gaps.append(replace(gap, start_s=start_s, end_s=end_s))
+        times_s = steady(drive.name, drive.times_s)[~is_filling]
+        return replace(drive, times_s=times_s, values=drive.values[~is_filling], gaps=tuple(gaps))
+
     outputs = tuple(replace(seen, times_s=steady(seen.name, seen.times_s)) for seen in record.outputs)
-    return TimeRecord(inputs, outputs, record.start_ns, record.name)
+    return TimeRecord(tuple(map(driven, record.inputs)), outputs, record.start_ns, record.name)
 
 
 def is_after(jump: ClockJump, jumps: Sequence[ClockJump], times_s: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ tick to tick is exact for held values:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -92,7 +92,13 @@ class LimitedResponse:
         # A deflection that a static load makes stays as it was: of a softer beam it is larger.
         return replace(self, model=replace(own, natural_frequencies=omegas, damping_ratios=zetas))
 
-    def responses(self, drive: FloatArray, positions: FloatArray, period_s: float) -> FloatArray:
+    def responses(
+        self,
+        drive: FloatArray,
+        positions: FloatArray,
+        period_s: float,
+        states: MutableMapping[complex, ComplexArray],
+    ) -> FloatArray:
         """Return the quantities over their limits at every tick, shape (n_quantities, n_ticks).
 
         Parameters
@@ -100,6 +106,9 @@ class LimitedResponse:
         drive : ndarray, shape (n_ticks,) -- held: accelerations of a moved base [m/s^2], or forces [N]
         positions : ndarray, shape (n_ticks,) -- twice the integral of the drive at the ticks
         period_s : float -- [s]
+        states : mutable mapping of complex to ndarray, shape (n_ticks,)
+            The recursions by their poles under this drive; those that are not there yet are added. Tip, strain and
+            force share the modes of one structure.
         """
         model, structure = self.model, ModalStructure(self.model.structure)
         residues, rows = model.residues[self._rows], self._rows
@@ -108,8 +117,10 @@ class LimitedResponse:
         found = np.zeros((len(rows), len(drive)))
         for k, (omega, zeta) in enumerate(zip(model.natural_frequencies, model.damping_ratios, strict=True)):
             pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
-            step = np.exp(pole * period_s)
-            x = lfilter([0.0, (step - 1.0) / pole], [1.0, -step], drive.astype(np.complex128))
+            if pole not in states:
+                step = np.exp(pole * period_s)
+                states[pole] = lfilter([0.0, (step - 1.0) / pole], [1.0, -step], drive.astype(np.complex128))
+            x = states[pole]
             if is_second:
                 mode = drive + (pole**2 * x).imag / pole.imag
             else:
@@ -197,8 +208,8 @@ class ExcitationLimits:
             "jerk": np.diff(accelerations, prepend=0.0) / period,
         }
         rows = [motion[name][None] / limit for name, limit in self._of_axis.items()]
-        drive = self.scale * accelerations
-        rows += [own.responses(drive, self.scale * positions[:-1], period) for own in self.responses]
+        drive, states = self.scale * accelerations, dict[complex, ComplexArray]()
+        rows += [own.responses(drive, self.scale * positions[:-1], period, states) for own in self.responses]
         return np.concatenate(rows) if rows else np.zeros((0, len(accelerations)))
 
     def shares(self, recipe: Recipe) -> dict[str, float]:

@@ -17,15 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beam_ident.arrays import FloatArray
+from beam_ident.data.bandwidth import excited_band
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import ExcitationError
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind
+from beam_ident.modal_estimation.input_disturbance import InputDisturbance, Observations
+from beam_ident.noise.input_noise import Smoothing
 
 if TYPE_CHECKING:
     from beam_ident.modal.model import ModalModel
 
-_ALIKE = 1e-10  # of the largest singular value: columns that differ by less are told apart by nothing
 _STANDS_OUT = 3.0  # standard deviations of a residue: once in 370 by chance
 
 
@@ -106,7 +108,7 @@ def predicted_precision(
 
 @dataclass(frozen=True)
 class Observation:
-    """How the outputs of an experiment will be seen.
+    """How the input and the outputs of an experiment will be seen.
 
     Parameters
     ----------
@@ -115,6 +117,8 @@ class Observation:
     exposure_s : float -- over which a frame averages [s]
     latency_sd : float -- how well the stamps' latency is known beforehand [s]; infinite: not at all
     clock_rate_sd : float -- how well the clock's rate against the input's is known beforehand
+    input_sd : float
+        Standard deviation of the white noise of the measured input, in its unit: of an encoder 0.29 of its step.
 
     Raises
     ------
@@ -127,13 +131,14 @@ class Observation:
     exposure_s: float = 0.0
     latency_sd: float = math.inf
     clock_rate_sd: float = 50e-6
+    input_sd: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = {"rate_hz": self.rate_hz, **{f"noise_sd of {k}": sd for k, sd in self.noise_sd.items()}}
         for name, value in numbers.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise ExcitationError(f"observation: {name} is {value!r}; expected a finite number > 0")
-        for name in ("exposure_s", "latency_sd", "clock_rate_sd"):
+        for name in ("exposure_s", "latency_sd", "clock_rate_sd", "input_sd"):
             if not getattr(self, name) >= 0.0:
                 raise ExcitationError(
                     f"observation: {name} is {getattr(self, name)!r}; expected a number >= 0"
@@ -180,9 +185,9 @@ def predicted_model(model: ModalModel, drive: InputSignal, observation: Observat
     Notes
     -----
     Every output has the unknowns of ``identify``: gain, residual term and residues, and for the record an offset, a
-    ramp and motion at the beginning. With the columns A_j of what is linear and the slopes S_j of what is common
-    (log omega, zeta, latency, rate) the information is block-bordered: that of the common ones is
-    ``sum_j S_j' (1 - A_j A_j^+) S_j / sigma_j^2``, and the linear ones follow as ``-A_j^+ S_j``.
+    ramp and motion at the beginning; all share log omega, zeta, latency and rate. The information is that of the
+    model's slopes J by all of these, ``J' Sigma^-1 J``. Sigma is the outputs' noise, and what the input's noise adds
+    through the modes: near a resonance coloured, and common to all outputs.
     """
     structure = ModalStructure(model.structure)
     times = observation.stamps(drive.span_s[1])
@@ -199,67 +204,60 @@ def predicted_model(model: ModalModel, drive: InputSignal, observation: Observat
     regression = ModalRegression([TimeRecord((drive,), outputs)], structure)
     omegas, zetas = model.natural_frequencies, model.damping_ratios
     (block,) = regression.blocks(omegas, zetas, ClockState(), gradients=True)
-    noise = observation.noise_of(model.output_names)
-    common, own, cross = _information(block, shared, noise)
+    noise, n_common, width = observation.noise_of(model.output_names), 2 * n + 2, block.matrix.shape[1]
+    slopes = []
+    for j, parameters in enumerate(shared):
+        found = np.zeros(width)
+        found[: len(parameters)] = parameters
+        own = np.zeros((len(times), n_common + len(shared) * width))
+        own[:, :n_common] = block.slopes(found, True, True)
+        own[:, n_common + j * width : n_common + (j + 1) * width] = block.matrix
+        slopes.append(own)
+    _whiten(slopes, regression, model, observation)
+    information = np.sum([own.T @ own for own in slopes], axis=0)
     for place, sd in enumerate((observation.latency_sd, observation.clock_rate_sd), 2 * n):
-        common[place, place] += 1.0 / max(sd, 1e-12) ** 2 if math.isfinite(sd) else 0.0
-    covariance = _inverse(common)
-    spread = np.concatenate([np.eye(2 * n + 2), *(-part for part in cross)])
-    full = spread @ covariance @ spread.T
-    width = shared.shape[1]
-    for j, part in enumerate(own):
-        here = slice(2 * n + 2 + j * width, 2 * n + 2 + (j + 1) * width)
-        full[here, here] += part
-    places = np.array(
-        [*range(2 * n + 2)]
-        + [
-            2 * n + 2 + j * (n + 2) + k
-            for j in range(len(outputs))
-            for k in range(0 if structure.has_direct else 1, n + 2)
-        ]
-    )
-    scale = np.concatenate([omegas, np.ones(len(full) - n)])
+        information[place, place] += 1.0 / max(sd, 1e-12) ** 2 if math.isfinite(sd) else 0.0
+    first = 0 if structure.has_direct else 1
+    # Among all that is estimated, and among the model's own.
+    estimated, places = ([*range(n_common)] for _ in range(2))
+    for j in range(len(outputs)):
+        estimated += [n_common + j * width + k for k in range(n + 2 - first)]
+        places += [n_common + j * (n + 2) + k for k in range(first, n + 2)]
+    scale = np.concatenate([omegas, np.ones(len(places) - n)])
     result = np.zeros_like(model.covariance)
+    full = _inverse(information)[np.ix_(estimated, estimated)]
     result[np.ix_(places, places)] = full * np.outer(scale, scale)
     return replace(model, covariance=result, noise_sd=noise)
 
 
-def _information(
-    block: ColumnBlock, shared: FloatArray, noise_sd: FloatArray
-) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
-    """Return what all outputs tell of the common parameters, and of their own where these are known.
-
-    Returns
-    -------
-    common : ndarray, shape (2 n_modes + 2, 2 n_modes + 2)
-    own : list of ndarray, shape (n_shared, n_shared) -- covariance of an output's parameters
-    cross : list of ndarray, shape (n_shared, 2 n_modes + 2) -- by how much they move with the common ones
-    """
-    size = np.linalg.norm(block.matrix, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    frame, triangle = np.linalg.qr(block.matrix / size)
-    turned, values, axes = np.linalg.svd(triangle)
-    axes = axes / np.maximum(values, _ALIKE * values[0])[:, None]
-    basis = frame @ (turned * (values > _ALIKE * values[0]))
-    width = shared.shape[1]
-    back = (axes.T / size[:, None])[:width]
-    found = np.zeros(len(size))
-    n_common = 2 * len(block.modes) + 2
-    common, own, cross = np.zeros((n_common, n_common)), [], []
-    for parameters, sd in zip(shared, noise_sd, strict=True):
-        found[:width] = parameters
-        slopes = block.slopes(found, True, True)
-        projected = basis.T @ slopes
-        left = slopes - basis @ projected
-        common += left.T @ left / sd**2
-        own.append(sd**2 * back @ back.T)
-        cross.append(back @ projected)
-    return common, own, cross
+def _whiten(
+    slopes: list[FloatArray], regression: ModalRegression, model: ModalModel, observation: Observation
+) -> None:
+    """Divide the outputs' rows by the root of their noise's covariance, in place."""
+    noise = observation.noise_of(model.output_names)
+    if observation.input_sd == 0.0:
+        for own, sd in zip(slopes, noise, strict=True):
+            own /= sd
+        return
+    structure, drive = regression.structure, replace(regression.drives[0], sigma=observation.input_sd)
+    differentiations = structure.differentiations if structure.is_motion else 0
+    band = excited_band(drive, differentiations, regression.duration_s, regression.rate_hz)
+    disturbance = InputDisturbance(
+        drive,
+        structure,
+        model.natural_frequencies,
+        model.damping_ratios,
+        model.column_parameters(),
+        np.full(len(noise), observation.exposure_s),
+        Smoothing(band.high_hz),
+    )
+    disturbance.filter(Observations.of_record(regression, 0, 0.0), np.square(noise)).whiten(slopes)
 
 
 def _inverse(information: FloatArray) -> FloatArray:
     """Return the covariance, very large in the directions of which nothing is known."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     values, axes = np.linalg.eigh(information / np.outer(scale, scale))
     axes = axes / scale[:, None]
     return np.asarray((axes / np.maximum(values, 1e-13)) @ axes.T)

@@ -24,13 +24,15 @@ from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.design.criteria import Criterion
 from beam_ident.design.limits import ExcitationLimits
 from beam_ident.design.precision import Observation
+from beam_ident.design.spectrum import left_by_input_noise
 from beam_ident.excitation.multisine import ShapedMultisine
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
 
 _NORMS = (8, 16, 32, 64)
 _ITERATIONS = 40
-_INSTANTS = 2048  # of each limited quantity; the level is found from all
+_INSTANTS = 16384  # of each limited quantity at most; the level is found from all
+_IN_A_PERIOD = 5.0  # instants of the fastest line: between fewer, refined peaks hide
 _FRAMES = 500  # that stand for all of a long record
 _PLACE_SEED = 1
 _FAINT = 1e-3  # of the largest amplitude: a line below is left out
@@ -68,8 +70,8 @@ class SeenLines:
     -----
     Outputs share their frames, so that the slopes of all of them are combinations of few signals: of every mode its
     coordinate, that by log omega and by log zeta, its rate, and its rate times t; of the base its position, velocity,
-    velocity times t, and the drive. Offset, ramp and the modes' free motion are taken out of each. An exposure
-    weakens every line by its own factor.
+    velocity times t, and the drive. Offset, ramp and the modes' free motion are taken out of each. An exposure and
+    the input's noise weaken every line by its own factor.
     """
 
     def __init__(
@@ -83,9 +85,12 @@ class SeenLines:
         free = np.exp(np.outer(times, model.poles))
         nuisance = np.column_stack([np.ones(len(at)), late, free.real, free.imag])
         frame = np.linalg.qr(nuisance / np.linalg.norm(nuisance, axis=0))[0]
-        blur = np.sinc(np.tile(recipe.frequencies, 2) * observation.exposure_s)
+        lines = np.array(recipe.frequencies)
+        blur = np.sinc(lines * observation.exposure_s)
+        if observation.input_sd:
+            blur *= np.sqrt(left_by_input_noise(model, lines, limits, recipe.duration, observation))
         signals = []
-        for values, weaker in zip(_quadratures(recipe, period), blur, strict=True):
+        for values, weaker in zip(_quadratures(recipe, period), np.tile(blur, 2), strict=True):
             own = weaker * _signals(model, limits.scale * values, period, at, late)
             signals.append(own - frame @ (frame.T @ own))
         self._signals = math.sqrt(len(frames) / len(at)) * np.stack(signals, axis=-1)
@@ -189,9 +194,10 @@ class LimitedLines:
     """
 
     def __init__(self, recipe: ShapedMultisine, limits: Sequence[ExcitationLimits]) -> None:
-        rows = []
-        for values in _quadratures(recipe, limits[0].period_s):
-            at = _chosen(np.arange(len(values)), _INSTANTS)
+        rows, period = [], limits[0].period_s
+        step = max(1, int(1.0 / (_IN_A_PERIOD * max(recipe.frequencies) * period)))
+        for values in _quadratures(recipe, period):
+            at = _chosen(np.arange(0, len(values), step), _INSTANTS)
             rows.append(np.concatenate([own.over_time(values)[:, at].ravel() for own in limits]))
         self._rows = np.stack(rows, axis=1).astype(np.float32)
 

@@ -16,7 +16,9 @@ experiment. The criterion is therefore averaged over draws of the model (Chalone
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -106,7 +108,11 @@ def _slopes_of_response(model: ModalModel, omegas: FloatArray, scale: float) -> 
 
 
 def line_information(
-    model: ModalModel, lines_hz: FloatArray, scale: float, duration_s: float, observation: Observation
+    model: ModalModel,
+    lines_hz: FloatArray,
+    limits: ExcitationLimits,
+    duration_s: float,
+    observation: Observation,
 ) -> FloatArray:
     """Return what a line of mean square 1 (m/s^2)^2 tells, shape (n_lines, n_parameters, n_parameters).
 
@@ -114,7 +120,7 @@ def line_information(
     ----------
     model : ModalModel
     lines_hz : ndarray, shape (n_lines,) -- [Hz]
-    scale : float -- of ``ExcitationLimits``
+    limits : ExcitationLimits -- gives the drive's scale and the hold
     duration_s : float -- of the excitation [s]
     observation : Observation
 
@@ -122,18 +128,43 @@ def line_information(
     -----
     Parameters are log omega and log zeta of all modes, the latency, then gain, residual term and residues of every
     output. Of N frames, a line of effective value 1 that moves output j by H_j tells
-    ``N Re(dH_j^H dH_j) / sigma_j^2``.
+    ``N Re(dH^H S^-1 dH)`` with ``S = diag(sigma_j^2) + s^2 T f G G^H``: white noise of standard deviation s on the
+    input's samples, T apart, reaches the outputs through their responses G to the input, f frames a second.
     """
     omegas, weights = _smeared(lines_hz, duration_s)
-    slopes = _slopes_of_response(model, omegas.ravel(), scale)
+    slopes = _slopes_of_response(model, omegas.ravel(), limits.scale)
     blur = np.sinc(omegas.ravel() * observation.exposure_s / (2.0 * np.pi))
-    noise = observation.noise_of(model.output_names)
-    slopes *= (blur[:, None] / noise)[:, :, None]
+    per_noise = blur[:, None] / observation.noise_of(model.output_names)
+    slopes *= per_noise[:, :, None]
+    structure = ModalStructure(model.structure)
+    power = structure.differentiations if structure.is_motion else 0
+    passed = response_to_drive(model, omegas.ravel()) * (omegas.ravel() ** power)[:, None] * per_noise
+    passed *= observation.input_sd * math.sqrt(limits.period_s * observation.rate_hz)
+    size = np.maximum(np.sum(np.abs(passed) ** 2, axis=1), 1e-300)
+    # (1 + g g^H)^(-1/2) takes a part of what lies along g, and nothing else.
+    taken = (1.0 - 1.0 / np.sqrt(1.0 + size)) / size
+    slopes -= (taken[:, None] * passed)[:, :, None] * np.einsum("oj,ojp->op", passed.conj(), slopes)[:, None]
     slopes *= np.sqrt(np.tile(weights, len(lines_hz)))[:, None, None]
     stacked = slopes.reshape(len(lines_hz), -1, slopes.shape[2])
     stacked = np.concatenate([stacked.real, stacked.imag], axis=1)
     frames = duration_s * observation.rate_hz
     return np.asarray(frames * (stacked.transpose(0, 2, 1) @ stacked))
+
+
+def left_by_input_noise(
+    model: ModalModel,
+    lines_hz: FloatArray,
+    limits: ExcitationLimits,
+    duration_s: float,
+    observation: Observation,
+) -> FloatArray:
+    """Return the share of what a line tells of the poles that the input's noise leaves, shape (n_lines,)."""
+    n = 2 * model.n_modes
+    told = [
+        np.einsum("kii->k", line_information(model, lines_hz, limits, duration_s, own)[:, :n, :n])
+        for own in (observation, replace(observation, input_sd=0.0))
+    ]
+    return np.asarray(told[0] / told[1])
 
 
 def optimal_powers(
@@ -157,8 +188,7 @@ def optimal_powers(
     duration_s : float -- of the excitation
     observation : Observation
     """
-    scale = limits[0].scale
-    told = np.array([line_information(own, lines_hz, scale, duration_s, observation) for own in models])
+    told = np.array([line_information(own, lines_hz, limits[0], duration_s, observation) for own in models])
     smeared, weights = _smeared(lines_hz, duration_s)
     costs = np.mean(
         [

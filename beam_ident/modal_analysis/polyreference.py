@@ -61,8 +61,8 @@ def polyreference_poles(record: FrequencyRecord, max_order: int) -> tuple[OrderP
     require_whole_number("max_order", max_order, 1)
     if not np.all(np.isfinite(record.response)):
         raise EstimationError(
-            f"frequency record {record.name!r} has lines that were not measured; leave them out with between() or "
-            "select() before a modal analysis"
+            f"frequency record {record.name!r} has lines that were not measured; take measured(), which leaves "
+            "them out"
         )
     if n_lines * n_outputs < (max_order + 1) * (n_outputs + n_inputs) or n_lines < 3:
         raise EstimationError(

@@ -34,9 +34,9 @@ from beam_ident.modal.regression import ClockState
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_collinearity
 from beam_ident.modal_analysis.stabilisation import ResponseForm, StabilisationChart, checked_form
+from beam_ident.modal_estimation.dependent_lines import from_common_noise, from_neighbours
 from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes
-from beam_ident.noise.autoregression import excess_over_lines
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
@@ -237,7 +237,7 @@ def analyse_modes(
     problem = StackedRegression([basis], outputs, record.variance is not None)
     hertz = record.frequencies_hz
     band = Band(float(hertz[0]), float(hertz[-1]), True)
-    fit, refused = _credible(problem, omegas, zetas, band, chart.record.line_correlation)
+    fit, refused = _credible(problem, omegas, zetas, band, record)
     return _result(chart, problem, fit, has_upper, has_lower, refused)
 
 
@@ -352,7 +352,7 @@ def _credible(
     omegas: FloatArray,
     zetas: FloatArray,
     band: Band,
-    correlation: ComplexArray | None,
+    record: FrequencyRecord,
 ) -> tuple[ModalFit, tuple[str, ...]]:
     """Return the refined fit of the modes that pass the gates of all estimators, and what was left out.
 
@@ -364,7 +364,7 @@ def _credible(
     refused: list[str] = []
     while True:
         plain = fit_modes(problem, omegas, zetas, ClockState(), Prior(), Prior(), _ITERATIONS)
-        fit = _with_neighbours(problem, plain, correlation)
+        fit = _with_dependent_errors(problem, plain, record)
         modes = range(len(fit.omegas))
         complaints = {mode: said for mode in modes if (said := mode_complaint(fit, problem, mode, band))}
         if not complaints:
@@ -378,17 +378,11 @@ def _credible(
         omegas, zetas = np.delete(fit.omegas, worst), np.delete(fit.zetas, worst)
 
 
-def _with_neighbours(problem: StackedRegression, fit: ModalFit, correlation: ComplexArray | None) -> ModalFit:
-    """Return the fit with what neighbouring lines have in common in its covariance (``noise.autoregression``)."""
-    middle = np.zeros_like(fit.covariance)
-    place = fit.n_theta
-    for j, design in enumerate(designs(problem, fit, Prior(), Prior())):
-        width = len(fit.coefficients[j])
-        own = np.append(np.arange(fit.n_theta), place + np.arange(width))
-        place += width
-        excess = excess_over_lines(design, fit.residuals[j], correlation)
-        middle[np.ix_(own, own)] += excess / fit.sigmas[j] ** 2
-    return dataclasses.replace(fit, covariance=fit.covariance + fit.covariance @ middle @ fit.covariance)
+def _with_dependent_errors(problem: StackedRegression, fit: ModalFit, record: FrequencyRecord) -> ModalFit:
+    """Return the fit with what pairs, and neighbouring lines, have in common in its covariance."""
+    jacobians = designs(problem, fit, Prior(), Prior())
+    more = from_common_noise(fit, jacobians, [record]) + from_neighbours(fit, jacobians, [record])
+    return dataclasses.replace(fit, covariance=fit.covariance + more)
 
 
 def _residue(omega: float, zeta: float, a: float, b: float) -> tuple[complex, ComplexArray]:

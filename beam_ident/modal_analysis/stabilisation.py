@@ -119,7 +119,7 @@ def stabilisation_chart(
 
     Parameters
     ----------
-    record : FrequencyRecord
+    record : FrequencyRecord -- lines that were not measured are left out
     form : {"receptance", "mobility", "accelerance"} -- what the response is
     max_order : int -- of the matrix polynomial; about twice to five times the number of modes
     criteria : StabilityCriteria or None -- None takes the defaults
@@ -127,9 +127,10 @@ def stabilisation_chart(
     Raises
     ------
     EstimationError
-        Lines that were not measured, an order that the lines cannot carry, an unknown form.
+        An order that the lines cannot carry, an unknown form.
     """
     require_frequency_record(record)
+    record = record.measured()
     differentiations = checked_form(form)
     rules = StabilityCriteria() if criteria is None else criteria
     columns: list[list[ChartPole]] = []

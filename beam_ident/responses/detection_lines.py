@@ -8,7 +8,7 @@ F test: over n detection lines and P periods,
 
     F = sum P |mean Y|^2 / s  /  sum var Y / s      ~  F(2 n, 2 n (P - 1))
 
-where s is the noise's level, smoothed over many lines.  Distortion of the same size as on the detection
+where s is the noise's level, smoothed over many neighbouring lines.  Distortion of the same size as on the detection
 lines stands on the excited ones too, where it biases the response.
 """
 
@@ -22,9 +22,10 @@ import numpy as np
 from scipy.special import fdtrc as f_sf
 from scipy.special import fdtri as f_ppf
 
-from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
+from beam_ident.arrays import ComplexArray, IndexArray
 from beam_ident.errors import EstimationError
 from beam_ident.responses.periodic_averaging import PeriodicResponse
+from beam_ident.responses.periods import mean_of_neighbours
 
 Parity = Literal["even", "odd"]
 
@@ -146,7 +147,12 @@ def detection_lines(found: PeriodicResponse) -> IndexArray:
     return np.asarray(inside[~found.is_excited[inside]])
 
 
-def periods_without_input(found: PeriodicResponse, j: int, lines: IndexArray) -> ComplexArray:
+def periods_without_input(
+    found: PeriodicResponse,
+    j: int,
+    lines: IndexArray,
+    known: tuple[IndexArray, ComplexArray] | None = None,
+) -> ComplexArray:
     """Return amplitudes of output ``j`` at detection lines less what the input itself has there, period by period.
 
     Parameters
@@ -154,6 +160,8 @@ def periods_without_input(found: PeriodicResponse, j: int, lines: IndexArray) ->
     found : PeriodicResponse
     j : int -- which output
     lines : ndarray of int -- places in ``found.bins``
+    known : (places in ``found.bins``, response of output j there), optional
+        A response that is better known than by these periods alone, as that of several realisations.
 
     Returns
     -------
@@ -167,9 +175,12 @@ def periods_without_input(found: PeriodicResponse, j: int, lines: IndexArray) ->
     amplitudes = np.asarray(2.0 * found.bin_outputs[j][:, lines])
     drives = 2.0 * found.bin_inputs
     size = np.sqrt(np.mean(np.abs(drives) ** 2, axis=0))
-    excited = np.flatnonzero(found.is_excited & (np.abs(found.input_spectrum) > 0.0))
-    if len(excited):
+    if known is None:
+        excited = np.flatnonzero(found.is_excited & (np.abs(found.input_spectrum) > 0.0))
         response = found.spectrum[excited, j] / found.input_spectrum[excited]
+    else:
+        excited, response = known
+    if len(excited):
         for k in np.flatnonzero(size[lines] > _SILENT * np.max(size)):
             amplitudes[:, k] -= _between(lines[k], excited, response) * drives[:, lines[k]]
     return amplitudes
@@ -184,13 +195,6 @@ def _between(line: int, excited: IndexArray, response: ComplexArray) -> complex:
         return complex(np.interp(0.0, x, values.real), np.interp(0.0, x, values.imag))
     matrix = np.stack([np.ones(len(x)), x, -values * x, -values * x**2], axis=1)
     return complex(np.linalg.lstsq(matrix, values, rcond=1e-10)[0][0])
-
-
-def _smoothed(values: FloatArray, width: int) -> FloatArray:
-    kernel = np.ones(min(width, len(values)))
-    return np.asarray(
-        np.convolve(values, kernel, mode="same") / np.convolve(np.ones(len(values)), kernel, mode="same")
-    )
 
 
 def _level(
@@ -211,7 +215,7 @@ def _level(
         variance = one.spectrum_variance[:, j]
         excited = np.abs(one.spectrum[one.is_excited, j]) ** 2
         floor = _SILENT**2 * float(np.mean(excited)) + 1e-300  # what rounding leaves is no distortion
-        smooth = np.maximum(_smoothed(variance, max(1, int(np.ceil(_SMOOTHING / more)))), floor)[own]
+        smooth = np.maximum(mean_of_neighbours(variance, int(np.ceil(_SMOOTHING / more))), floor)[own]
         own_power = np.abs(mean) ** 2
         top += float(np.sum(one.n_periods * own_power / smooth))
         bottom += more * float(np.sum(np.maximum(at_rest, floor) / smooth))

@@ -20,6 +20,8 @@ from beam_ident.data.argument_checks import require_frequency_record
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.errors import EstimationError
 
+_SEEN = 3.0  # standard deviations
+
 
 @dataclass(frozen=True)
 class HalfPowerDamping:
@@ -61,13 +63,15 @@ def half_power_damping(
     ----------
     record : FrequencyRecord
         A receptance, or any response that one mode dominates around its peak.
-    near_hz : float or None -- the peak to read is the next one [Hz]; None takes the highest
+    near_hz : float or None
+        The peak to read is the next one [Hz]; None takes the highest, by what it surely has where variances
+        are known.
     output_name, input_name : str or None -- None takes the first
 
     Raises
     ------
     EstimationError
-        No peak, or a peak whose flanks do not fall to half power inside the record.
+        No peak, a peak that noise may be, or one whose flanks do not fall to half power inside the record.
 
     Notes
     -----
@@ -84,14 +88,21 @@ def half_power_damping(
     )
     seen = np.isfinite(chosen.response[:, 0, 0])
     size, omegas = np.abs(chosen.response[seen, 0, 0]), record.omegas[seen]
+    noise = 0.0 if chosen.variance is None else np.sqrt(np.nan_to_num(chosen.variance[seen, 0, 0]))
+    surely = size - _SEEN * noise
     inner = np.arange(1, len(size) - 1)
     peaks = inner[(size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
     if not len(peaks):
         raise EstimationError(f"frequency record {record.name!r} has no peak between its first and last line")
     if near_hz is None:
-        peak = int(peaks[np.argmax(size[peaks])])
+        peak = int(peaks[np.argmax(surely[peaks])])
     else:
         peak = int(peaks[np.argmin(np.abs(omegas[peaks] - 2.0 * np.pi * near_hz))])
+    if not surely[peak] > 0.0:
+        raise EstimationError(
+            f"the peak at {omegas[peak] / (2.0 * np.pi):.5g} Hz is less than {_SEEN:g} standard deviations high; "
+            "measure for longer, or drive that band more"
+        )
     level = size[peak] / math.sqrt(2.0)
     low, high = _crossing(omegas, size, level, peak, -1), _crossing(omegas, size, level, peak, 1)
     if low is None or high is None:

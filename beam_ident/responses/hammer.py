@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.special import ndtri
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import (
@@ -32,72 +31,18 @@ from beam_ident.errors import EstimationError
 from beam_ident.numerics.piecewise import regular_period
 from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.steady_periods import changing_warnings
+from beam_ident.sensing.blows import Blow, find_blows
+from beam_ident.sensing.clock_rate import Stretches, clock_warnings
+from beam_ident.sensing.noise_floor import noise_floor
 
-_BY_CHANCE = 1e-6  # chance that noise alone makes a contact anywhere in a record
-_MIN_CONTACT = 0.01  # of the highest blow: a sensor's own ringing may be as large
-_DOUBLE = 0.3  # of the longest time between contacts: what follows sooner is no blow of its own
+_FLOOR_SHARE = 0.25  # of the samples: degrees of freedom of noise that is known from its quietest lines
 _FREEDOM = 40.0  # degrees of freedom to which the noise of neighbouring lines is averaged
 _MIN_FORCE = 1e-3  # of the largest power of the force: below, a line shows noise
 _PER_CYCLE = 2.56  # samples of an output in a cycle of the highest line, as analysers have it
-_LEAKING = 1e-3  # of what rings first: leakage that is named where the noise is not known
 _END_SHARE = 1e-3
 _HIDDEN = 0.3  # of what noise shows: leakage that does not matter
 _WINDOWS = 4  # tried, from wide to narrow
 _MIN_SAMPLES = 32  # of a segment
-
-
-@dataclass(frozen=True)
-class Blow:
-    """One blow: its first contact and its last [s], and in how many contacts it came."""
-
-    start_s: float
-    end_s: float
-    n_contacts: int
-
-
-def find_blows(drive: InputSignal) -> list[Blow]:
-    """Return the blows of a force, each with the contacts that follow it too soon to be blows of their own.
-
-    Parameters
-    ----------
-    drive : InputSignal
-
-    Notes
-    -----
-    A contact is a run of samples beyond what noise reaches once in a million records (by the input's ``sigma``, or
-    the median absolute deviation), and beyond 1 % of the highest. Runs closer than they are long are one.
-    """
-    values = drive.values - float(np.median(drive.values))
-    values = values * np.sign(values[int(np.argmax(np.abs(values)))])
-    spread = drive.sigma or 1.4826 * float(np.median(np.abs(values)))
-    limit = max(spread * float(-ndtri(_BY_CHANCE / len(values))), _MIN_CONTACT * float(np.max(values)))
-    above = np.concatenate([[False], values > limit, [False]]).astype(np.int8)
-    edges = np.diff(above)
-    last = len(values) - 1
-    runs: list[tuple[float, float]] = []
-    for rise, fall in zip(
-        np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True
-    ):
-        # What lies below the limit before a contact is a part of it: without, the blow would be seen late.
-        lead = max(rise - max((fall - rise) // 4, 1), 0)
-        runs.append((float(drive.times_s[lead]), float(drive.times_s[min(fall, last)])))
-    contacts: list[tuple[float, float]] = []
-    for start, end in runs:
-        if contacts and start - contacts[-1][1] < contacts[-1][1] - contacts[-1][0]:
-            contacts[-1] = (contacts[-1][0], end)
-        else:
-            contacts.append((start, end))
-    if not contacts:
-        return []
-    starts = np.array([start for start, _ in contacts])
-    soon = _DOUBLE * float(np.max(np.diff(np.append(starts, drive.times_s[-1]))))
-    blows: list[Blow] = []
-    for start, end in contacts:
-        if blows and start - blows[-1].start_s < soon:
-            blows[-1] = Blow(blows[-1].start_s, end, blows[-1].n_contacts + 1)
-        else:
-            blows.append(Blow(start, end, 1))
-    return blows
 
 
 def hammer_response(
@@ -130,7 +75,9 @@ def hammer_response(
     -----
     Blows of more than one contact are named in the record's ``warnings`` and left out, as long as there are others.
     Lines with less than a thousandth of the force's largest power, and those above 1/2.56 of the sampling rate, where
-    filters let frequencies fold, are left out. With one blow the variances are not known.
+    filters let frequencies fold, are left out. Where the force is sampled more often than the outputs, variances
+    count what of it folds. With one blow they are those of white noise, at the level of the quietest quarter of the
+    outputs' lines.
     """
     data = require_records(records)
     if end_share is not None and not 0.0 < end_share <= 1.0:
@@ -156,10 +103,8 @@ def hammer_response(
     for _ in range(_WINDOWS):
         found = _averaged(segments, share)
         # A phase that leakage turns, in a fit of many lines, against what their noise lets know of it.
-        limit = _LEAKING
-        if found.variance is not None:
-            information = np.sum(np.abs(found.response) ** 2 / found.variance, axis=1)
-            limit = 1.0 / math.sqrt(float(np.max(information)))
+        information = np.sum(np.abs(found.response) ** 2 / found.variance, axis=1)
+        limit = 1.0 / math.sqrt(float(np.max(information)))
         if end_share is not None or rings_on * share < _HIDDEN * limit:
             break
         share = 0.5 * _HIDDEN * limit / rings_on
@@ -176,7 +121,7 @@ def hammer_response(
     made = FrequencyRecord(
         found.lines,
         found.response.T,
-        None if found.variance is None else found.variance.T,
+        found.variance.T,
         tuple(names),
         (drives[0].name,),
         tuple(own.unit for own in first),
@@ -191,8 +136,13 @@ def hammer_response(
     )
     for group, drive in zip(outputs, drives, strict=True):
         made = with_doubts(made, group, drive)
-    changes = [said for j, name in enumerate(names) for said in changing_warnings(name, *found.compared(j))]
-    return replace(made, warnings=made.warnings or changes)
+    starts = np.array([blow.start_s for _, blow in chosen])
+    changes: list[str] = []
+    for j, name in enumerate(names):
+        # A damaged channel changes too, and is named as what it is.
+        changes += changing_warnings(name, *found.compared(j)) if made.warnings == said else []
+        changes += clock_warnings(name, [Stretches(found.force, found.answers[:, j], found.lines, starts)])
+    return replace(made, warnings=(*made.warnings, *changes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +151,7 @@ class _Averaged:
 
     lines: FloatArray
     response: ComplexArray
-    variance: FloatArray | None
+    variance: FloatArray
     coherence: FloatArray | None
     freedom: float
     force: ComplexArray  # of every blow
@@ -240,6 +190,13 @@ class _Segment:
         values = output.values[first : first + self.length] - rest
         return float(output.times_s[first]) - self.blow.start_s, values
 
+    def noise_floors(self, rate: float) -> FloatArray:
+        """Return the deviation of the outputs' transforms that white noise beneath their motion makes, one each."""
+        window = np.exp(-rate * self.period * np.arange(self.length))
+        times = np.asarray(self.period * np.arange(self.length), dtype=np.float64)
+        floors = [noise_floor(times, self._values(output)[1]) for output in self.outputs]
+        return np.asarray(floors) * float(np.linalg.norm(window)) * self.period
+
     def force(self, s: ComplexArray) -> ComplexArray:
         """Return the Laplace transform of the force from its start, without what is not a contact."""
         drive, blow = self.drive, self.blow
@@ -249,6 +206,16 @@ class _Segment:
         # Between samples a straight line, as good as a spline where a contact has several samples.
         values = (drive.values[keep] - float(np.median(drive.values))) * np.gradient(times)
         return np.asarray(np.exp(-s[:, None] * times) @ values)
+
+    def folded_power(self, rate: float, lines: FloatArray) -> FloatArray:
+        """Return the force's power at the frequencies that the outputs' sampling folds onto these lines.
+
+        Zero where the force is not sampled so often that it shows it.
+        """
+        if 1.5 * float(np.median(np.diff(self.drive.times_s))) > self.period:
+            return np.zeros(len(lines))
+        images = 2.0 * np.pi / self.period - lines
+        return np.asarray(np.abs(self.force(np.asarray(rate + 1j * images, dtype=np.complex128))) ** 2)
 
     def answers(self, rate: float, lines: FloatArray) -> ComplexArray:
         """Return the transforms of the outputs under the exponential window, shape (n_outputs, n_lines)."""
@@ -285,15 +252,22 @@ def _averaged(segments: Sequence[_Segment], share: float) -> _Averaged:
     lines, force, answers, power = lines[keep], force[:, keep], answers[:, :, keep], power[keep]
     cross = np.einsum("bol,bl->ol", answers, np.conj(force))
     response = cross / power
-    n = len(segments)
-    if n == 1:
-        return _Averaged(lines, response, None, None, math.inf, force, answers, _reach(share))
-    left = np.sum(np.abs(answers - response * force[:, None]) ** 2, axis=0) / (n - 1.0)
-    width = min(math.ceil(_FREEDOM * _reach(share) / (n - 1.0)), len(lines))
-    variance = uniform_filter1d(left, width, axis=1, mode="nearest") / power
-    coherence = np.clip(np.abs(cross) ** 2 / (np.sum(np.abs(answers) ** 2, axis=0) * power), 0.0, 1.0)
-    freedom = max((n - 1.0) * width / _reach(share), 1.0)
-    return _Averaged(lines, response, variance, coherence, freedom, force, answers, _reach(share))
+    n, reach, coherence = len(segments), _reach(share), None
+    if n > 1:
+        left = np.sum(np.abs(answers - response * force[:, None]) ** 2, axis=0) / (n - 1.0)
+        width = min(math.ceil(_FREEDOM * reach / (n - 1.0)), len(lines))
+        variance = uniform_filter1d(left, width, axis=1, mode="nearest") / power
+        coherence = np.clip(np.abs(cross) ** 2 / (np.sum(np.abs(answers) ** 2, axis=0) * power), 0.0, 1.0)
+        freedom = max((n - 1.0) * width / reach, 1.0)
+    else:
+        # Of one blow nothing is left over: its noise is what no motion covers, white, as the force shows it.
+        variance = np.square(segments[0].noise_floors(rate))[:, None] / power
+        freedom = max(_FLOOR_SHARE * length, 1.0)
+    # What folds has passed through the response above the band, which is about what it is at its upper end. It is the
+    # same in every blow, so that no scatter shows it.
+    above = np.median(np.abs(response[:, -max(len(lines) // 10, 1) :]) ** 2, axis=1)
+    variance += above[:, None] * np.sum([own.folded_power(rate, lines) for own in segments], axis=0) / power
+    return _Averaged(lines, response, variance, coherence, freedom, force, answers, reach)
 
 
 def _drive(record: TimeRecord, input_name: str | None) -> InputSignal:

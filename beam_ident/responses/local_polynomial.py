@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.argument_checks import require_whole_number
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
@@ -18,6 +19,10 @@ from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every
 from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_omegas, stretches
 
 _MAX_DEGREE = 10  # of local polynomials: beyond it their powers are alike
+_RCOND = 1e-10
+_LOST_POWER = 0.01  # of the input's: where less of it cannot be told, nothing is said
+_NAMED_STRETCHES = 3  # in a warning, the longest
+_MAX_INFLATION = 10.0  # of a variance by collinear columns: Marquardt (1970), Technometrics 12, 591-612
 
 
 def local_polynomial_response(
@@ -49,7 +54,10 @@ def local_polynomial_response(
     The polynomials must be able to follow the resonances: at damping ratio zeta and
     frequency f the half-power band is 2 zeta f wide and should hold several lines
     (line spacing is one over the length of the record).  Neighbouring lines share data, so
-    that their errors depend on each other.
+    that their errors depend on each other.  Lines at which the transient's columns inflate the
+    variance of the response more than tenfold are marked as not measured (NaN): there the input is
+    as smooth over frequency as the transient, and a polynomial that does not quite follow
+    a resonance is wrong many times over.
     """
     require_whole_number("degree", degree, 0, _MAX_DEGREE)
     unknowns = 2 * (degree + 1)
@@ -84,7 +92,7 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
     matrix = np.concatenate([powers * u[:, :, None], powers.astype(np.complex128)], axis=2)
     size = np.linalg.norm(matrix, axis=1, keepdims=True)
     matrix = matrix / np.where(size > 0.0, size, 1.0)
-    inverse = np.linalg.pinv(matrix, rcond=1e-10)
+    inverse = np.linalg.pinv(matrix, rcond=_RCOND)
     found = np.einsum("kij,kj->ki", inverse, y)
     residual = y - np.einsum("kij,kj->ki", matrix, found)
     freedom = 2 * width + 1 - 2 * (degree + 1)
@@ -92,19 +100,57 @@ def _local_polynomial(pair: SignalPair, degree: int, width: int) -> LineEstimate
     scale = np.where(size[:, 0, 0] > 0.0, size[:, 0, 0], np.inf)
     # The variance of h_0 under white noise: the row of the pseudo-inverse that gives it, squared.
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1)
-    response = found[:, 0] / scale
+    alone = np.linalg.pinv(matrix[:, :, : degree + 1], rcond=_RCOND)[:, 0, :]
+    told = gain <= _MAX_INFLATION * np.sum(np.abs(alone) ** 2, axis=1)
+    omegas = np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64)
+    if not np.any(told):
+        raise EstimationError(
+            "the input comes in the record's first or last moments only, and its response cannot be told from the "
+            "transient of the record's ends. Begin the record earlier or end it later, or fit samples, identify(), "
+            "which takes the record as it is; hammer_response() takes blows"
+        )
+    response = np.where(told, found[:, 0] / scale, np.nan)
+    seen = np.zeros(len(of_output), dtype=np.complex128)
+    seen[lines[told]] = of_output[lines[told]]
     spectrum = np.zeros(len(of_input), dtype=np.complex128)
-    spectrum[lines] = response * of_input[lines]
-    modelled = np.fft.irfft(spectrum, n) * np.sqrt(n)
+    spectrum[lines[told]] = response[told] * of_input[lines[told]]
+    measured, modelled = (np.fft.irfft(one, n) * np.sqrt(n) for one in (seen, spectrum))
     return LineEstimate(
-        np.asarray(2.0 * np.pi * lines / (n * pair.period), dtype=np.float64),
+        omegas,
         response,
-        variance * gain / scale**2,
+        np.where(told, variance * gain / scale**2, np.nan),
         None,
         float(freedom),
-        (stretches(modelled), stretches(pair.output), stretch_omegas(n, pair.period), SHARED_BY_HANN, True),
+        (stretches(modelled), stretches(measured), stretch_omegas(n, pair.period), SHARED_BY_HANN, True),
         _reach(degree, width),
-        pair.output - np.mean(pair.output) - modelled,
+        measured - modelled,
+        _untold(omegas, np.abs(of_input[lines]) ** 2, told),
+        (2 * width + 1) / (n * pair.period),
+    )
+
+
+def _untold(omegas: FloatArray, power: FloatArray, told: BoolArray) -> tuple[str, ...]:
+    """Return what is to be known of lines at which the response cannot be told from the transient.
+
+    Parameters
+    ----------
+    omegas, power : ndarray, shape (n_lines,) -- power of the input; lines that hold none of it are nobody's loss
+    told : ndarray of bool, shape (n_lines,)
+    """
+    share = float(np.sum(power[~told]) / np.sum(power))
+    if share < _LOST_POWER:
+        return ()
+    starts, ends = np.flatnonzero(np.diff(np.concatenate([[1], told, [1]]).astype(int))).reshape(-1, 2).T
+    longest = np.sort(np.argsort(starts - ends, kind="stable")[:_NAMED_STRETCHES])
+    frequencies = omegas / (2.0 * np.pi)
+    bands = [f"{frequencies[starts[k]]:.4g} to {frequencies[ends[k] - 1]:.4g} Hz" for k in longest]
+    if len(starts) > len(bands):
+        bands.append("..")
+    return (
+        f"at {np.count_nonzero(~told)} of {len(told)} lines with {share:.0%} of its power ({', '.join(bands)}) "
+        "the input comes only as the record begins or ends, as a sweep does, and its response cannot be told from "
+        "the transient of the record's ends: they are marked as not measured. Begin the record earlier or end it "
+        "later, take whole periods, or fit samples, identify()",
     )
 
 

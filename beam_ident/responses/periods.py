@@ -557,3 +557,17 @@ def moving_mean(values: AnyArray, width: int) -> AnyArray:
     total = np.concatenate([np.zeros((1, *values.shape[1:]), dtype=values.dtype), np.cumsum(values, axis=0)])
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
     return np.asarray((total[first + width] - total[first]) / width)
+
+
+def mean_of_neighbours(values: FloatArray, width: int) -> FloatArray:
+    """Return the mean over ``width`` neighbouring lines without the line itself.
+
+    Notes
+    -----
+    Noise over a level with the line's own noise in it is 1 on average; anything else over that level is more than 1,
+    because a level that happens to be low weighs more. An F test of both accuses too often: the more lines, the more.
+    """
+    window = min(width + 1, len(values))
+    if window < 2:
+        return values
+    return np.asarray((window * moving_mean(values, window) - values) / (window - 1))

@@ -23,8 +23,10 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.numerics.piecewise import Instants, regular_period
 from beam_ident.responses.doubts import with_doubts
+from beam_ident.responses.half_power import half_power_damping
 from beam_ident.responses.periods import hold_gain
 from beam_ident.responses.steady_periods import changing_warnings
+from beam_ident.sensing.clock_rate import clock_of_samples
 
 _MAX_MISSING = 0.02
 _SEEN = 3.0  # standard deviations
@@ -46,7 +48,9 @@ class LineEstimate:
     """A response of one output: lines [rad/s], complex values, variances, coherence.
 
     ``compared`` holds what ``changing_warnings`` takes beside the name: spectra of stretches, modelled and measured.
-    ``left`` is what the response to the whole input leaves of the output in time, where lines are as close as that.
+    ``left`` is what the response to the input leaves of the output in time.
+    ``doubts`` is what the estimator itself has to say of the lines. ``resolution_hz`` is how far lines are smoothed
+    together; a resonance that is no wider looks lower and broader than it is.
     """
 
     omegas: FloatArray
@@ -54,9 +58,11 @@ class LineEstimate:
     variance: FloatArray
     coherence: FloatArray | None
     freedom: float
-    compared: tuple[ComplexArray, ComplexArray, FloatArray, float, bool]
+    compared: tuple[ComplexArray, ComplexArray, FloatArray, float, bool] | None = None
     shared_lines: float = 1.0
     left: FloatArray | None = None
+    doubts: tuple[str, ...] = ()
+    resolution_hz: float | None = None
 
 
 def signal_pair(drive: InputSignal, output: OutputSignal, reference: InputSignal | None) -> SignalPair:
@@ -103,7 +109,8 @@ def for_every_output(
     require_moving_input(drive)
     reference = None if reference_name is None else record.input(reference_name)
     outputs = [record.output(n) for n in (record.output_names if output_names is None else output_names)]
-    found = [estimate(signal_pair(drive, output, reference)) for output in outputs]
+    pairs = [signal_pair(drive, output, reference) for output in outputs]
+    found = [estimate(pair) for pair in pairs]
     for output, one in zip(outputs, found, strict=True):
         if not np.array_equal(one.omegas, found[0].omegas):
             raise EstimationError(
@@ -113,8 +120,11 @@ def for_every_output(
     changes = [
         said
         for output, one in zip(outputs, found, strict=True)
+        if one.compared is not None
         for said in changing_warnings(output.name, *one.compared)
     ]
+    for output, pair in zip(outputs, pairs, strict=True):
+        changes += clock_of_samples(output.name, pair.drive, pair.output, pair.period)
     coherences = [one.coherence for one in found if one.coherence is not None]
     made = FrequencyRecord(
         omegas=found[0].omegas,
@@ -130,9 +140,44 @@ def for_every_output(
         name=record.name,
         shared_lines=max(one.shared_lines for one in found),
     )
-    made = replace(made, warnings=_hold_warning(made, drive, outputs))
+    doubts = dict.fromkeys(said for one in found for said in one.doubts)
+    narrow = [
+        said
+        for j, one in enumerate(found)
+        if one.resolution_hz is not None
+        for said in _narrow(made, j, one.resolution_hz)
+    ]
+    made = replace(made, warnings=(*doubts, *narrow, *_hold_warning(made, drive, outputs)))
     spiky = [said for output, one in zip(outputs, found, strict=True) for said in _outliers(output.name, one)]
     return with_doubts(made, outputs, drive, [*spiky, *changes])
+
+
+def _narrow(made: FrequencyRecord, output: int, resolution_hz: float) -> tuple[str, ...]:
+    """Return that an output's highest peak is no wider than what the lines are smoothed over.
+
+    Notes
+    -----
+    Of single modes under noise, smoothed over as much as their half-power band, the damping that is read is 7 %
+    (local polynomials) to 13 % (Hann windows) too high, over twice as much 31 to 44 %, over half as much 1 to 3 %.
+    """
+    assert made.variance is not None
+    values, variance = made.response[:, output, 0], made.variance[:, output, 0]
+    seen = np.isfinite(values) & (np.abs(values) > _SEEN * np.sqrt(np.nan_to_num(variance)))
+    if np.count_nonzero(seen) < 3:
+        return ()
+    try:
+        peak = half_power_damping(FrequencyRecord(made.omegas[seen], values[seen]))
+    except EstimationError:
+        return ()
+    width_hz = (peak.high - peak.low) / (2.0 * np.pi)
+    if width_hz > resolution_hz:
+        return ()
+    return (
+        f"output {made.output_names[output]!r}: the peak at {peak.natural_frequency / (2.0 * np.pi):.4g} Hz is "
+        f"{width_hz:.3g} Hz wide at half power, and the record is too short for it: lines are smoothed over "
+        f"{resolution_hz:.3g} Hz, so that it looks lower and more damped than it is. Record longer, take longer "
+        "segments or whole periods, periodic_response(), or fit the samples, identify()",
+    )
 
 
 def _hold_warning(
@@ -149,7 +194,8 @@ def _hold_warning(
     if drive.hold != "zoh" or step is None or made.variance is None or any(o.exposure_s for o in outputs):
         return ()
     wrong = np.abs(hold_gain("zoh", made.omegas, step) - 1.0)[:, None, None] * np.abs(made.response)
-    share = float(np.mean(wrong > _SEEN * np.sqrt(made.variance)))
+    wrong, known = wrong[measured := np.isfinite(wrong)], made.variance[measured]
+    share = float(np.mean(wrong > _SEEN * np.sqrt(known)))
     if share < _LINES:
         return ()
     return (

@@ -35,6 +35,7 @@ from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
+from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
@@ -336,6 +337,10 @@ def estimate_common_poles(
     ]
     if isinstance(result, CommonPoleResult):
         damage += _input_misfits(records, drives[0], result)
+        if not all(Whiteness.of(left).is_white for left in result.residuals):
+            damage += [
+                said for one in records for said in clocks_of_record(one.outputs, one.input(drives[0]))
+            ]
     told = (*gaps, *result.warnings, *((said,) if said else ()), *damage)
     return replace(result, warnings=told)
 

@@ -34,6 +34,7 @@ from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, p
 from beam_ident.noise.relation import innovation_criterion, is_related
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
@@ -564,6 +565,9 @@ def estimated(
         said += damage_warnings([one.output(output_name)], [one.input(name) for name in drives])
     if len(drives) == 1:
         said += tuple(_input_misfits(records, drives[0], result))
+        if not Whiteness.of(result.residuals).is_white:
+            pairs = [([one.output(output_name)], one.input(drives[0])) for one in records]
+            said += tuple(text for pair in pairs for text in clocks_of_record(*pair))
     return replace(result, warnings=gaps + result.warnings + said) if gaps or said else result
 
 

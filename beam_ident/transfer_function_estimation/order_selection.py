@@ -137,7 +137,8 @@ def select_transfer_function(
         One experiment, or several that share the structure and the model.
     n_poles : iterable of int -- degrees of the denominator
     n_zeros : iterable of int or None
-        Degrees of the numerator, or of that of every input; None takes all below the denominator's.
+        Degrees of the numerator, or of that of every input; None takes all below the denominator's,
+        and as many where none of these passes.
     n_workers : int -- processes to spread the estimates over; 1 stays in this one
     progress : callable or None -- called with a phrase and the share done
     scheduler : str or None -- address of a Dask cluster that does the work instead; see ``map_records``
@@ -153,7 +154,7 @@ def select_transfer_function(
     EstimationError
         An empty range, no structure that passes the gates, or no cluster where one was named.
     """
-    records = require_records(record)
+    records, given = require_records(record), dict(options)
     if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
         raise EstimationError(
             f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
@@ -207,6 +208,15 @@ def select_transfer_function(
     if may_offer:
         entries, results, offered = _with_offers(records, structures, results, entries, options, asks)
     passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
+    if not passed and zeros is None:
+        # What answers at once, as an acceleration under a force, has as many zeros as poles.
+        at_once = [(n, n) for n in poles]
+        try:
+            other = select_transfer_function(records, n_workers=n_workers, degrees=at_once, **given)
+        except EstimationError:
+            pass
+        else:
+            return replace(other, table=_ordered([*other.table, *entries]))
     if not passed:
         reasons = "; ".join(f"{e.n_poles}/{e.n_zeros}: {e.refused_because}" for e in entries[:4])
         raise EstimationError(
@@ -226,8 +236,12 @@ def select_transfer_function(
         and math.isnan(chosen.initial_motion.p_value)
     ):
         chosen = replace(chosen, initial_motion=motion, warnings=(*motion.warnings, *chosen.warnings))
-    ordered = sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf)
-    return OrderSelection(tuple(ordered), chosen)
+    return OrderSelection(_ordered(entries), chosen)
+
+
+def _ordered(entries: Sequence[StructureEntry]) -> tuple[StructureEntry, ...]:
+    """Return them with the best Bayesian information criterion first."""
+    return tuple(sorted(entries, key=lambda e: e.bic if math.isfinite(e.bic) else math.inf))
 
 
 def _with_own_degrees(
@@ -487,6 +501,8 @@ def _entry(n: int, m: int | tuple[int, ...], outcome: Outcome, options: dict[str
     refusal = "" if outcome.converged else outcome.reason
     if not refusal and UNRELATED in outcome.warnings:
         refusal = "it explains no more than noise of any colour would"
+    if not refusal and outcome.scores.fit_percent < 0.0:
+        refusal = "its simulation is further from the output than the output's mean is"
     return StructureEntry(
         n,
         m,

@@ -30,7 +30,14 @@ def test_a_nonlinear_plant_is_flagged_and_a_linear_one_hardly_ever():
 
 @pytest.mark.verify
 @pytest.mark.parametrize(
-    "name", ["best-linear-cubic", "best-linear-noisy-input", "best-linear-friction-loop"]
+    "name",
+    [
+        "best-linear-cubic",
+        "best-linear-noisy-input",
+        "best-linear-cubic-loop",
+        "best-linear-friction",
+        "best-linear-friction-loop",
+    ],
 )
 def test_bands_of_noise_and_distortion_hold_the_truth(name):
     found = figures(best_linear.STUDIES[name], 200)

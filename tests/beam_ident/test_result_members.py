@@ -116,7 +116,7 @@ def test_the_response_is_modelled_and_residuals(name):
         modelled, residuals = modelled[0], residuals[0]
     np.testing.assert_allclose((modelled + residuals).ravel(), own.response.ravel(), rtol=1e-12)
     assert found.misfit.chi_squared == pytest.approx(
-        np.sum(np.abs(residuals) ** 2 / (0.5 * own.variance.reshape(residuals.shape))), rel=1e-6
+        np.nansum(np.abs(residuals) ** 2 / (0.5 * own.variance.reshape(residuals.shape))), rel=1e-6
     )
 
 

@@ -49,7 +49,17 @@ def stored() -> dict[str, Any]:
 
 
 NAMES = tuple(stored())
-ADDED_LATER = {"decay_rate", "output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"}
+ADDED_LATER = {
+    "decay_rate",
+    "output_delays_s",
+    "output_delay_sd_s",
+    "output_rates",
+    "output_rate_sd",
+    "third_harmonic",
+    "encoder",
+    "known_drive_mass",
+    "stiffer_than",
+}
 OWN = (
     "subspace_model",
     "amplitude_curves",

@@ -6,8 +6,9 @@ import functools
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
-from beam_ident import InputSignal, LogChirp, OutputSignal, Recipe, TimeRecord
+from beam_ident import InputSignal, LogChirp, ModalModel, OutputSignal, Recipe, TimeRecord
 
 OMEGAS = 2.0 * np.pi * np.array([4.384, 28.26, 79.36])
 ZETAS = np.array([0.005, 0.005, 0.005])
@@ -88,4 +89,30 @@ def averaged_cosine(times: np.ndarray, pole: complex, amplitude: complex, exposu
 
     return (
         np.abs(amplitude) * (integral(times + exposure_s / 2) - integral(times - exposure_s / 2)) / exposure_s
+    )
+
+
+def coloured_record(seed: int) -> TimeRecord:
+    """Return the beam's record with noise that remembers, 0.8 from sample to sample."""
+    record = beam_record(seed, noise=1e-9)
+    rng = np.random.default_rng(seed)
+    outputs = []
+    for output in record.outputs:
+        noise = lfilter([1.0], [1.0, -0.8], 3e-6 * rng.standard_normal(len(output.values) + 100))[100:]
+        outputs.append(
+            OutputSignal(output.name, "m", output.times_s, output.values + noise, output.exposure_s)
+        )
+    return TimeRecord(record.inputs, tuple(outputs))
+
+
+def z_scores(model: ModalModel) -> np.ndarray:
+    """Return all modal parameters' errors over their stated standard deviations."""
+    return np.concatenate(
+        [
+            (model.natural_frequencies - OMEGAS) / model.natural_frequency_sd,
+            (model.damping_ratios - ZETAS) / model.damping_ratio_sd,
+            ((model.residues - RESIDUES) / model.residue_sd).ravel(),
+            (model.residual_terms - RESIDUAL_TERMS) / model.residual_term_sd,
+            (model.gains - 1.0) / model.gain_sd,
+        ]
     )

@@ -80,6 +80,8 @@ def _modal(result: Any) -> Said:
     """Return the mode nearest to the true one, of a modal model or of a table of modes."""
     model = models_of(result)[0]
     omegas = np.asarray(model.natural_frequencies)
+    if not len(omegas):  # a rigid body alone
+        return _said(result, {"frequency": (np.nan, 0.0)})
     n, k = len(omegas), int(np.argmin(np.abs(np.log(omegas / OMEGA))))
     covariance = np.asarray(model.covariance)
     found = {
@@ -120,10 +122,10 @@ def _lines(record: FrequencyRecord) -> Said:
         if not np.any(known):
             values[f"size of {name}"] = (np.nan, 0.0)
             continue
-        weights = 1.0 / np.maximum(variance[known], 1e-300)
-        information = np.sum(weights * np.abs(true[known]) ** 2)
-        factor = np.sum(weights * np.conj(true[known]) * own[known]) / information
-        sd = float(np.sqrt(0.5 * record.shared_lines / information))
+        # No weights: a fault that changes the variances of lines would also change which line's bias counts.
+        shares = np.conj(true[known]) / np.sum(np.abs(true[known]) ** 2)
+        factor = np.sum(shares * own[known])
+        sd = float(np.sqrt(0.5 * record.shared_lines * np.sum(np.abs(shares) ** 2 * variance[known])))
         values |= {f"size of {name}": (factor.real, sd), f"turn of {name}": (factor.imag, sd)}
     return Said(values, record.fit_warnings)
 
@@ -222,15 +224,17 @@ ESTIMATORS: Mapping[str, Estimator] = {
     ),
     "hammer_response": Estimator("hammered", lambda r: _lines(hammer_response(r)), is_model=False),
     "periodic_response": Estimator("shaken", lambda r: _lines(_periods(r).response), is_model=False),
-    "welch_response": Estimator("shaken", lambda r: _lines(welch_response(r)), is_model=False),
+    "welch_response": Estimator(
+        "shaken for long", lambda r: _lines(welch_response(r, segment_s=15.0)), is_model=False
+    ),
     "local_polynomial_response": Estimator(
-        "shaken", lambda r: _lines(local_polynomial_response(r)), is_model=False
+        "shaken for long", lambda r: _lines(local_polynomial_response(r)), is_model=False
     ),
     "stepped_sine_response": Estimator(
         "stepped", lambda r: _lines(stepped_sine_response(r, *STEPS)), is_model=False
     ),
     "nonlinear_distortion": Estimator("sparse lines", _distortion, is_model=False),
-    "half_power_damping": Estimator("shaken", _half_power, is_model=False),
-    "circle_fit": Estimator("shaken", _circle, is_model=False),
+    "half_power_damping": Estimator("shaken for long", _half_power, is_model=False),
+    "circle_fit": Estimator("shaken for long", _circle, is_model=False),
     "validate": Estimator("shaken", _validated, is_model=False),
 }  # fmt: skip

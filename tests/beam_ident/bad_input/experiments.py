@@ -16,6 +16,7 @@ OMEGA, ZETA = 20.0, 0.05
 GAINS = {"y": 1.0, "z": -0.5}  # static, of the two outputs
 NOISE = 0.01  # of every output, by its standard deviation
 LINE_PERIOD_S = 2.56
+_DRAW = 100  # between the seeds of one draw of the noise and the next
 STEPS = (np.array([2.5, 3.6]), np.array([5.0, 12.0]), np.array([7.0, 13.9]))  # Hz, from, to
 PLANT = TransferFunctionModel(
     np.array([OMEGA**2]), np.array([1.0, 2.0 * ZETA * OMEGA, OMEGA**2]), 0.0, np.zeros((4, 4)), 0.0
@@ -83,28 +84,38 @@ def _raw(drive: InputSignal, stamps: np.ndarray, seen: dict[str, np.ndarray], **
 
 
 @functools.cache
-def shaken(order: int = 0) -> Raw:
+def shaken(draw: int = 0, order: int = 0) -> Raw:
     """Return the plant under three periods of a held noise up to a quarter of the rate."""
     rng = np.random.default_rng(11)
     period = np.convolve(rng.standard_normal(256), np.ones(3), mode="same")
     drive = InputSignal("u", "", (0.0, PERIOD_S), np.tile(period, 4), "zoh")
     stamps = PERIOD_S * np.arange(1, 1024)
-    return _raw(drive, stamps, outputs_of(drive, stamps, 12, order))
+    return _raw(drive, stamps, outputs_of(drive, stamps, 12 + _DRAW * draw, order))
 
 
 @functools.cache
-def sparse_lines() -> Raw:
+def shaken_long(draw: int = 0) -> Raw:
+    """Return the plant under noise that does not repeat, long enough for lines closer than its resonance is wide."""
+    rng = np.random.default_rng(21)
+    values = np.convolve(rng.standard_normal(8192), np.ones(3), mode="same")
+    drive = InputSignal("u", "", (0.0, PERIOD_S), values, "linear")
+    stamps = PERIOD_S * np.arange(1, 8192)
+    return _raw(drive, stamps, outputs_of(drive, stamps, 22 + _DRAW * draw))
+
+
+@functools.cache
+def sparse_lines(draw: int = 0) -> Raw:
     """Return the plant under four periods of a multisine on odd lines, some left out."""
     rng = np.random.default_rng(18)
     lines = np.array([k for k in range(1, 40, 2) if k % 3])
     phases = 2.0 * np.pi * (np.arange(256)[:, None] * lines / 256 + rng.random(len(lines)))
     drive = InputSignal("u", "", (0.0, PERIOD_S), np.tile(np.cos(phases).sum(axis=1), 4), "zoh")
     stamps = PERIOD_S * np.arange(1, 1024)
-    return _raw(drive, stamps, outputs_of(drive, stamps, 19))
+    return _raw(drive, stamps, outputs_of(drive, stamps, 19 + _DRAW * draw))
 
 
 @functools.cache
-def stepped() -> Raw:
+def stepped(draw: int = 0) -> Raw:
     """Return the plant under two sines, one after the other."""
     times = PERIOD_S * np.arange(1400)
     hertz = STEPS[0]
@@ -113,11 +124,11 @@ def stepped() -> Raw:
     )
     drive = InputSignal("u", "", (0.0, PERIOD_S), values, "zoh")
     stamps = PERIOD_S * np.arange(1, 1399)
-    return _raw(drive, stamps, outputs_of(drive, stamps, 20))
+    return _raw(drive, stamps, outputs_of(drive, stamps, 20 + _DRAW * draw))
 
 
 @functools.cache
-def hammered() -> Raw:
+def hammered(draw: int = 0) -> Raw:
     """Return the plant under three blows of a half-sine of 30 ms."""
     blow = 20.0 * np.sin(np.pi * np.arange(31) / 30)  # at a rate of 1 kHz
     force = np.zeros(18000)
@@ -125,29 +136,29 @@ def hammered() -> Raw:
         force[start : start + 31] = blow
     drive = InputSignal("u", "", (0.0, 0.001), force, "linear")
     stamps = PERIOD_S * np.arange(1, 1799)
-    return _raw(drive, stamps, outputs_of(drive, stamps, 13))
+    return _raw(drive, stamps, outputs_of(drive, stamps, 13 + _DRAW * draw))
 
 
 @functools.cache
-def plucked() -> Raw:
+def plucked(draw: int = 0) -> Raw:
     """Return a free decay of the plant; its input stands still."""
     stamps = PERIOD_S * np.arange(500)
     damped = OMEGA * np.sqrt(1.0 - ZETA**2)
     clean = np.exp(-ZETA * OMEGA * stamps) * np.cos(damped * stamps)
-    rng = np.random.default_rng(14)
+    rng = np.random.default_rng(14 + _DRAW * draw)
     seen = {name: gain * clean + NOISE * rng.standard_normal(len(stamps)) for name, gain in GAINS.items()}
     drive = InputSignal("u", "", (0.0, PERIOD_S), np.zeros(501), "zoh")
     return _raw(drive, stamps, seen)
 
 
 @functools.cache
-def looped() -> Raw:
+def looped(draw: int = 0) -> Raw:
     """Return the plant under a slow controller that holds 0.1 of the deviation from a random reference."""
     reference = np.repeat(np.random.default_rng(15).choice([-10.0, 10.0], 64), 12)
     n = len(reference)
     pulse = InputSignal("u", "", (0.0, PERIOD_S), np.eye(1, n)[0], "zoh")
     weights = PLANT.simulate(pulse, PERIOD_S * np.arange(n))
-    noise = NOISE * np.random.default_rng(16).standard_normal(n)
+    noise = NOISE * np.random.default_rng(16 + _DRAW * draw).standard_normal(n)
     drive, seen = np.zeros(n), np.zeros(n)
     for k in range(n):
         seen[k] = weights[1 : k + 1] @ drive[:k][::-1] + noise[k]
@@ -157,7 +168,7 @@ def looped() -> Raw:
 
 
 @functools.cache
-def moved() -> Raw:
+def moved(draw: int = 0) -> Raw:
     """Return the plant on a base whose position is known, filmed with 5 ms of exposure."""
     n = 2
     beam = ModalModel(
@@ -169,17 +180,18 @@ def moved() -> Raw:
     hub = LogChirp(start_frequency=1.0, end_frequency=12.0, duration=5.0, still=2.0).sample(2e-3)
     drive = hub.input_signal("position", "u")
     stamps = PERIOD_S * np.arange(1, 690)
-    rng = np.random.default_rng(17)
+    rng = np.random.default_rng(17 + _DRAW * draw)
     noise = 1e-3 * float(np.std(drive.values))
     clean = beam.simulate(drive, stamps, exposure_s=5e-3)
     seen = {name: clean[:, j] + noise * rng.standard_normal(len(stamps)) for j, name in enumerate(GAINS)}
     return _raw(drive, stamps, seen, exposure_s=5e-3)
 
 
-EXPERIMENTS: Mapping[str, Callable[[], Raw]] = {
+EXPERIMENTS: Mapping[str, Callable[[int], Raw]] = {
     "shaken": shaken,
-    "shaken, velocities": lambda: shaken(1),
-    "shaken, accelerations": lambda: shaken(2),
+    "shaken for long": shaken_long,
+    "shaken, velocities": lambda draw: shaken(draw, 1),
+    "shaken, accelerations": lambda draw: shaken(draw, 2),
     "sparse lines": sparse_lines,
     "stepped": stepped,
     "hammered": hammered,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from tests.beam_ident.bad_input.estimators import ESTIMATORS
-from tests.beam_ident.bad_input.faults import HOPELESS, OPEN, cases
+from tests.beam_ident.bad_input.faults import HOPELESS, cases
 from tests.beam_ident.bad_input.judgement import judge, sound
 
 QUICK = (
@@ -23,19 +23,11 @@ QUICK = (
     "stepped_sine_response",
     "validate",
 )
-TABLE = [
-    (name, fault)
-    for name, fault in cases(ESTIMATORS)
-    if (name in QUICK or fault in HOPELESS) and name not in OPEN.get(fault, ())
-]
+TABLE = [(name, fault) for name, fault in cases(ESTIMATORS) if name in QUICK or fault in HOPELESS]
 
 
-def test_the_table_has_more_than_three_hundred_cases_and_names_those_that_are_open():
+def test_the_table_has_more_than_three_hundred_cases():
     assert len(TABLE) > 300
-    everything = set(cases(QUICK))
-    assert all(
-        (name, fault) in everything for fault, names in OPEN.items() for name in names if name in QUICK
-    )
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -57,6 +49,9 @@ def test_bad_input_is_refused_or_named_or_does_no_harm(name, fault):
     [
         ("identify, receptance", "a saturating actuator", "cube"),
         ("half_power_damping", "spikes", "Outliers"),
+        ("welch_response", "spikes", "Outliers"),
+        ("identify, accelerance", "input and output swapped", "swapped"),
+        ("identify, accelerance", "an output wired to the input", "copy"),  # a rigid body alone is found
     ],
 )
 def test_a_fault_is_named_by_its_cause_and_a_sound_record_is_not_said_to_have_it(name, fault, word):

@@ -14,7 +14,8 @@ from beam_ident import (
     fit_frequency_transfer_function,
     restore,
 )
-from beam_ident.best_linear.approximation import best_linear_approximation
+from beam_ident.best_linear.approximation import _p_value, best_linear_approximation
+from beam_ident.best_linear.result import LineVariances
 from beam_ident.figures import best_linear_figure
 from beam_ident.report.measurement import add_best_linear
 from beam_ident.report.page import Page
@@ -62,6 +63,19 @@ def test_a_linear_system_is_left_in_peace():
     assert np.mean(found.excited.distortion_band()[0] == 0.0) > 0.9
 
 
+def test_many_lines_of_noise_are_called_nonlinear_no_more_often_than_few():
+    # 600 draws of 2000 lines: 5 % +- 0.9 %.
+    rng = np.random.default_rng(0)
+    n, of_total, of_noise = 2000, 2.0 * (M - 1), 2.0 * M * (P - 1)
+    flagged = 0
+    for _ in range(600):
+        total = rng.chisquare(of_total, (n, 1)) / of_total
+        noise = rng.chisquare(of_noise, (n, 1)) / of_noise
+        lines = LineVariances(np.ones(n), total, noise, np.full(n, of_total), np.full(n, of_noise))
+        flagged += _p_value(lines, np.ones((n, 1), dtype=complex)) < 0.05
+    assert 0.025 < flagged / 600 < 0.075
+
+
 def test_even_and_odd_lines_show_their_own_part():
     class Odd(Polynomial):
         square = 0.0
@@ -107,6 +121,31 @@ def test_in_a_loop_the_reference_removes_the_bias_that_comes_around(has_referenc
     else:
         assert abs(z) > 5.0
         assert [said for said in best.warnings if "reference_name" in said]
+
+
+def test_variances_of_detection_lines_are_of_the_same_kind_as_those_of_excited_ones():
+    # What comes around a loop into the input, here as strong as the reference, is no part of what excites.
+    n, rng, given = 256, np.random.default_rng(3), []
+    odd = np.arange(1, 100, 2)
+    lines = np.delete(odd, np.arange(2, 48, 4))
+    for _ in range(16):
+        r, back = (
+            np.fft.irfft(
+                np.bincount(own, minlength=n // 2 + 1) * np.exp(2j * np.pi * rng.uniform(size=n // 2 + 1)), n
+            )
+            for own in (lines, odd)
+        )
+        u = np.tile(r + back, 3)
+        y = 2.0 * u + 1e-3 * rng.standard_normal(3 * n)
+        step = 1.0 / n
+        inputs = (
+            InputSignal("u", "", (0.0, step), u, "band_limited"),
+            InputSignal("r", "", (0.0, step), np.tile(r, 3), "band_limited"),
+        )
+        given.append(TimeRecord(inputs, (OutputSignal("y", "", (0.0, step), y),)))
+    best = best_linear_approximation(given, 1.0, lines, skip_periods=0, input_name="u", reference_name="r")
+    # What comes back leaves 35 % of scatter to the power at a line, of which there are 12.
+    assert np.mean(best.odd.noise) == pytest.approx(np.mean(best.excited.noise), rel=0.4)
 
 
 def test_noise_of_the_input_does_not_bias_the_response():

@@ -64,3 +64,24 @@ def test_a_rough_bridge_over_a_gap_is_no_excitation(start_s, length_s):
     band = excited_band(drive, 2, 14.0, 100.0)
     assert band.low_hz < 1.0
     assert 50.0 < band.high_hz < 100.0
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_many_short_gaps_hide_nothing_that_a_sweep_excites_between_them(seed):
+    # With 50 lost messages of 20 ms no piece between two is as long as the sweep takes to pass.
+    positions = LogChirp(duration=8.0, still=3.0).sample(1e-3).positions
+    positions = 1e-7 * np.round(positions / 1e-7)
+    n_messages = len(positions) // 20
+    lost = 20 * np.random.default_rng(seed).choice(np.arange(3, n_messages - 3), 50, replace=False)
+    positions[(lost[:, None] + np.arange(20)).ravel()] = np.nan
+    drive = InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic", 1e-7 / np.sqrt(12.0))
+    band = excited_band(drive, 2, 11.0, 100.0)
+    # The sweep goes from 1 to 95 Hz; its last turns may be lost.
+    assert band.low_hz < 0.5
+    assert 85.0 < band.high_hz < 120.0
+
+
+def test_an_input_that_moved_while_nobody_heard_of_it_has_a_band_all_the_same():
+    positions = np.concatenate([np.zeros(400), np.full(40, np.nan), np.full(600, 0.01)])
+    band = excited_band(InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic"), 2, 1.0, 100.0)
+    assert 0.0 < band.low_hz < band.high_hz < 500.0

@@ -105,3 +105,9 @@ def test_stamps_of_another_signal_are_not_stored_twice_but_those_that_can_change
     second = InputSignal("hub", "m", stamps[:50], view)
     values[0] = 9.0  # what the view shows can still change
     assert second.values[0] == 1.0
+
+
+def test_dates_are_refused_as_their_unit_would_be_lost():
+    dates = np.datetime64("2026-01-01", "ns") + np.arange(5) * np.timedelta64(10, "ms")
+    with pytest.raises(RecordError, match="are dates"):
+        OutputSignal("y", "m", dates, np.arange(5.0))

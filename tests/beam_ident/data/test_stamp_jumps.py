@@ -11,6 +11,7 @@ from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, i
 from beam_ident.data.stamp_jumps import ClockJump, is_after, possible_jumps, without_jumps
 from benchmarks.ident.delay import JumpingClock
 from benchmarks.ident.forced_beam import FIXED, FREE, PLAIN
+from benchmarks.ident.gaps import Gaps
 
 PERIOD = 0.01
 
@@ -63,12 +64,42 @@ def test_stamps_are_corrected_from_each_jump_on() -> None:
         np.testing.assert_array_equal(is_after(jump, jumps, corrected), np.arange(300) >= first)
 
 
+def _without_samples(drive: InputSignal, *places: slice) -> InputSignal:
+    kept = np.ones(len(drive.values), dtype=bool)
+    for place in places:
+        kept[place] = False
+    return dataclasses.replace(drive, times_s=drive.times_s[kept], values=drive.values[kept])
+
+
+def test_a_gap_of_whole_periods_in_an_input_may_be_a_jump_of_its_clock() -> None:
+    times = PERIOD * np.arange(300)
+    kept = (times < 1.995) | (times > 2.045)  # five samples are lost
+
+    def driven(late: np.ndarray) -> InputSignal:
+        return InputSignal("u", "m", (times + late)[kept], np.sin(times)[kept], "cubic")
+
+    drive = driven(0.12 * (times > 0.995))  # none are, where the clock jumps
+    assert [gap.missing for gap in drive.gaps] == [12, 5]
+    seen = TimeRecord((drive,), (OutputSignal("y", "m", times, np.zeros(300)),))
+    (jump,), (other,) = possible_jumps(seen, 0, ["u"])
+    np.testing.assert_allclose([jump.size_s, other.size_s], [0.12, 0.05], atol=1e-9)
+    assert possible_jumps(seen, 0, ["u"], at_gaps=False) == []
+    (found,) = without_jumps(seen, 0, [jump]).inputs
+    expected = driven(np.zeros(300))
+    np.testing.assert_allclose(found.times_s, expected.times_s, atol=1e-12)
+    np.testing.assert_allclose(found.values, expected.values, atol=1e-6)  # a bridge, from elsewhere
+    (left,) = found.gaps
+    np.testing.assert_allclose([left.start_s, left.end_s], [1.99, 2.05], atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def case() -> JumpingClock:
     return JumpingClock()
 
 
-@pytest.mark.parametrize("seed", [1, 7])  # the camera's clock, the input's
+@pytest.mark.parametrize(
+    "seed", [1, 7, 115]
+)  # the camera's clock, the input's, that by nearly a whole period
 def test_a_jump_is_found_at_its_place_and_size_and_does_not_move_the_poles(
     case: JumpingClock, seed: int
 ) -> None:
@@ -106,3 +137,32 @@ def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
     lost = TimeRecord(whole.inputs, tuple(outputs))
     assert possible_jumps(lost, 0, ["force"])
     assert identify(lost, PLAIN, None, FREE, FIXED).clock_jumps == ()
+
+
+@pytest.mark.parametrize("first", [3000, 9000])
+def test_samples_of_the_input_that_were_lost_are_no_jump(case: JumpingClock, first: int) -> None:
+    whole = case.record(0)
+    drive = _without_samples(whole.inputs[0], slice(first, first + 4))
+    lost = TimeRecord((drive,), whole.outputs)
+    assert possible_jumps(lost, 0, ["force"])
+    result = identify(lost, PLAIN, None, FREE, FIXED)
+    assert result.clock_jumps == ()
+    assert result.model.n_modes == 3
+    assert any("Input force has 1 gap" in said for said in result.warnings)
+
+
+# The longest stretch without a lost message shows two modes of three (24), or little but their ringing (20). Messages
+# lost at rest tell nothing of a clock, but that it had jumped would leave other samples out (159).
+@pytest.mark.parametrize("seed", [24, 20, 159])
+def test_lost_messages_while_an_input_sweeps_are_no_jumps_nor_lead_the_search_astray(seed: int) -> None:
+    case, phrases = Gaps(), set[str]()
+    result = identify(case.record(seed), progress=lambda phrase, _: phrases.add(phrase))
+    assert result.clock_jumps == ()
+    assert result.model.n_modes == 3
+    truth = case.rig.full
+    for own, true, sd in (
+        (result.model.natural_frequencies, truth.natural_frequencies, result.model.natural_frequency_sd),
+        (result.model.damping_ratios, truth.damping_ratios, result.model.damping_ratio_sd),
+    ):
+        assert np.all(np.abs(own - true[:3]) < 4.0 * sd)
+    assert not any("mode 5" in phrase for phrase in phrases)

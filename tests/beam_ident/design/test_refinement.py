@@ -95,5 +95,8 @@ def test_refined_lines_tell_more_within_the_same_limits():
         return Criterion("D").value(predicted_model(model, drive_of(loudest, model, own), OBSERVATION))
 
     assert np.all(effective > 0.0)
-    found = replace(RECIPE, amplitudes=tuple(effective), line_phases=tuple(phases))
+    level = float(np.linalg.norm(effective))
+    found = replace(RECIPE, amplitudes=tuple(effective), line_phases=tuple(phases), acceleration=level)
     assert value(found) < 0.6 * value(RECIPE)
+    # Hardly a peak hides between the instants that are looked at, five in a period of the fastest line.
+    assert np.exp(lines.log_peak(best, 1024)[0]) == pytest.approx(max(own.shares(found).values()), rel=0.05)

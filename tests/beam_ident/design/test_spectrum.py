@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,14 +39,15 @@ def limits(model: ModalModel) -> ExcitationLimits:
     return ExcitationLimits(axis, (LimitedResponse(model, {"tip": 0.03}),), period_s=2e-3)
 
 
-def test_the_lines_information_is_the_exact_one_of_a_long_record():
-    model, own = two_modes(), limits(two_modes())
+@pytest.mark.parametrize("input_sd", [0.0, 5e-7])
+def test_the_lines_information_is_the_exact_one_of_a_long_record(input_sd):
+    model, own, seen = two_modes(), limits(two_modes()), replace(OBSERVATION, input_sd=input_sd)
     lines, powers = np.array([3.0, 4.9, 5.15, 20.8, 21.3, 30.0]), np.array([0.1, 0.05, 0.05, 0.2, 0.3, 0.4])
-    told = np.tensordot(powers, line_information(model, lines, 1.0, 120.0, OBSERVATION), 1)
+    told = np.tensordot(powers, line_information(model, lines, own, 120.0, seen), 1)
     recipe = ShapedMultisine(
         tuple(lines), tuple(np.sqrt(powers)), tuple(range(6)), np.sqrt(powers.sum()), 120.0, 0.5, 0.0
     )
-    exact = predicted_model(model, drive_of(recipe, model, own), OBSERVATION)
+    exact = predicted_model(model, drive_of(recipe, model, own), seen)
     sd = np.sqrt(np.diag(np.linalg.inv(told)))
     places = [k for k, name in enumerate(model.parameter_names) if name != "clock_rate"]
     scale = np.concatenate([model.natural_frequencies, model.damping_ratios, np.ones(9)])
@@ -59,7 +62,7 @@ def test_no_line_is_worth_more_than_its_price(criterion):
     own, crests = limits(model), np.full(4, 2.0)
     lines = candidate_lines([model], (1.0, 45.0), 60.0, 100.0)
     powers = optimal_powers(Criterion(criterion), [model], lines, [own], crests, 60.0, OBSERVATION)
-    told = line_information(model, lines, 1.0, 60.0, OBSERVATION)
+    told = line_information(model, lines, own, 60.0, OBSERVATION)
     size = np.sqrt(np.einsum("kii->i", told))
     told /= np.outer(size, size)
 
@@ -84,7 +87,7 @@ def test_the_best_for_one_parameter_is_better_for_it_than_what_is_best_for_all()
     model = two_modes()
     own, crests = limits(model), np.full(4, 2.0)
     lines = candidate_lines([model], (1.0, 45.0), 60.0, 100.0)
-    told = line_information(model, lines, 1.0, 60.0, OBSERVATION)
+    told = line_information(model, lines, own, 60.0, OBSERVATION)
     sd = {}
     for wanted in ("D", "c:zeta_2", "c:r_2[tip]"):
         powers = optimal_powers(Criterion.of(wanted), [model], lines, [own], crests, 60.0, OBSERVATION)

@@ -61,7 +61,7 @@ def test_a_response_stands_as_points_over_the_model(rational):
     estimate = local_polynomial_response(record)
     figure = figures.response_over_model_figure([estimate], model)
     points = [line for line in figure.axes[0].lines if line.get_marker() == "."]
-    assert np.array_equal(points[0].get_ydata(), np.abs(estimate.response[:, 0, 0]))
+    assert np.array_equal(points[0].get_ydata(), np.abs(estimate.response[:, 0, 0]), equal_nan=True)
 
 
 def test_coherence_is_drawn_where_there_is_one_and_the_relative_sd_elsewhere(rational):

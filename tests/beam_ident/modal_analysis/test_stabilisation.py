@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import EstimationError
+from beam_ident import EstimationError, RecordError
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.modal_analysis import StabilityCriteria, stabilisation_chart
 from tests.beam_ident.modal_analysis.chain import DAMPING, FREQUENCIES_HZ, LINES, noisy_record
@@ -19,6 +19,16 @@ def test_the_modes_are_chosen_and_nothing_else(form, differentiations):
     # Linearised and unweighted, the chart is biased where a mode is small: the refinement starts from it.
     np.testing.assert_allclose(chart.damping_ratios, DAMPING, rtol=0.1)
     assert np.all(chart.lasting >= 8)
+
+
+def test_lines_that_were_not_measured_are_left_out():
+    whole = noisy_record(1, 0.01, (0, 2))
+    holes = whole.response.copy()
+    holes[:: len(LINES) // 20] = np.nan
+    found = stabilisation_chart(FrequencyRecord(LINES, holes), max_order=20)
+    np.testing.assert_allclose(found.frequencies_hz, FREQUENCIES_HZ, rtol=2e-3)
+    with pytest.raises(RecordError, match="no line was measured"):
+        stabilisation_chart(FrequencyRecord(LINES, np.full_like(holes, np.nan)), max_order=20)
 
 
 def test_two_modes_at_one_frequency_are_told_apart_with_two_inputs():

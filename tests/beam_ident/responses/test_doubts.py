@@ -36,7 +36,9 @@ def test_outputs_of_noise_are_named_and_sound_ones_are_not(way):
     named = sum("no more than chance" in " ".join(WAYS[way](noise_for_outputs(k)).warnings) for k in range(5))
     assert named == 5
     said = WAYS[way](result_cases.record(5)).warnings
-    assert not [own for own in said if "held between its samples" not in own]
+    # Of a held input and of segments as short as these, which are named rightly.
+    known = ("held between its samples", "biased by what leaks", "too short for it")
+    assert not [own for own in said if not any(text in own for text in known)]
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -49,6 +49,18 @@ def test_a_peak_without_flanks_is_refused():
         half_power_damping(receptance(np.linspace(1.0, 20.0, 50)))
 
 
+def test_a_line_that_noise_may_have_lifted_is_no_peak():
+    omegas = np.linspace(50.0, 75.0, 401)
+    response = receptance(omegas).response[:, 0, 0].copy()
+    variance = np.full(len(omegas), (0.01 * np.max(np.abs(response))) ** 2)
+    response[20] = 3.0 * np.max(np.abs(response))  # hum, over an input that hardly has that line
+    variance[20] = abs(response[20]) ** 2
+    found = half_power_damping(FrequencyRecord(omegas, response, variance[:, None, None]))
+    assert found.natural_frequency == pytest.approx(OMEGA, rel=1e-3)
+    with pytest.raises(EstimationError, match="3 standard deviations"):
+        half_power_damping(FrequencyRecord(omegas, response, 1e4 * variance[:, None, None]))
+
+
 def test_of_several_outputs_the_first_is_read_where_none_is_named():
     omegas = np.linspace(50.0, 75.0, 4001)
     other = 1.0 / (OMEGA**2 - omegas**2 + 2j * 0.03 * OMEGA * omegas)

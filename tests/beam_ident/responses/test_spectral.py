@@ -161,3 +161,51 @@ def test_outputs_of_different_length_have_different_lines_and_are_refused(noise_
     shorter = OutputSignal("shorter", "", output.times_s[:9000], output.values[:9000])
     with pytest.raises(EstimationError, match="'y' and 'shorter' have different stamps"):
         welch_response(TimeRecord(noise_record.inputs, (output, shorter)))
+
+
+def leaks(drive: np.ndarray, **options: float) -> bool:
+    return any("what leaks" in said for said in welch_response(make_record(drive, 0.1), **options).warnings)
+
+
+def test_leakage_of_what_is_no_stationary_noise_is_named(noise_record):
+    t = PERIOD_S * np.arange(20000)
+    assert leaks(np.sin(2 * np.pi * (0.5 * t + 14.5 * t**2 / (2 * t[-1]))))
+    assert leaks(np.where(np.abs(t - 5.0) < 0.02, 100.0, 0.0))
+    assert leaks(np.random.default_rng(2).standard_normal(20000), segment_s=0.4)  # a mode rings for 0.7 s
+    assert not any("what leaks" in said for said in welch_response(noise_record).warnings)
+    # By chance in one of two hundred such records.
+    assert sum(leaks(np.random.default_rng(seed).standard_normal(8000)) for seed in range(10)) <= 1
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        local_polynomial_response,
+        lambda record: welch_response(record, segment_s=record.inputs[0].span_s[1] / 8.0),
+    ],
+    ids=["local polynomial", "welch"],
+)
+def test_a_resonance_narrower_than_what_lines_are_smoothed_over_is_named(estimate):
+    # Half-power band 0.48 Hz: 13 lines of a record are as wide after 27 s, 4 of an eighth of it after 67 s.
+    rng = np.random.default_rng(8)
+    for n, is_named in ((1000, True), (20000, False)):
+        found = estimate(make_record(rng.standard_normal(n), 1e-3))
+        assert any("too short for it" in said for said in found.warnings) == is_named
+
+
+def test_segments_in_which_the_input_stands_still_are_refused():
+    drive = np.zeros(1010)  # of which segments of 200, every 100, leave the last ten out
+    drive[-1] = 1.0
+    with pytest.raises(EstimationError, match="stands still in every segment"):
+        welch_response(make_record(drive, 1e-3), segment_s=2.0)
+
+
+def test_single_samples_far_off_are_named_and_none_of_sound_records():
+    rng = np.random.default_rng(3)
+    sound = make_record(rng.standard_normal(6000), noise=0.05)
+    values = sound.output("y").values.copy()
+    values[[1500, 2900, 4100]] += 6.0
+    spiky = TimeRecord(sound.inputs, (OutputSignal("y", "", sound.output("y").times_s, values),))
+    said = welch_response(spiky, segment_s=10.0).warnings
+    assert any("Outliers: 3 of" in text for text in said)
+    assert not any("Outliers" in text for text in welch_response(sound, segment_s=10.0).warnings)

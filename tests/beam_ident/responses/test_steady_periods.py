@@ -18,6 +18,7 @@ from beam_ident import (
     fit_frequency_transfer_function,
     local_polynomial_response,
     periodic_response,
+    welch_response,
 )
 from beam_ident.data.frequency_record import beside
 from beam_ident.responses.steady_periods import changing_warnings, drift_of_periods, input_changes
@@ -182,3 +183,20 @@ def test_a_gain_that_falls_in_mid_record_is_said_by_responses_of_every_kind():
     record = TimeRecord((drive,), (OutputSignal("y", "m", stamps, values),))
     for found in (local_polynomial_response(record), periodic_response(record, 5.0, start_s=4.9).response):
         assert any("changes in mid-record" in said for said in found.warnings), found.method
+
+
+@pytest.mark.parametrize("way", [local_polynomial_response, welch_response])
+@pytest.mark.parametrize("rate", [-0.006, 0.01])
+def test_a_clock_that_turns_lines_through_cycles_is_named_with_its_rate(way, rate):
+    step, rng = 0.01, np.random.default_rng(4)
+    drive = rng.standard_normal(8000)
+    plant = TransferFunctionModel(np.array([900.0]), np.array([1.0, 3.0, 900.0]), 0.0, np.zeros((4, 4)), 0.0)
+    signal = InputSignal("u", "N", (0.0, step), drive, "linear")
+    stamps = step * np.arange(1, 7900)
+    values = plant.simulate(signal, stamps)
+    values = values + 0.01 * np.std(values) * rng.standard_normal(len(values))
+    for wrong in (0.0, rate):
+        record = TimeRecord((signal,), (OutputSignal("y", "m", stamps * (1.0 + wrong), values),))
+        said = [own for own in way(record).warnings if "its clock runs" in own]
+        assert len(said) == (wrong != 0.0)
+    assert float(re.findall(r"clock runs ([-+.0-9]+)%", said[0])[0]) / 100.0 == pytest.approx(rate, rel=0.2)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter, tf2ss
 
 from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord, estimate_transfer_function
 from beam_ident.transfer_function_estimation import order_selection
@@ -90,6 +90,40 @@ def test_noise_alone_passes_no_gate():
         select_transfer_function(record, [3, 4], [2])
     with pytest.raises(EstimationError, match="no structure to try"):
         select_transfer_function(record, [])
+
+
+def test_what_answers_at_once_gets_as_many_zeros_as_poles():
+    # (s^2 + s + 3) / (s^2 + 0.4 s + 9), its steps exact under a held input.
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.choice([-1.0, 1.0], 300), 5)
+    A, B, C, D, _ = cont2discrete(tf2ss([1.0, 1.0, 3.0], [1.0, 0.4, 9.0]), 0.01)
+    y, x = np.zeros(len(u)), np.zeros((2, 1))
+    for k, push in enumerate(u):
+        y[k] = (C @ x + D * push).item()
+        x = A @ x + B * push
+    y += 0.01 * rng.standard_normal(len(u))
+    drive = InputSignal("u", "N", (0.0, 0.01), u)
+    record = TimeRecord((drive,), (OutputSignal("y", "m/s^2", (0.0, 0.01), y),))
+    selection = select_transfer_function(record, [2])
+    assert degrees(selection) == (2, 2)
+    assert selection.chosen.model.numerator == pytest.approx([1.0, 1.0, 3.0], rel=0.05)
+    assert {entry.n_zeros for entry in selection.table} == {0, 1, 2}
+
+
+def test_a_simulation_that_runs_away_is_refused():
+    # x'' + 0.5 x' - 4 x = u is held upright by a loop; its open simulation is not, and scored -460 %.
+    rng = np.random.default_rng(0)
+    A, B, C, _, _ = cont2discrete(tf2ss([1.0], [1.0, 0.5, -4.0]), 0.01)
+    reference = np.repeat(rng.choice([-1.0, 1.0], 400), 5)
+    u, y, x, last = np.zeros(2000), np.zeros(2000), np.zeros((2, 1)), 0.0
+    for k in range(len(u)):
+        y[k] = (C @ x).item() + 1e-3 * rng.standard_normal()
+        u[k] = reference[k] - 20.0 * y[k] - 5.0 * (y[k] - last) / 0.01
+        last, x = y[k], A @ x + B * u[k]
+    drive = InputSignal("u", "N", (0.0, 0.01), u)
+    record = TimeRecord((drive,), (OutputSignal("y", "m", (0.0, 0.01), y),))
+    with pytest.raises(EstimationError, match="further from the output"):
+        select_transfer_function(record, [2], [0, 1], n_integrators=0, has_free_response=False)
 
 
 @pytest.mark.verify
