@@ -17,7 +17,7 @@ RIG = ["opencv-python-headless>=4.6", "pyserial>=3.5"]
 WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.14"'
 ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
-# Machine code for loops over long records; the results are the same without.
+# Machine code for loops over long records and for the tracker's sums; the results are the same without.
 COMPILED = ["numba>=0.60"]
 
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).

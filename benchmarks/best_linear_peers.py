@@ -18,12 +18,24 @@ import best_linear_approximation as package
 import numpy as np
 
 from beam_ident.best_linear.variance_bands import variance_band
-from benchmarks.ident.best_linear import BandStudy, FrictionLoop, M, NoisyInput, P, Polynomial, Signals
+from benchmarks.ident.best_linear import (
+    BandStudy,
+    CubicLoop,
+    Friction,
+    FrictionLoop,
+    M,
+    NoisyInput,
+    P,
+    Polynomial,
+    Signals,
+)
 
 CASES: dict[str, tuple[type[BandStudy], str]] = {
     "polynomial, known input": (Polynomial, "known_input"),
     "polynomial, measured input": (NoisyInput, "noisy_input"),
+    "friction, known input": (Friction, "known_input"),
     "friction in a loop": (FrictionLoop, "closed_loop"),
+    "stiffening spring in a loop": (CubicLoop, "closed_loop"),
 }
 
 

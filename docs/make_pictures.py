@@ -40,8 +40,9 @@ from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.bags.reading import Bag
 from beam_ros.checks.bag_check import gates_of_bag
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import identification_of_bags, load_experiment
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.loading.experiment import load_experiment
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.offline.whole_beam import strip_parameters
 from beam_ros.reporting.theory import theory_of_rig

@@ -15,7 +15,9 @@ import pytest
 from beam_ident import fit_free_decay
 from beam_ros.bags.reading import Bag
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import described_rig, identify_bag, load_experiment
+from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.loading.described_rig import described_rig
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.rig.rig import Rig
 from tests.whole_bags import messages_of_whole_bag
 

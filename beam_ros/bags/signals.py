@@ -7,6 +7,7 @@ carry time: receive times order nothing. A message that cannot be read is left o
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -82,6 +83,7 @@ class HubSamples:
         NaN where only some batches carry the quantity
     gaps : tuple of Gap -- in order of time
     duplicates : int -- samples left out because their time was already there
+    is_in_order : bool -- messages stand in the bag in the order of their stamps
     unreadable : Unreadable
     """
 
@@ -96,6 +98,16 @@ class HubSamples:
     gaps: tuple[Gap, ...]
     duplicates: int
     unreadable: Unreadable
+    is_in_order: bool
+
+    @property
+    def stretches(self) -> tuple[slice, ...]:
+        """Which samples one clock has counted, without a hole that is longer than all of them together."""
+        steps = np.diff(self.stamps_ns)
+        usual_ns = self.period_ns or (float(np.median(steps)) if len(steps) else 1.0)
+        is_border = (np.diff(self.epochs) != 0) | (steps > usual_ns * len(self.stamps_ns))
+        borders = [0, *(np.flatnonzero(is_border) + 1).tolist(), len(self.stamps_ns)]
+        return tuple(slice(first, last) for first, last in itertools.pairwise(borders))
 
     @property
     def lost(self) -> int:
@@ -114,6 +126,7 @@ class Displacements:
     positions : ndarray, shape (n, m) -- absolute displacement u [m]; NaN where not seen
     duplicates : int -- values left out because the marker had one at that time already
     unreadable : Unreadable
+    is_in_order : bool -- messages stand in the bag in the order of their stamps
     """
 
     names: tuple[str, ...]
@@ -121,6 +134,7 @@ class Displacements:
     positions: FloatArray
     duplicates: int
     unreadable: Unreadable
+    is_in_order: bool
 
 
 def message_decoder(types: BagTypes, type_name: str, read: Callable[[Any], _T]) -> Callable[[bytes], _T]:
@@ -340,7 +354,9 @@ def _join(topic: str, tables: list[_Batches], unreadable: Unreadable) -> HubSamp
     counts = np.array([len(table.numbers) for table in tables])
     begun = np.concatenate([table.stamps_ns for table in tables])
     # Of two batches with one stamp the one that came first stands first.
-    order = np.lexsort((np.concatenate([table.numbers for table in tables]), begun))
+    numbers = np.concatenate([table.numbers for table in tables])
+    order = np.lexsort((numbers, begun))
+    is_in_order = bool((np.diff(numbers[order]) > 0).all())
     periods = np.repeat([table.period_ns for table in tables], counts)
     lengths = np.repeat([table.length for table in tables], counts)
     named = periods[periods > 0]
@@ -380,6 +396,7 @@ def _join(topic: str, tables: list[_Batches], unreadable: Unreadable) -> HubSamp
         gaps=gaps,
         duplicates=int(np.count_nonzero(~keep)),
         unreadable=unreadable,
+        is_in_order=is_in_order,
         **quantities,
     )
 
@@ -472,11 +489,12 @@ class DisplacementIntake(_TableIntake[Displacement]):
             is_given[rows, columns] = True
             first = rows.stop
         order = np.lexsort((numbers, stamps))
+        is_in_order = bool((np.diff(numbers[order]) > 0).all())
         if not (order[1:] > order[:-1]).all():
             stamps, values, is_given = stamps[order], values[order], is_given[order]
         begins = np.flatnonzero(np.append(True, stamps[1:] != stamps[:-1]))
         if len(begins) == len(stamps):
-            return Displacements(tuple(column), stamps, values, 0, self.unreadable)
+            return Displacements(tuple(column), stamps, values, 0, self.unreadable, is_in_order)
         positions = np.full((len(begins), len(column)), np.nan)
         row_of = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, len(stamps))))
         n_kept = 0
@@ -486,7 +504,9 @@ class DisplacementIntake(_TableIntake[Displacement]):
             positions[distinct, k] = values[own[earliest], k]
             n_kept += len(distinct)
         duplicates = int(np.count_nonzero(is_given)) - n_kept
-        return Displacements(tuple(column), stamps[begins], positions, duplicates, self.unreadable)
+        return Displacements(
+            tuple(column), stamps[begins], positions, duplicates, self.unreadable, is_in_order
+        )
 
 
 # --- clocks ----------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from beam_ros.bags.reading import Bag
 from beam_ros.errors import UsageError
 from beam_ros.interfaces import graph
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import described_rig
+from beam_ros.offline.loading.described_rig import described_rig
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.lens import Lens, lens_to_dict
 from beam_ros.vision.calibration.procedure import (

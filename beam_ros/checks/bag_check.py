@@ -6,6 +6,7 @@ to the outputs, a gap by how well it can be bridged, a mode by the precision tha
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,8 +29,9 @@ from beam_ros.checks.signal_gates import (
 from beam_ros.checks.stamp_gates import TimingCosts, clock_gates, jump_gate, order_gates, rate_gates
 from beam_ros.errors import ParameterFileError
 from beam_ros.excitation.recipes import recipe_of_rig
-from beam_ros.offline.identification import Experiment, load_experiment, theoretical_modes
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.loading.described_rig import theoretical_modes
+from beam_ros.offline.loading.experiment import Experiment, load_experiment
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.rig.rig import Rig
 from beam_ros.signals.fields import find_topic
@@ -155,7 +157,7 @@ def _gates(bag: Bag, experiment: Experiment, options: FitOptions) -> Iterator[Ga
     yield jump_gate(records)
     yield from rate_gates(outputs, rig, not signals.outputs)
     of_metres = [noise_sd[own.name] for own in records[0].outputs if noise_sd[own.name] > 0.0]
-    yield from input_gates(records[0], min(of_metres, default=0.0))
+    yield from input_gates(records[0], min(of_metres, default=math.inf))
     yield from loss_gates(outputs)
     for record in records:
         yield damage_gate(record)

@@ -21,6 +21,8 @@ _EXCITE_MORE = (
     "excite this mode more or longer, take noise from the outputs, or record until it has rung down"
 )
 
+_KNOWN_MODE = "a frequency known within its own resonance, a damping ratio two deviations from zero"
+
 _BEYOND_A_MODE = 1.1  # of a frequency: where an excitation has passed its mode
 _SKIRT = 1.5  # times the end of the excitation: what starts and ends of it still move
 
@@ -86,7 +88,7 @@ def mode_gates(
     structure : str
     band : Band -- of the excitation
     modes : Modes or None -- by the rig's theory
-    noise_sd : mapping -- floor of every output
+    noise_sd : mapping -- floor of every output; one that is not known, NaN, tells nothing
     spacing_hz : float or None -- between the frequencies of the excitation, where its recipe is known
     clock_rate_sd : float -- how well the outputs' clock is known against the input's
     """
@@ -117,10 +119,22 @@ def mode_gates(
         return
     if not band.is_excited:
         return
-    known = {name: sd if math.isfinite(sd) and sd > 0.0 else 1.0 for name, sd in noise_sd.items()}
+    known = {name: sd for name, sd in noise_sd.items() if math.isfinite(sd) and sd > 0.0}
+    telling = [[name for name in record.output_names if name in known] for record in records]
+    if not any(telling):
+        for f, zeta in zip(hertz[shown], zetas[shown], strict=True):
+            lines = 2.0 * zeta * f / step_hz
+            yield Gate(
+                f"mode at {f:.3g} Hz",
+                "not judged",
+                f"half-power band of {2.0 * zeta * f:.3g} Hz with {lines:.2g} lines; how far it stands out of the "
+                "outputs' noise is not known: too many samples are missing. `beam identify` says",
+                _KNOWN_MODE,
+            )
+        return
     try:
         found = predicted_precision(
-            records,
+            [record.select(own) for record, own in zip(records, telling, strict=True) if own],
             structure,  # type: ignore[arg-type]
             omegas[shown],
             zetas[shown],
@@ -147,7 +161,7 @@ def mode_gates(
             f"mode at {f:.3g} Hz",
             verdict,
             figure,
-            "a frequency known within its own resonance, a damping ratio two deviations from zero",
+            _KNOWN_MODE,
             "" if is_known else _EXCITE_MORE,
         )
 

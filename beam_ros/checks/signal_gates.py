@@ -21,7 +21,7 @@ _SIDE = 0.9  # correlation that has a sign
 
 
 def input_gates(record: TimeRecord, least_noise: float) -> Iterator[Gate]:
-    """Judge the input's gaps by how well they can be bridged."""
+    """Judge the input's gaps by how well they can be bridged; ``least_noise`` is infinite where none is known."""
     for drive in record.inputs:
         name = f"gaps of {drive.name}"
         expected = f"bridges known better than the outputs' noise of {least_noise:.2g} {drive.unit}"
@@ -37,6 +37,9 @@ def input_gates(record: TimeRecord, least_noise: float) -> Iterator[Gate]:
         figure = f"{len(drive.gaps)}, {missing} samples: at {where}{more}; bridges known to {worst:.2g} {drive.unit}"
         if missing > 0.5 * len(drive.values):
             yield Gate(name, "failed", figure, "less than half missing", _RECORD_AGAIN)
+        elif math.isinf(least_noise):
+            # Nobody knows what the bridges must be held against: what a fit makes of them it says.
+            yield Gate(name, "not judged", figure, "bridges known better than the outputs' noise")
         elif worst > least_noise:
             yield Gate(name, "doubtful", figure, expected, _RECORD_AGAIN)
         else:

@@ -108,7 +108,7 @@ def jump_gate(records: Sequence[TimeRecord]) -> Gate:
     found = [
         jump
         for number, record in enumerate(records)
-        for jumps in possible_jumps(record, number, [drive.name for drive in record.inputs])
+        for jumps in possible_jumps(record, number, [drive.name for drive in record.inputs], at_gaps=False)
         for jump in jumps[:1]
     ]
     expected = "a steady rate, but for whole samples that are lost"

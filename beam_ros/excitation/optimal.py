@@ -238,11 +238,11 @@ def rig_limits(rig: Rig, theory: ModalModel, identified: ModalModel | None = Non
         acceleration=rig.hub.max_acceleration,
         jerk=rig.excitation.max_jerk or math.inf,
     )
-    tip, strain, force = ("tip deflection",), ("root strain",), ("hub force",)
+    tip, strain = ("tip deflection",), ("root strain",)
     bent = {tip[0]: rig.hub.max_tip_deflection, strain[0]: rig.beam.max_root_strain}
     mass = model.parameters.total_mass
     if rig.hub.command_mode == "effort":
-        unmoved = np.zeros((1, theory.n_modes))
+        inertia, of_drive = np.zeros((1, theory.n_modes)), 1.0
         responses = [
             _both(
                 _under_force(model, "receptance", tip, (length,), "deflection"),
@@ -257,41 +257,28 @@ def rig_limits(rig: Rig, theory: ModalModel, identified: ModalModel | None = Non
                 _under_force(model, "mobility", ("free hub's speed",), (0.0,), "hub"),
                 {"free hub's speed": rig.hub.max_speed},
             ),
-            LimitedResponse(
-                _modal(
-                    "accelerance",
-                    force,
-                    theory.natural_frequencies,
-                    theory.damping_ratios,
-                    unmoved,
-                    np.zeros(1),
-                    np.ones(1),
-                ),
-                {force[0]: rig.hub.max_effort},
-            ),
         ]
     else:
         # The force is that on the whole mass, and the modes' inertia beside it.
         inertia = -(model.basis.participation * model.participation_factors)[None, :]
+        inertia, of_drive = inertia[:, model.damping_ratios < _OVERDAMPED], mass
         responses = [
             _both(
                 _led(model, "acceleration", tip, (length,)),
                 _led(model, "acceleration", strain, (0.0,), 2, half),
                 bent,
-            ),
-            LimitedResponse(
-                _modal(
-                    "accelerance",
-                    force,
-                    theory.natural_frequencies,
-                    theory.damping_ratios,
-                    inertia[:, model.damping_ratios < _OVERDAMPED],
-                    np.zeros(1),
-                    np.array([mass]),
-                ),
-                {force[0]: rig.hub.max_effort},
-            ),
+            )
         ]
+    force = _modal(
+        "accelerance",
+        ("hub force",),
+        theory.natural_frequencies,
+        theory.damping_ratios,
+        inertia,
+        np.zeros(1),
+        np.array([of_drive]),
+    )
+    responses.append(LimitedResponse(force, {"hub force": rig.hub.max_effort}))
     if identified is not None:
         responses += [_renamed(own.with_poles(identified, identified)) for own in responses]
     scale = mass if rig.hub.command_mode == "effort" else 1.0
@@ -374,11 +361,13 @@ def _observation(rig: Rig, model: ModalModel, noise: float | None, *, is_identif
             if is_identified
             else np.full(len(model.output_names), rig.simulation.displacement_noise)
         )
+    is_led = ModalStructure(model.structure).is_motion
     return Observation(
         rig.camera.rate,
         dict(zip(model.output_names, levels.tolist(), strict=True)),
         rig.camera.exposure,
         clock_rate_sd=rig.camera.clock_tolerance,
+        input_sd=rig.hub.encoder_resolution / math.sqrt(12.0) if is_led else 0.0,
     )
 
 

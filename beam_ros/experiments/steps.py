@@ -12,7 +12,9 @@ from beam_ident import restore, validate
 from beam_ros.errors import UsageError
 from beam_ros.experiments.plan import Estimation, Fit, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import ProgressFile
-from beam_ros.offline.identification import Identification, identification_of_bags, load_experiment
+from beam_ros.offline.identification import Identification, identification_of_bags
+from beam_ros.offline.identification_summary import validation_scores
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
@@ -187,22 +189,14 @@ def _estimate(estimation: Estimation, fit: Fit, means: Means) -> Callable[[Path,
 def _validate(estimation: Estimation, fit: str, unseen: str) -> Callable[[Path, Path, Report], str]:
     def run(done: Path, place: Path, report: Report) -> str:
         record = load_experiment(done / bag_of(unseen), structure=estimation.structure).record
-        scores = {}
+        scores: dict[str, dict[str, Any]] = {}
         for model in stored_models(done / estimate_of(estimation.name, fit)):
             if not hasattr(model, "simulate"):
                 raise UsageError(
                     f"validations: {estimation.estimator} gives a {type(model).__name__}, which predicts nothing; "
                     f"leave the validation of {estimation.name} out, or take another estimator"
                 )
-            for output in validate(model, record).outputs:
-                scores[output.name] = {
-                    "fit_percent": output.scores.fit_percent,
-                    "r_squared": output.scores.r_squared,
-                    "deflection_fit_percent": output.deflection_scores.fit_percent,
-                    "fit_from_rest_percent": output.simulation_scores.fit_percent,
-                    "residual_over_noise": output.noise_ratio,
-                    "verdict": output.verdict,
-                }
+            scores |= validation_scores([validate(model, record)])
         path = place / validation_of(estimation.name, fit, unseen)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(strict_json(scores, indent=1), encoding="utf-8")

@@ -23,6 +23,8 @@ PRESETS: dict[str, dict[str, Value]] = {
         "friction_coulomb": 0.0,
         "friction_static": 0.0,
         "friction_viscous": 0.0,
+        "friction_coulomb_difference": 0.0,
+        "friction_viscous_difference": 0.0,
         "servo_frequency": 0.0,
         "servo_damping": 0.7,
         "backlash": 0.0,
@@ -82,7 +84,15 @@ def _has_driven_servo(rig: RigParameters) -> bool:
 
 _EFFECTS: tuple[tuple[tuple[str, ...], Callable[[RigParameters], bool], str], ...] = (
     (
-        ("friction_coulomb", "friction_static", "friction_viscous", "end_stops", "ripple"),
+        (
+            "friction_coulomb",
+            "friction_static",
+            "friction_viscous",
+            "friction_coulomb_difference",
+            "friction_viscous_difference",
+            "end_stops",
+            "ripple",
+        ),
         _is_pushed,
         "a hub that follows its commands exactly feels no force: expected simulation.servo_frequency above 0, or "
         "hub.command_mode effort",
@@ -122,8 +132,8 @@ def check_imperfections(rig: RigParameters) -> None:
     Raises
     ------
     ParameterFileError
-        A key that the preset does not set so has no effect, the static friction is below Coulomb's, or the servo
-        is too fast for the device's tick.
+        A key that the preset does not set so has no effect, the static friction is below Coulomb's, friction
+        is below 0 in one direction, or the servo is too fast for the device's tick.
     """
     simulation = rig.simulation
     static, coulomb = simulation.friction_static, simulation.friction_coulomb
@@ -132,6 +142,14 @@ def check_imperfections(rig: RigParameters) -> None:
             f"simulation.friction_static is {static:g} N: expected at least simulation.friction_coulomb = "
             f"{coulomb:g} N, or 0 for the same"
         )
+    for kind, unit in (("coulomb", "N"), ("viscous", "N s/m")):
+        mean = getattr(simulation, f"friction_{kind}")
+        apart = getattr(simulation, f"friction_{kind}_difference")
+        if abs(apart) > 2.0 * mean:
+            raise ParameterFileError(
+                f"simulation.friction_{kind}_difference is {apart:g} {unit}: expected at most {2.0 * mean:g} "
+                f"{unit} on either side of 0, twice their mean simulation.friction_{kind}; friction never pushes"
+            )
     reach = math.tau * simulation.servo_frequency * rig.hub.period
     zeta = simulation.servo_damping
     # The force of a tick is held: a mass on this loop swings up from omega T = min(4 zeta, 1/zeta) on.

@@ -270,6 +270,10 @@ class SimulationSettings:
     friction_coulomb: float = setting("dry friction of the hub's guide", "N", 0.0, 1e3)
     friction_static: float = setting("force that breaks the hub loose; 0: Coulomb's", "N", 0.0, 1e3)
     friction_viscous: float = setting("of the hub's guide", "N s/m", 0.0, 1e4)
+    friction_coulomb_difference: float = setting("dry friction along +x less that along -x", "N", -2e3, 2e3)
+    friction_viscous_difference: float = setting(
+        "viscous friction along +x less along -x", "N s/m", -2e4, 2e4
+    )
     servo_frequency: float = setting(
         "of the servo on the moving mass; 0: an axis that follows exactly", "Hz", 0.0, 1e3
     )
@@ -404,6 +408,16 @@ class IdentifierSettings:
         "also response, noise and nonlinear distortion line by line, from bags of one multisine with other seeds"
     )
     axis: bool = live("also mass and friction of the hub's axis, from the force on it and its position")
+    drive_mass: float = live(
+        "with axis also the stiffness of a compliant drive, of this mass ahead of its spring, J/r^2 of a rotor; "
+        "0: not looked for, or unknown",
+        "kg",
+        0.0,
+        1e4,
+    )
+    encoder: Literal["hub", "drive"] = live(
+        "with axis whose position the axis measures; drive: the stiffness is looked for, also of an unknown mass"
+    )
     input: str = live("TOPIC:FIELD of the input; empty: the hub")
     outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
     signals: str = live("YAML file of input and outputs")

@@ -19,7 +19,7 @@ from beam_ros.shell.node import RigNode, run_node
 
 if TYPE_CHECKING:
     from beam_ident.report.gates import Gate
-    from beam_ros.offline.options import FitOptions
+    from beam_ros.offline.loading.options import FitOptions
 
 _COLLECT_S = 0.1
 

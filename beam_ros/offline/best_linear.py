@@ -17,7 +17,7 @@ from beam_ident.excitation.recipe import Recipe
 from beam_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from beam_ros.offline.identification import Experiment
+    from beam_ros.offline.loading.experiment import Experiment
 
 _REFERENCE = "command"
 _SAME_RATE = 1e-3  # two clocks that differ by more do not count the same ticks

@@ -9,6 +9,13 @@ from typing import Any, TextIO
 _LINE_EVERY_S = 5.0
 
 
+class _PresentStandardError:
+    """The standard error as it is when something is written to it: a film's decoder lends it another descriptor."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+
 class Progress:
     """Progress through one stage of known length.
 
@@ -22,7 +29,7 @@ class Progress:
 
     def __init__(self, title: str, total: float, unit: str = "", stream: TextIO | None = None) -> None:
         self.title, self.total, self.unit = title, total, unit
-        self._stream = stream or sys.stderr
+        self._stream: Any = stream or _PresentStandardError()
         self._bar = self._terminal_bar() if self._stream.isatty() else None
         self._last_line = time.monotonic()
 

@@ -17,14 +17,9 @@ from beam_ident.report.page import write_whole
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.axis_bag import rig_file_of
-from beam_ros.offline.identification import (
-    Experiment,
-    Identification,
-    Progress,
-    identification_of_bags,
-    write_models,
-)
-from beam_ros.offline.options import FitOptions, paths
+from beam_ros.offline.identification import Identification, Progress, identification_of_bags, write_models
+from beam_ros.offline.loading.experiment import Experiment
+from beam_ros.offline.loading.options import FitOptions, paths
 from beam_ros.process.folders import new_folder
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.reporting.film import write_film

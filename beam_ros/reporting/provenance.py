@@ -10,7 +10,7 @@ from typing import Any
 
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
-from beam_ros.offline.identification import Experiment
+from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.process.checksums import checksum
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.rig.rig import Rig

@@ -213,7 +213,11 @@ class Rig(RigParameters):
             )
         mechanism = Mechanism(
             friction=HubFriction(
-                simulation.friction_coulomb, simulation.friction_viscous, simulation.friction_static
+                simulation.friction_coulomb,
+                simulation.friction_viscous,
+                simulation.friction_static,
+                simulation.friction_coulomb_difference,
+                simulation.friction_viscous_difference,
             ),
             stops=EndStops(-limit, limit, simulation.stop_restitution) if simulation.end_stops else None,
             servo=servo,

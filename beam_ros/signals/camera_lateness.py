@@ -15,6 +15,7 @@ import numpy as np
 from beam_ident import OutputSignal
 from beam_ros.arrays import FloatArray
 from beam_ros.bags.reading import Bag
+from beam_ros.signals.stray_stamps import without_stray_batches
 from beam_ros.vision.errors import SynchronisationError
 from beam_ros.vision.measurement.synchronisation import Synchronisation, synchronise
 
@@ -71,31 +72,35 @@ def camera_lateness(bag: Bag, outputs: Sequence[OutputSignal], origin_ns: int) -
     """
     if not outputs or not bag.count("hub/measured"):
         return None
-    hub = bag.hub_samples("hub/measured")
-    if hub.positions is None or len(hub.stamps_ns) < 2:
+    hub = without_stray_batches(bag, bag.hub_samples("hub/measured"), [])
+    part = max(hub.stretches, key=lambda own: own.stop - own.start)
+    if hub.positions is None or part.stop - part.start < 2:
         return None
-    low = outputs[0]
-    hub_t: FloatArray = np.asarray((hub.stamps_ns - origin_ns) * 1e-9)
-    first, last = _busiest(hub_t, hub.positions)
+    low, positions = outputs[0], hub.positions[part]
+    hub_t: FloatArray = np.asarray((hub.stamps_ns[part] - origin_ns) * 1e-9)
+    is_beside = (low.times_s >= hub_t[0] - _MARGIN_S) & (low.times_s <= hub_t[-1] + _MARGIN_S)
+    low_t, low_x = low.times_s[is_beside], low.values[is_beside]
+    if not len(low_t):
+        return None
+    first, last = _busiest(hub_t, positions)
     near = (hub_t >= first - _MARGIN_S) & (hub_t <= last + _MARGIN_S)
-    own = (low.times_s >= first) & (low.times_s <= last)
+    own = (low_t >= first) & (low_t <= last)
     try:
         found = synchronise(
             hub_t[near],
-            hub.positions[near],
-            low.times_s[own],
-            low.values[own],
+            positions[near],
+            low_t[own],
+            low_x[own],
             fits_drift=True,
             expected_s=REACH_S,
         )
     except SynchronisationError:
         return None  # a marker that does not move as the hub does tells nothing
-    late = _in_the_middle(found, low)
+    late = _in_the_middle(found, 0.5 * float(low_t[0] + low_t[-1]))
     return late if abs(late.late_s) > REACH_S else None
 
 
-def _in_the_middle(found: Synchronisation, low: OutputSignal) -> CameraLateness:
-    middle = 0.5 * float(low.times_s[0] + low.times_s[-1])
+def _in_the_middle(found: Synchronisation, middle: float) -> CameraLateness:
     return CameraLateness(
         middle - float(found.hub_times(middle)), found.offset_sd_s, -found.drift, found.drift_sd
     )

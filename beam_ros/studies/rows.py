@@ -22,7 +22,7 @@ from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.identification import identify_bag
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.checksums import checksum
 from beam_ros.rig.rig import Rig

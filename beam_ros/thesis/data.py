@@ -26,7 +26,7 @@ from beam_ident import (
 from beam_ros.arrays import FloatArray
 from beam_ros.errors import UsageError
 from beam_ros.excitation.plan import plan_excitation
-from beam_ros.offline.identification import Experiment, load_experiment
+from beam_ros.offline.loading.experiment import Experiment, load_experiment
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.procedure import CalibrationFit
 

@@ -11,7 +11,7 @@ import numpy as np
 from beam_ident import EstimationError, local_polynomial_response
 from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, axes_grid, drawn, stacked_axes
 from beam_ros.arrays import ComplexArray, FloatArray
-from beam_ros.offline.identification import Experiment
+from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.rig.rig import Rig
 from beam_ros.thesis.data import AtPoint, ThesisData
 from beam_ros.thesis.tables import interval

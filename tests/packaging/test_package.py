@@ -35,7 +35,7 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "mcap": None,
     "control": None,
     "distributed": None,
-    "numba": None,  # makes stepping quicker where it is
+    "numba": None,  # makes stepping and tracking quicker where it is
     "pyarrow": None,  # the table of a study, where it is
     "fsspec": None,  # bags in an object store, where it is
 }

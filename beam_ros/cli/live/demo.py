@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = run_folder(arguments.out, f"demo-{arguments.rig}")
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.demo import conduct_demo
-        from beam_ros.offline.identification import format_table
+        from beam_ros.offline.identification_summary import format_table
         from beam_ros.reporting.identification import format_files
 
     started = time.monotonic()

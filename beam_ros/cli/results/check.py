@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from beam_ros.checks.bag_check import check_bag, format_check
-    from beam_ros.offline.options import FitOptions, paths
+    from beam_ros.offline.loading.options import FitOptions, paths
 
     settings, rig = read_settings(arguments)
     options = FitOptions.of(settings)

@@ -25,7 +25,7 @@ from beam_ros.rig.rig import Rig
 
 if TYPE_CHECKING:
     from beam_ident.report.gates import Gate
-    from beam_ros.offline.options import FitOptions
+    from beam_ros.offline.loading.options import FitOptions
 
 _GROUP = "identifier"
 _SEVERAL = {"outputs": "--output", "validate": "--validate"}
@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from beam_ident import AxisResult
     from beam_ros.checks.bag_check import BagCheck, check_bag
-    from beam_ros.offline.identification import format_table
+    from beam_ros.offline.identification_summary import format_table
     from beam_ros.reporting.identification import format_files, identify_told
 
     settings, rig = read_settings(arguments)

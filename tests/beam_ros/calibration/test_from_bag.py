@@ -117,6 +117,7 @@ def test_the_command_finds_the_truth_and_saves_it(
     assert provenance["bags"] == [str(bag)]
     assert provenance["temperature_celsius"] == 21.5
     assert provenance["reference"] == "hub/measured"
+    assert provenance["rows_px"] == pytest.approx([400.0] * 3, abs=1e-6)
     assert provenance["n_points"] == len(THERE_AND_BACK)
     assert provenance["reference_m"] == pytest.approx(THERE_AND_BACK, abs=1e-6)
 

@@ -20,7 +20,8 @@ from beam_ros.checks.bag_check import BagCheck, check_bag, format_check
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.messages import BagTypes, Displacement
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 from beam_ros.signals.descriptions import Signals
@@ -175,6 +176,24 @@ def test_a_record_that_tells_nothing_of_its_modes_cannot_be_identified(tmp_path:
     assert not check.can_be_identified
     assert {own.verdict for own in check.gates if own.name.startswith("mode at")} == {"failed"}
     assert gate(check, "noise of z285").verdict == "doubtful"
+
+
+def test_modes_of_an_output_whose_noise_nobody_knows_are_no_reason_to_refuse(tmp_path: Path) -> None:
+    lost = set(np.random.default_rng(3).permutation(2000)[:600].tolist())
+    check = check_bag(changed(tmp_path / "bag", lambda k, row: None if k in lost else row))
+    assert gate(check, "noise of z225").verdict == "not judged"
+    modes = [own for own in check.gates if own.name.startswith("mode at")]
+    assert {own.verdict for own in modes} == {"not judged"}
+    assert all("too many samples are missing" in own.figure for own in modes)
+    assert check.can_be_identified
+    assert len(identify_bag(tmp_path / "bag")["modes"]) == len(modes)
+
+    def one_seen(k: int, row: Displacement) -> Displacement:
+        hidden = [k in lost, k in lost, False]
+        return with_positions(row, np.where(hidden, np.nan, row.positions))
+
+    check = check_bag(changed(tmp_path / "one", one_seen))
+    assert {own.verdict for own in check.gates if own.name.startswith("mode at")} == {"passed"}
 
 
 def test_a_bag_without_a_rig_or_without_its_topics_is_checked_as_far_as_it_goes(tmp_path: Path) -> None:

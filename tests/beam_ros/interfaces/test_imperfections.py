@@ -58,6 +58,10 @@ def test_a_file_with_a_preset_and_one_with_every_key_mean_the_same(tmp_path: Pat
             "feels no force.*servo_frequency above 0, or hub.command_mode",
         ),
         ({"simulation.friction_viscous": 1.0}, "no effect"),
+        (
+            {**EFFORT, "simulation.friction_viscous": 1.0, "simulation.friction_viscous_difference": 3.0},
+            "at most 2 N s/m on either side of 0, twice their mean simulation.friction_viscous",
+        ),
         ({"simulation.end_stops": True}, "no effect"),
         ({"simulation.ripple": 0.1}, "no effect"),
         ({"simulation.backlash": 1e-5}, "no drive"),

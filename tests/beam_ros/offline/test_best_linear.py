@@ -11,7 +11,7 @@ from beam_ident import BestLinearApproximation, LogChirp
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.offline.best_linear import best_linear_of
-from beam_ros.offline.identification import load_experiment
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 

@@ -25,7 +25,7 @@ from beam_ros.checks.bag_check import check_bag
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import identify_bag
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.signals.descriptions import Signals
 from tests.beam_ros.signals import foreign_bags as foreign
 

@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 
 from beam_ident import ModalModel
+from beam_ros.bags.batches import decode_batch, encode_batch
 from beam_ros.bags.errors import BagError, BagExistsError, MissingTopicsError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.imperfections import PRESETS
-from beam_ros.offline.identification import described_rig, format_table, identify_bag, load_experiment
+from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification_summary import format_table
+from beam_ros.offline.loading.described_rig import described_rig
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -174,6 +178,41 @@ def test_what_a_bag_lost_is_named_and_leaves_the_poles_where_they_are(
         for name in ("frequency", "damping_ratio"):
             key, sd = (f"{name}_hz", f"{name}_sd_hz") if name == "frequency" else (name, f"{name}_sd")
             assert abs(found[key] - mode[key]) < mode[sd]
+
+
+def test_both_sides_of_a_restart_of_the_device_are_used_though_each_has_its_own_ticks_and_zero(
+    bag: Path, tmp_path: Path
+) -> None:
+    border = 0
+    with Bag(bag) as old, BagWriter(tmp_path / "restarted") as new:
+        for message in old.raw_messages():
+            topic, data = message.topic.lstrip("/"), message.data
+            if topic.startswith("hub/") and topic != "hub/sequence_state" and topic != "hub/clock_sync":
+                batch = decode_batch(data)
+                border = border or batch.stamp_ns + 4_000_000_000
+                if border <= batch.stamp_ns < border + 100_000_000:
+                    continue  # while it starts
+                if batch.stamp_ns > border:
+                    zero = None if batch.positions is None else batch.positions - 0.005
+                    data = encode_batch(replace(batch, epoch=batch.epoch + 1, positions=zero))
+            new.write(topic, message.receive_ns, data)
+    whole, result = identify_bag(bag), identify_bag(tmp_path / "restarted")
+    assert any("2 stretches" in note and "restarted 1 times" in note for note in result["notes"])
+    for found, mode in zip(result["modes"], whole["modes"], strict=True):
+        assert abs(found["frequency_hz"] - mode["frequency_hz"]) < mode["frequency_sd_hz"]
+        # Without either side it is known half as well at best.
+        assert found["frequency_sd_hz"] < 2.0 * mode["frequency_sd_hz"]
+
+
+def test_frames_without_a_hub_are_named_and_a_hub_without_samples_is_refused(
+    bag: Path, tmp_path: Path
+) -> None:
+    half = {topic: set(range(200, 1000)) for topic in ("hub/measured", "hub/applied")}
+    notes = load_experiment(without(bag, tmp_path / "half", half)).notes
+    assert any("nothing is known of the input hub, and are not used" in note for note in notes)
+    one = {topic: set(range(1000)) - {150} for topic in ("hub/measured", "hub/applied")}
+    with pytest.raises(BagError, match=r"known for 0.019 s only"):
+        load_experiment(without(bag, tmp_path / "one", one))
 
 
 def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:

@@ -11,15 +11,13 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from beam_ident import AmplitudeCurves, ModalModel, TimeRecord, amplitude_curves, models_of
-from beam_ident.amplitude.free_stretches import free_decay_of
+from beam_ident import AmplitudeCurves, ModalModel, TimeRecord, models_of
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.report.evidence import mode_rows
 from beam_ident.report.gates import Gate
-from beam_model import AirDrag, amplitude_law
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import Identification, identification_of_bags, load_experiment
-from beam_ros.offline.options import FitOptions
+from beam_ros.offline.identification import Identification, identification_of_bags
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.reporting.identification import deflection_of, format_files, report_identification
 from beam_ros.reporting.theory import theory_of_rig
@@ -151,32 +149,3 @@ def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> No
     assert "Dotted: what the rig" in page
     stored = json.loads((tmp_path / "report" / "model.json").read_text())["summary"]["amplitude"]
     assert AmplitudeCurves.from_dict(stored).verdict == curves.verdict
-
-
-@pytest.mark.verify
-def test_the_bands_of_a_filmed_nonlinear_strip_hold_its_laws(tmp_path: Path) -> None:
-    """A strip in air that bends far, as the camera sees it, against the averaged energies of its own equations."""
-    swing = {
-        "excitation.kind": "doublet",
-        "excitation.acceleration": 1.5,
-        "excitation.step_size": 0.002,
-        "excitation.width": 0.1,
-        "excitation.gap": 0.1,
-        "excitation.still": 15.0,
-        "simulation.drag_coefficient": 6.0,
-        "simulation.large_deflections": True,
-    }
-    inside = []
-    for seed in range(100):
-        rig = Rig.from_file().with_values({**swing, "simulation.seed": seed})
-        simulate(rig, tmp_path / f"bag{seed}")
-        records = load_experiment(tmp_path / f"bag{seed}").records
-        curves = amplitude_curves([free_decay_of(record) for record in records])
-        height = rig.markers.heights[rig.markers.names.index(curves.output_name)]
-        law = amplitude_law(rig.beam_model(), 0, height, AirDrag(rig.beam.width, 6.0))
-        truths = law.frequencies(curves.amplitudes) / (2.0 * np.pi), law.damping_ratios(curves.amplitudes)
-        bands = curves.frequency_band_hz, curves.damping_band
-        inside.append(
-            [bool(np.all((t >= low) & (t <= high))) for t, (low, high) in zip(truths, bands, strict=True)]
-        )
-    assert np.all(np.mean(inside, axis=0) >= 0.91)

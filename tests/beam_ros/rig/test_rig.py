@@ -164,6 +164,8 @@ def test_every_imperfection_of_the_file_reaches_what_device_and_camera_say(name:
         "stop_restitution": 0.6,
         "ripple_period": 0.007,
         "friction_static": 4.5,
+        "friction_coulomb_difference": 1.0,
+        "friction_viscous_difference": 4.0,
         "encoder_at": "drive",
     }[name]
     assert _seen(_realistic().with_values({f"simulation.{name}": other})) != _seen_of_the_realistic()

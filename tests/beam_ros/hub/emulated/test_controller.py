@@ -96,7 +96,7 @@ def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded
     device = SimulatedDevice(buffer_samples=2048)
     rig = DriverRig(parameters, tmp_path, device=device, line_baud=baud, fifo_bytes=16_384)
     try:
-        rig.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 45_000, 20.0)
+        rig.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 45_000, 60.0)
         rig.enable()
         values = rest_to_rest(round(5e9 / period_ns), 0.2)
         for chunk in chunks_of(values, rig.now.unix_ns + 600_000_000, period_ns=period_ns):

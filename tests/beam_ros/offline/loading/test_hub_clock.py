@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beam_ros.hub.contract import ClockSync
-from beam_ros.offline.axis_bag import device_clock, device_times
+from beam_ros.bags.errors import BagError
+from beam_ros.bags.signals import HubSamples, Unreadable, join_batches
+from beam_ros.hub.contract import ClockSync, SampleBatch
+from beam_ros.offline.loading.hub_clock import device_clock, device_times, in_stretch, stretches_of
 
 START = 1_700_000_000_000_000_000
 PERIOD = 1_000_000
@@ -45,3 +47,31 @@ def test_the_rate_of_the_devices_clock_comes_from_three_exchanges_and_more(n_syn
         assert left.sd == 50e-6
     else:
         assert (left.sd == 0.0) is (rtt_ns == 0)
+
+
+def samples_of(*batches: tuple[float, int]) -> HubSamples:
+    """Batches of 20 ms, by their starts [s] and epochs."""
+    made = [
+        SampleBatch(START + round(1e9 * start), PERIOD, epoch, positions=np.zeros(20))
+        for start, epoch in batches
+    ]
+    return join_batches("hub/measured", made, Unreadable())
+
+
+def test_a_restart_and_a_hole_longer_than_everything_begin_stretches_and_a_shorter_hole_does_not() -> None:
+    notes: list[str] = []
+    samples = samples_of((0.0, 1), (0.02, 1), (0.06, 1), (0.0803, 2), (4.0, 2), (4.02, 2))
+    found = stretches_of(samples, START, notes)
+    assert found == (slice(0, 60), slice(80, 120), slice(60, 80))
+    assert "restarted 1 times and 1 holes" in notes[0]
+    command = samples_of((0.04, 1), (0.1003, 2), (4.02, 2), (9.0, 2))
+    assert [in_stretch(command, samples, part) for part in found] == [
+        slice(0, 20),
+        slice(40, 60),
+        slice(20, 40),
+    ]
+
+
+def test_the_samples_of_two_recordings_in_one_bag_are_refused() -> None:
+    with pytest.raises(BagError, match=r"1 of 61 samples.*two recordings"):
+        stretches_of(samples_of((0.0, 1), (0.0203, 1), (0.0401, 1), (0.0204, 1)), START, [])

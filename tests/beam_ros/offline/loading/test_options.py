@@ -9,7 +9,7 @@ import pytest
 
 from beam_ident import Prior
 from beam_ros.errors import RigError
-from beam_ros.offline.options import FitOptions, listed
+from beam_ros.offline.loading.options import FitOptions, listed
 from beam_ros.rig.rig import Rig
 
 USUAL = Rig.from_file().identifier

@@ -43,6 +43,8 @@ class FitOptions:
     amplitude : bool -- also curves of frequency and damping over amplitude
     best_linear : bool -- also the best linear approximation, from bags of one multisine with other seeds
     axis : bool -- also mass and friction of the hub's axis
+    drive_mass : float or None -- of a compliant drive of that axis, ahead of its spring [kg]
+    encoder : str -- whose position the axis measures, "hub" or "drive"
     signals : Signals -- input and outputs that are not the rig's own
     """
 
@@ -60,6 +62,8 @@ class FitOptions:
     amplitude: bool = False
     best_linear: bool = False
     axis: bool = False
+    drive_mass: float | None = None
+    encoder: str = "hub"
     signals: Signals = field(default_factory=Signals)
 
     @staticmethod
@@ -86,6 +90,8 @@ class FitOptions:
             amplitude=settings.amplitude,
             best_linear=settings.best_linear,
             axis=settings.axis,
+            drive_mass=settings.drive_mass or None,
+            encoder=settings.encoder,
             signals=Signals.of(
                 settings.input,
                 listed(settings.outputs),

@@ -1,0 +1,1 @@
+"""From a bag to the records that a model is fitted to."""
