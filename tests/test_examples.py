@@ -16,6 +16,11 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "robot-arm.md"
 
 # Regular expressions, as last digits depend on LAPACK's rounding.
 SAYS = {
+    "amplitude.py": [
+        "one pole does not describe the decay",
+        "one pole describes the decay",
+        "refused: output 'tip' of decay 0 has 40 samples",
+    ],
     "data.py": [
         "186 of 189 frames seen",
         r"two runs together: (4\.400|4\.399)\d Hz, 28\.(29|30)",
