@@ -56,6 +56,7 @@ _GLANCE = 3  # iterations between two modes that are only placed
 _MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a poor one
 _CLOCKS = 2  # far from that which a search ended with, from which it is begun again
 _PATIENCE = 6  # orders past the last that was believed
+_SAME = 1e-3  # in log-likelihood: what two ways to one optimum may differ by
 _SHORT_PATIENCE = 2  # the same where every fit converges: a disturbance may stand before a mode
 
 # What may end a search or a fit before its time without the loss of what it has found: a key pressed, or a signal;
@@ -280,6 +281,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             if not found:
                 break
             start = min(map(self._without_doubtful, found), key=self._bic)
+            if any(_is_same(start, own) for own in ends):
+                break  # nothing else would be found from there
             before = self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled
             self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
             self.chosen, self.chosen_entry = self._believed = start, 1
@@ -390,7 +393,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         return True
 
     def _settle(self, limit: int) -> bool:
-        """Go back from orders that are not believed to one that is; False where nothing promises that there is one.
+        """Go back from orders that are not believed to one that is; False where that is the last that was believed.
 
         Where fits did not converge, modes that were placed with hardly any refinement between them are a second
         start: they cannot run into each other while others are missing.
@@ -408,7 +411,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
             if len(found) > 1:
                 break
         self.chosen, self.chosen_entry = self._believed = min(found, key=lambda own: self._bic(own[0]))
-        return True
+        return len(found) > 1
 
     def _sound(self, start: ModalFit, found: list[tuple[ModalFit, int]]) -> None:
         """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found."""
@@ -517,3 +520,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self.chosen_entry = len(self.entries) - 1
             weighed = following
         return weighed
+
+
+def _is_same(one: ModalFit, other: ModalFit) -> bool:
+    """Return whether two fits of one problem ended in the same optimum."""
+    return len(one.omegas) == len(other.omegas) and abs(one.cost - other.cost) < _SAME

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lsim, sosfilt
 
 from beam_ident import (
     EstimationError,
@@ -392,3 +393,20 @@ def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
         assert (own.offset, own.ramp) == pytest.approx(((j + 1) * 2e-4, -(j + 1) * 3e-4), rel=0.02)
     plain = identify(record, ModalStructure(has_offset=False, has_ramp=False), n_modes=3, **EXACT_CLOCK)
     assert {(output.records[0].offset, output.records[0].ramp) for output in plain.outputs} == {(0.0, 0.0)}
+
+
+def test_no_order_is_tried_twice_where_a_sensor_has_a_filter_that_the_model_lacks():
+    """A fit that nothing follows from is not searched on from again; a filter takes many orders to explain."""
+    rng = np.random.default_rng(2)
+    t = 0.01 * np.arange(400)
+    force = sosfilt(butter(4, (0.01, 0.4), "band", output="sos"), rng.standard_normal(len(t)))
+    omega, zeta = 2.0 * np.pi * 3.1, 0.02
+    plant = ([1.0], [1.0, 2.0 * zeta * omega, omega**2])
+    seen = sosfilt(butter(3, 0.6, output="sos"), lsim(plant, force, t)[1])
+    seen += 1e-3 * np.std(seen) * rng.standard_normal(len(t))
+    record = TimeRecord((InputSignal("force", "N", t, force),), (OutputSignal("tip", "m", t, seen),))
+    result = identify(record, "receptance")
+    tried = [(entry.n_modes, round(entry.bic, 6)) for entry in result.orders]
+    assert len(tried) > 4
+    assert len(set(tried)) == len(tried)
+    assert np.min(np.abs(result.model.natural_frequencies / omega - 1.0)) < 0.02
