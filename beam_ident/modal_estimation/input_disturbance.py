@@ -36,7 +36,9 @@ from beam_ident.numerics.state_recursion import StateRecursion
 _SETTLED = 1e-9  # relative change from step to step below which the filter's gains are kept
 _TIME_RESOLUTION_S = 1e-7  # steps between stamps that differ by less share a transition
 _FINE_SHARE = 1e-4  # of the median step, where samples are as quick as that
-_FEW_STEPS = 100  # of one kind in a row: fewer are taken one by one
+_FEW_STEPS = 100  # of one kind in a row: fewer are taken together with those beside them
+_AT_ONCE = 4096  # steps of different kinds
+_KEPT = 32_768  # instants of a record: of more, what filters each stretch is made anew
 _CHUNK = 1 << 18  # samples of an input at once
 _ROUNDING = 1e-13  # of the largest eigenvalue of a covariance
 _BOX_POINTS, _BOX_WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -295,7 +297,7 @@ class InputDisturbance:
                 for k in range(last - 1, first - 1, -1):
                     after = adjoint[k] = transition @ after + adjoint[k]
                 continue
-            backwards = StateRecursion(transition, identity, transition, identity)
+            backwards = StateRecursion(*(own[None] for own in (transition, identity, transition, identity)))
             found, _ = backwards.run(adjoint[first:last][::-1, :, None], after[:, None])
             adjoint[first:last] = found[::-1, :, 0]
             after = adjoint[first]
@@ -393,6 +395,8 @@ class DisturbanceFilter:
         # Every step has its gains; once they have settled on a regular grid they are kept.
         self._gains: list[_Gains] = []
         self._gain_of = np.empty(n, dtype=np.intp)
+        self._known_parts: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        self._recursions: dict[tuple[int, int], StateRecursion] = {}
         k = 0
         while k < n:
             # One step of (I.16).
@@ -460,23 +464,9 @@ class DisturbanceFilter:
         table = _gathered(columns, rows)
         if state is None:
             state = np.zeros((self._transitions.shape[1], table.shape[2]))
-        for first, last in self._runs_within(span):
-            gains, transition = self._step(first)
+        for first, last in self._parts(span):
             here = slice(first - span.start, last - span.start)
-            if last - first < _FEW_STEPS:
-                for k in range(here.start, here.stop):
-                    state = transition @ state
-                    # (I.16): v = G^-1 (r - O w).
-                    white = gains.inverse @ (table[k, gains.selected] - gains.observed @ state)
-                    state = state + gains.scaled @ white
-                    table[k, gains.selected] = white
-                continue
-            # The same with w at the end of a step as its state: O F w is what the next residuals lack.
-            seen = gains.inverse @ gains.observed @ transition
-            forwards = StateRecursion(
-                transition - gains.scaled @ seen, gains.scaled @ gains.inverse, -seen, gains.inverse
-            )
-            table[here, gains.selected], state = forwards.run(table[here, gains.selected], state)
+            table[here], state = self._recursion(first, last).run(table[here], state)
         _scatter(table, rows, columns)
         return state
 
@@ -485,33 +475,58 @@ class DisturbanceFilter:
         span, rows = self._stretch(None)
         table = _gathered(white, rows)
         state = np.zeros((self._transitions.shape[1], table.shape[2]))
-        for first, last in reversed(self._runs_within(span)):
-            gains, transition = self._step(first)
-            if last - first < _FEW_STEPS:
-                for k in range(last - 1, first - 1, -1):
-                    # (I.17), lambda in ``state``.
-                    weighed = gains.inverse.T @ (table[k, gains.selected] + gains.scaled.T @ state)
-                    state = transition.T @ (state - gains.observed.T @ weighed)
-                    table[k, gains.selected] = weighed
-                continue
-            seen = gains.inverse @ gains.observed @ transition
-            backwards = StateRecursion(
-                (transition - gains.scaled @ seen).T,
-                -seen.T,
-                (gains.scaled @ gains.inverse).T,
-                gains.inverse.T,
-            )
-            found, state = backwards.run(table[first:last, gains.selected][::-1], state)
-            table[first:last, gains.selected] = found[::-1]
+        for first, last in reversed(self._parts(span)):
+            # (I.17), lambda in ``state``.
+            backwards = self._recursion(first, last).adjoint()
+            found, state = backwards.run(table[first:last][::-1], state)
+            table[first:last] = found[::-1]
         _scatter(table, rows, white)
 
-    def _step(self, instant: int) -> tuple[_Gains, FloatArray]:
-        return self._gains[self._gain_of[instant]], self._transitions[self._kinds[instant]]
+    def _recursion(self, first: int, last: int) -> StateRecursion:
+        """Return (I.16) over some instants, from residuals of all outputs to innovations; of those not seen, nothing.
 
-    def _runs_within(self, span: slice) -> list[tuple[int, int]]:
-        """Return first and end of the runs of equal steps among some instants."""
-        runs = _runs(self._gain_of[span])
-        return [(first + span.start, last + span.start) for first, last in runs]
+        Notes
+        -----
+        With w at the end of a step as its state, O F w is what the next residuals lack.
+        """
+        known = self._recursions.get((first, last))
+        if known is not None:
+            return known
+        numbers, kinds = self._gain_of[first:last], self._kinds[first:last]
+        if np.all(numbers == numbers[0]) and np.all(kinds == kinds[0]):
+            numbers, kinds = numbers[:1], kinds[:1]
+        size, n_outputs = self._transitions.shape[1], self.observations.rows.shape[1]
+        inverse = np.zeros((len(numbers), n_outputs, n_outputs))
+        observed = np.zeros((len(numbers), n_outputs, size))
+        scaled = np.zeros((len(numbers), size, n_outputs))
+        for k, number in enumerate(numbers):
+            gains = self._gains[number]
+            inverse[k][np.ix_(gains.selected, gains.selected)] = gains.inverse
+            observed[k, gains.selected] = gains.observed
+            scaled[k][:, gains.selected] = gains.scaled
+        transitions = self._transitions[kinds]
+        seen = inverse @ observed @ transitions
+        found = StateRecursion(transitions - scaled @ seen, scaled @ inverse, -seen, inverse)
+        if len(self._gain_of) <= _KEPT:
+            self._recursions[first, last] = found
+        return found
+
+    def _parts(self, span: slice) -> list[tuple[int, int]]:
+        """Return first and end of the parts of some instants that are whitened at once: long runs, and others."""
+        known = self._known_parts.get((span.start, span.stop))
+        if known is not None:
+            return known
+        parts: list[tuple[int, int]] = []
+        is_open = False  # whether steps of another kind may join the last part
+        for first, last in _runs(self._gain_of[span]):
+            is_short = last - first < _FEW_STEPS
+            if is_short and is_open and last + span.start - parts[-1][0] <= _AT_ONCE:
+                parts[-1] = parts[-1][0], last + span.start
+            else:
+                parts.append((first + span.start, last + span.start))
+            is_open = is_short
+        self._known_parts[span.start, span.stop] = parts
+        return parts
 
     def _stretch(self, places: Sequence[slice] | None) -> tuple[slice, IndexArray]:
         """Return instants, and which of the given rows were seen at them."""
