@@ -78,6 +78,9 @@ class ColumnBlock:
         Derivative of the instant by latency and clock rate.
     by_rate : ndarray or None, shape (n_rows, n_columns)
         Derivative by the clock rate, where rows are not instants.
+    turn : callable or None
+        The linear map that the rows of ``matrix`` have passed, and those of the derivatives have not: of these, few
+        sums are asked for.
     """
 
     matrix: FloatArray
@@ -87,6 +90,7 @@ class ColumnBlock:
     latency_factor: FloatArray
     rate_factor: FloatArray
     by_rate: FloatArray | None = None
+    turn: Callable[[FloatArray], FloatArray] | None = None
 
     def slopes(self, found: FloatArray, latency_is_free: bool, rate_is_free: bool) -> FloatArray:
         """Return the derivative of one output's model by the nonlinear parameters, shape (n_rows, n_theta).
@@ -111,20 +115,11 @@ class ColumnBlock:
                 result[:, 2 * n] = speed * self.latency_factor
             if rate_is_free:
                 result[:, -1] = speed * self.rate_factor if self.by_rate is None else self.by_rate @ found
-        return result
+        return result if self.turn is None else self.turn(result)
 
     def turned(self, turn: Callable[[FloatArray], FloatArray]) -> ColumnBlock:
-        """Return the block with all rows passed through a linear map, after which rows are no instants any more."""
-        if self.by_time is None:
-            return replace(self, matrix=turn(self.matrix))
-        parts = [self.matrix, self.by_time * self.latency_factor[:, None]]
-        parts.append(self.by_time * self.rate_factor[:, None] if self.by_rate is None else self.by_rate)
-        parts += [slopes for mode in self.modes for slopes in (mode.by_log_omega, mode.by_zeta)]
-        ends = np.cumsum([part.shape[1] for part in parts])
-        matrix, late, fast, *slopes = np.split(turn(np.concatenate(parts, axis=1)), ends[:-1], axis=1)
-        modes = tuple(ModeSlopes(*pair) for pair in zip(slopes[::2], slopes[1::2], strict=True))
-        ones, none = np.ones(len(matrix)), np.zeros(len(matrix))
-        return ColumnBlock(np.asfortranarray(matrix), self.mode_columns, modes, late, ones, none, fast)
+        """Return the block with all rows passed through a linear map."""
+        return replace(self, matrix=np.asfortranarray(turn(self.matrix)), turn=turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -830,10 +825,11 @@ class ModalRegression:
             for number in range(len(prepared.grids))
             if (index, number) in self._seen_grids
         }
-        return [
-            self._extended(self._assemble(parts, cache, len(omegas), gradients, with_restarts), own)
-            for parts, own in self._block_keys
-        ]
+        together = {
+            parts: self._assemble(parts, cache, len(omegas), gradients, with_restarts)
+            for parts in dict.fromkeys(parts for parts, _ in self._block_keys)
+        }
+        return [self._extended(together[parts], own) for parts, own in self._block_keys]
 
     def _extended(self, block: ColumnBlock, output: int) -> ColumnBlock:
         """Return a block with the columns that its output has for itself, where there are any."""
