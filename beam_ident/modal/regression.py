@@ -145,7 +145,7 @@ class _Sampling:
     clock: ClockState
     seen: list[_Seen]  # of every input
     fixed: list[tuple[FloatArray, FloatArray]]  # value, by time; of one input after the other
-    elapsed: FloatArray  # since the first stamp, on the input's clock
+    elapsed: FloatArray  # since the first stamp that is used, on the input's clock
     latency_factor: FloatArray
     rate_factor: FloatArray
 
@@ -259,7 +259,9 @@ class _PreparedRecord:
                 usable &= ~output.overlaps(gap.start_s + latency, gap.end_s + latency)
             self.rows_of[output.name] = np.flatnonzero(usable)
         stamps = np.concatenate([g.times for g in self.grids])
-        self.start = float(np.min(stamps))
+        # A camera may run for an hour before the input is known: nothing would be left of motion since then.
+        used = [self.grids[self.grid_of[name]].times[rows] for name, rows in self.rows_of.items()]
+        self.start = float(np.min(np.concatenate(used), initial=float(np.max(stamps))))
         self.middle = 0.5 * float(np.min(stamps) + np.max(stamps))
         self.length = max(float(np.max(stamps) - np.min(stamps)), 1e-12)
         self.values = {output.name: output.values for output in record.outputs}

@@ -410,3 +410,22 @@ def test_no_order_is_tried_twice_where_a_sensor_has_a_filter_that_the_model_lack
     assert len(tried) > 4
     assert len(set(tried)) == len(tried)
     assert np.min(np.abs(result.model.natural_frequencies / omega - 1.0)) < 0.02
+
+
+def test_motion_at_the_beginning_is_found_behind_frames_from_long_before_the_input():
+    rng = np.random.default_rng(5)
+    force = 0.02 * rng.standard_normal(1200)
+    times = 0.01 * np.arange(1, 1200)
+    plant = ModalModel(
+        "receptance", "u", ("y",), np.array([20.0]), np.array([0.03]), np.array([[400.0]]), *np.zeros((2, 1)),
+        0.0, 0.0, np.zeros((7, 7)), np.ones(1),
+    )  # fmt: skip
+    drive = InputSignal("u", "N", (0.0, 0.01), force, "zoh")
+    ringing = np.exp(-0.6 * times) * np.cos(20.0 * np.sqrt(1.0 - 0.03**2) * times)
+    seen = plant.simulate(drive, times)[:, 0] + ringing + 0.002 * rng.standard_normal(len(times))
+    early = 0.01 * np.arange(-100_000, -99_900)
+    output = OutputSignal("y", "m", np.r_[early, times], np.r_[0.01 * rng.standard_normal(100), seen])
+    found = identify(TimeRecord((drive,), (output,)), "receptance", n_modes=1)
+    assert abs(found.model.natural_frequencies[0] - 20.0) < 4.0 * found.model.natural_frequency_sd[0]
+    assert abs(found.model.damping_ratios[0] - 0.03) < 4.0 * found.model.damping_ratio_sd[0]
+    assert found.outputs[0].scores.r_squared > 0.99

@@ -22,3 +22,11 @@ def test_free_motions_are_means_over_the_exposure_with_their_slopes(exposure):
     moved = free_motions(pole + h, times, exposure, ())[0] - free_motions(pole - h, times, exposure, ())[0]
     np.testing.assert_allclose(by_time, later / (2 * h), rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(by_sigma, moved / (2 * h), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("elapsed", "exposure"), [(-100.0, 0.0), (-100.0, 0.02), (100.0, 0.02), (0.0, 60.0)])
+@pytest.mark.filterwarnings("error")
+def test_stamps_far_from_the_beginning_and_endless_exposures_give_numbers(elapsed, exposure):
+    pole = np.array([[-50.0 + 80.0j]])
+    for found in free_motions(pole, np.array([elapsed, 1.0]), exposure, (pole, 1j * pole)):
+        assert np.all(np.isfinite(np.square(np.abs(found))))
