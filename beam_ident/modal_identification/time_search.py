@@ -196,6 +196,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         fit = fit_modes(self.problem, none, none, self.chosen.clock, self.latency, self.clock_rate)
         seen = fit.converged and self.model(fit).no_body_p_value() < NO_BODY
         if seen and not self._unrelated(unweighed(self.problem, fit)):
+            self.shows_clock = True
             return fit
         self.problem, self.plain = before
         return None

@@ -167,6 +167,20 @@ def test_an_axis_without_a_mode_has_its_mass_alone(unit):
     assert "mass [kg]" in identification_page("axis", record, result).text()
 
 
+def test_a_mass_alone_is_found_behind_late_stamps_and_a_gap_of_its_force():
+    record = bare_axis("m")
+    force, axis = np.array(record.inputs[0].values), record.outputs[0]
+    force[700:703] = np.nan
+    drive = InputSignal("force", "N", (0.0, PERIOD_S), force, "zoh")
+    late = OutputSignal("axis", "m", axis.times_s + 5e-3, axis.values)
+    result = identify(TimeRecord((drive,), (late,)))
+    model = result.model
+    assert model.n_modes == 0
+    assert model.latency == pytest.approx(5e-3, abs=1e-3)
+    assert abs(model.rigid_body_mass[0] - HUB) < 4.0 * model.rigid_body_mass_sd[0]
+    assert any("force has 1 gap" in said for said in result.warnings)
+
+
 def test_an_axis_that_the_force_has_nothing_to_do_with_has_no_mass():
     record = bare_axis("m")
     wandering = np.cumsum(np.random.default_rng(1).standard_normal(500))
