@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit as student_quantile
 
 from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.argument_checks import (
@@ -37,6 +38,8 @@ _MIN_SAMPLES = 8
 _APART = 6.0  # standard deviations between the frequencies of input and output
 _TURNED = 0.05  # rad over a step: what a transient may do as well, and hardly changes the response
 _SAME = 1e-7  # of the frequency: rounding
+_CLOCK_LEVEL = 1e-4  # chance that transients, which differ from step to step, pass for one rate of a clock
+_MIN_STEPS = 4  # that tell how much rates scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +208,7 @@ def stepped_sine_response(
     response = np.empty((len(hertz), len(outputs)), dtype=np.complex128)
     covariance = np.empty((len(hertz), len(outputs), len(outputs)), dtype=np.complex128)
     fewest = math.inf
-    apart: list[str] = []
+    rates: list[list[_Rate]] = [[] for _ in outputs]
     for k in range(len(hertz)):
         omega = 2.0 * np.pi * float(hertz[k])
         # Times from the segment's start: phases of long records would lose digits.
@@ -223,12 +226,14 @@ def stepped_sine_response(
             within = (output.times_s >= starts[k]) & (output.times_s <= ends[k])
             require_output(output.name, output.values[within & output.is_valid])
             fit = _segment(output.name, output.times_s[within] - origin, output.values[within], omega)
-            apart += _apart(output, within, drive, is_driven, omega)
+            rates[j] += _rates(output, within, drive, is_driven, omega)
             gain = float(exposure_gain(np.array([omega]), output.exposure_s)[0]) * moved
             response[k, j] = fit.amplitude / gain
             covariance[k, j, j] = fit.amplitude_variance / abs(gain) ** 2
             fewest = min(fewest, 0.5 * (fit.n_samples - 3))
         covariance[k] += relative * np.outer(response[k], np.conj(response[k]))
+    span_s = float(np.ptp(np.concatenate([starts, ends])))
+    apart = [said for output, own in zip(outputs, rates, strict=True) for said in _apart(output, own, span_s)]
     order = np.argsort(hertz, kind="stable")
     made = FrequencyRecord(
         omegas=2.0 * np.pi * hertz[order],
@@ -245,10 +250,20 @@ def stepped_sine_response(
     return with_doubts(made, outputs, drive, apart)
 
 
-def _apart(
+@dataclass(frozen=True)
+class _Rate:
+    """By which share the frequency of an output's sine is another than that of its input's, in one step."""
+
+    omega: float
+    relative: float
+    sd: float
+    turned: float  # what that makes over the step [rad]
+
+
+def _rates(
     output: OutputSignal, seen: BoolArray, drive: InputSignal, driven: BoolArray, omega: float
-) -> list[str]:
-    """Return whether an output's sine has another frequency than the input's, as only another clock gives it."""
+) -> list[_Rate]:
+    """Return how the frequencies of an output's sine and its input's compare; nothing where one is no sine."""
     found = []
     for times, values in (
         (drive.times_s[driven], drive.values[driven]),
@@ -257,19 +272,47 @@ def _apart(
         try:
             found.append(fit_sine(times, values, omega, is_frequency_free=True))
         except EstimationError:
-            return []  # no sine: the response's own variance says so
+            return []  # the response's own variance says so
     of_input, of_output = found
     if not (of_input.converged and of_output.converged):
         return []
     difference = of_output.omega - of_input.omega
     spread = math.hypot(of_input.omega_sd, of_output.omega_sd) + _SAME * omega
     turned = abs(difference) * float(np.ptp(output.times_s[seen]))
-    if abs(difference) <= _APART * spread or turned <= _TURNED:
+    return [_Rate(omega, difference / of_input.omega, spread / of_input.omega, turned)]
+
+
+def _apart(output: OutputSignal, rates: Sequence[_Rate], span_s: float) -> list[str]:
+    """Return whether an output's sines have other frequencies than the input's, as only another clock gives them.
+
+    Parameters
+    ----------
+    output : OutputSignal
+    rates : sequence of _Rate -- of its steps
+    span_s : float -- from the first step to the last [s]
+    """
+    said = [
+        f"output {output.name!r}: the sine of {own.omega / (2.0 * np.pi):.5g} Hz has {own.relative:+.2%} "
+        f"another frequency than the input's ({abs(own.relative) / own.sd:.0f} standard deviations): the clocks run "
+        "at different rates. Give both the stamps of one clock"
+        for own in rates
+        if abs(own.relative) > _APART * own.sd and own.turned > _TURNED
+    ]
+    if said or len(rates) < _MIN_STEPS:
+        return said
+    # A transient pulls the frequency of each step elsewhere, a clock that of all steps alike.
+    relative, sds = np.array([own.relative for own in rates]), np.array([own.sd for own in rates])
+    weights = sds**-2.0 / np.sum(sds**-2.0)
+    mean, formal = float(weights @ relative), float(np.sum(sds**-2.0)) ** -0.5
+    freedom = len(rates) - 1
+    scatter = formal * math.sqrt(float(np.sum(np.square((relative - mean) / sds))) / freedom)
+    least = max(_APART * formal, -float(student_quantile(freedom, 0.5 * _CLOCK_LEVEL)) * scatter)
+    if abs(mean) <= least or abs(mean) * max(own.omega for own in rates) * span_s <= _TURNED:
         return []
     return [
-        f"output {output.name!r}: the sine of {omega / (2.0 * np.pi):.5g} Hz has {difference / of_input.omega:+.2%} "
-        f"another frequency than the input's ({abs(difference) / spread:.0f} standard deviations): the clocks run at "
-        "different rates. Give both the stamps of one clock"
+        f"output {output.name!r}: the sines of all {len(rates)} steps have {mean:+.3%} another frequency than "
+        f"the input's ({abs(mean) / max(formal, scatter):.0f} standard deviations): the clocks run at different rates. "
+        "Give both the stamps of one clock"
     ]
 
 

@@ -55,6 +55,25 @@ def test_the_variance_is_that_of_output_and_input_noise():
     assert 0.65 < np.mean(scores) < 1.4  # 40 scores of mean 1 and scatter 1
 
 
+@pytest.mark.parametrize("rate", [-3e-4, 1e-4])
+def test_a_clock_too_slow_to_be_seen_in_one_step_is_seen_in_all(rate):
+    record = stepped_record(noise=0.001)
+    (output,) = record.outputs
+    other = OutputSignal("y", "", (1.0 + rate) * output.times_s, output.values)
+    windows = FREQUENCIES_HZ, STARTS + WAIT_S, STARTS + STEP_S - 0.05
+    (said,) = stepped_sine_response(TimeRecord(record.inputs, (other,)), *windows).fit_warnings
+    assert "the sines of all 5 steps" in said
+    assert "clocks run at different rates" in said
+
+
+@pytest.mark.parametrize("wait_s", [1.0, WAIT_S])
+def test_transients_that_are_still_there_are_no_clock(wait_s):
+    for seed in range(6):
+        record = stepped_record(noise=0.001, seed=seed)
+        found = stepped_sine_response(record, FREQUENCIES_HZ, STARTS + wait_s, STARTS + STEP_S - 0.05)
+        assert not any("all 5 steps" in said for said in found.fit_warnings)
+
+
 def test_a_sine_of_unknown_frequency_is_found_at_the_bound():
     scores, times = [], np.sort(np.random.default_rng(0).uniform(5.0, 7.0, 300))
     for seed in range(60):
