@@ -1,6 +1,7 @@
 """Channels that cannot be what they seem, by their samples alone: stuck, repeated, one another's copy.
 
-An exposure longer than the time between samples is named as well: a shutter opens once for every frame.
+An exposure longer than the time between samples is named as well: a shutter opens once for every frame; and an input
+that never changes.
 
 None of these needs a model, and each biases one in silence.  A signal that is measured never has the same value twice
 while it moves, but for rounding: so a value that stays where its neighbours differ by many steps is no measurement.
@@ -24,21 +25,27 @@ _EXPOSED = 1.01  # of the time between samples
 _STEPS = 5.0  # of rounding, which a moving signal makes between samples
 _MOVES = 0.1  # of the usual difference between samples, the same
 _FEW, _SHARE = 5, 0.02  # repeated samples that are reported, and of all that move
+_LATEST = 8  # samples by which a logger may echo an input
 
 
 def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
-    """Return what must be known of outputs that are stuck, repeated or copied, or exposed for too long.
+    """Return what must be known of outputs that are stuck, repeated, copied or exposed too long, and of still inputs.
 
     Parameters
     ----------
     outputs : sequence of OutputSignal -- of one record
     drives : sequence of InputSignal -- of which an output may be a copy
     """
-    said: list[str] = []
+    said = [
+        f"Input {own.name} is constant ({own.values[0]:.4g}): it excites nothing, but for a step where the record "
+        "begins if it was zero before. Else gains mean nothing. Check the channel, or record the switch-on."
+        for own in drives
+        if own.values[0] != 0.0 and np.ptp(own.values) == 0.0
+    ]
     seen = [(own.times_s[own.is_valid], own.values[own.is_valid]) for own in outputs]
     for k, output in enumerate(outputs):
         said += _of_channel(output.name, *seen[k])
-        others = [(f"Outputs {own.name}", seen[j]) for j, own in enumerate(outputs[:k])]
+        others = [(f"Outputs {own.name}", seen[j], 0) for j, own in enumerate(outputs[:k])]
         times = seen[k][0]
         period = float(np.median(np.diff(times))) if len(times) > 1 else math.inf
         if output.exposure_s > _EXPOSED * period:
@@ -47,22 +54,30 @@ def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSigna
                 f"{period * 1e3:.4g} ms between its samples. Give it in seconds, as the shutter has it."
             )
         others += [
-            (f"Input {own.name}", (times, np.interp(times, own.times_s, own.values))) for own in drives
+            (f"Input {own.name}", samples, late)
+            for own in drives
+            for samples in [(times, np.interp(times, own.times_s, own.values))]
+            for late in range(_LATEST + 1)
         ]
         said += [
-            f"{other} and {output.name} hold the same samples: one is the other's copy. Check the channels."
-            for other, samples in others
-            if _are_same(samples, seen[k])
+            f"{other} and {output.name} hold the same samples"
+            + f", these {late} sample{'s' if late > 1 else ''} later" * (late > 0)
+            + ": one is the other's copy. Check the channels."
+            for other, samples, late in others
+            if _are_same(samples, seen[k], late)
         ]
     return tuple(said)
 
 
-def _are_same(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
-    """Return whether two channels hold the same moving values at the same stamps."""
+def _are_same(
+    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray], late: int = 0
+) -> bool:
+    """Return whether two channels hold the same moving values at the same stamps, the second some samples later."""
+    n = len(one[1])
     return bool(
         np.array_equal(one[0], other[0])
-        and np.array_equal(one[1], other[1])
-        and len(np.unique(one[1])) > _STUCK
+        and np.array_equal(one[1][: n - late], other[1][late:])
+        and len(np.unique(one[1][: n - late])) > _STUCK
     )
 
 

@@ -57,6 +57,15 @@ def test_copies_of_a_channel_or_of_the_input_are_named():
     drive = InputSignal("u", "m", (0.0, 0.01), MOVING, "linear")
     assert "Input u and y0 hold the same samples" in said_of(MOVING, drives=(drive,))
     assert not said_of(MOVING, -0.5 * MOVING)
+    echo = np.concatenate([np.zeros(3), MOVING[:-3]])
+    assert "Input u and y0 hold the same samples, these 3 samples later" in said_of(echo, drives=(drive,))
+    assert not said_of(echo + 1e-9 * MOVING, drives=(drive,))
+
+
+@pytest.mark.parametrize("level", [0.0, 2.5])
+def test_an_input_that_never_changes_is_named(level):
+    drive = InputSignal("u", "V", (0.0, 0.01), np.full(N, level))
+    assert ("Input u is constant (2.5)" in said_of(MOVING, drives=(drive,))) == (level != 0.0)
 
 
 def test_masked_samples_are_missing_ones_and_no_numbers():
