@@ -311,8 +311,8 @@ def _apart(output: OutputSignal, rates: Sequence[_Rate], span_s: float) -> list[
         return []
     return [
         f"output {output.name!r}: the sines of all {len(rates)} steps have {mean:+.3%} another frequency than "
-        f"the input's ({abs(mean) / max(formal, scatter):.0f} standard deviations): the clocks run at different rates. "
-        "Give both the stamps of one clock"
+        f"the input's ({abs(mean) / max(formal, scatter):.0f} standard deviations): the clocks run at different "
+        "rates. Give both the stamps of one clock"
     ]
 
 
