@@ -16,16 +16,16 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.axis import axis_doubts
-from beam_ident.axis.axis_output_error import COLOURED, MODAL_MASS, AxisFit, AxisOutputError, MassAndFriction
+from beam_ident.axis.axis_output_error import MODAL_MASS, AxisFit, AxisOutputError, MassAndFriction
 from beam_ident.axis.axis_record import AxisRecord, Piece, require_motion
 from beam_ident.axis.axis_result import AxisCheck, AxisResult, in_known_units, units_of
-from beam_ident.axis.drive_spring import SpringSearch
 from beam_ident.axis.inverse_dynamics import (
     NAMES,
     InverseDynamicsFit,
     fit_inverse_dynamics,
     unmodelled_forces,
 )
+from beam_ident.axis.sprung_axis import look_for_spring
 from beam_ident.data.argument_checks import chosen_input, finite_row, require_output, require_records
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
@@ -37,7 +37,6 @@ _UNDECIDED = (
     "whether the drive is compliant cannot be told: neither a stiff drive nor one with a spring leaves a sensor's "
     "noise; record faster moves, without forces that nobody measures"
 )
-_WORTH_A_LOOK = 0.5  # of the gain in likelihood that a spring must bring, for which one is fitted
 _SEEN = 3.0  # standard deviations that a mass must be from zero
 
 
@@ -121,7 +120,7 @@ def identify_axis(
     inverse = _inverse_dynamics(loaded, simulated, further, motions)
     stiffer_than = math.nan
     if is_asked:
-        compliant, stiffer_than = _look_for_spring(loaded, simulated, further, drive_mass, start.parameters)
+        compliant, stiffer_than = look_for_spring(loaded, simulated, further, drive_mass, start.parameters)
         simulated = compliant or simulated
     chosen = _chosen(simulated, inverse)
     _require_mass(chosen.parameters.mass, chosen.covariance[0, 0], loaded[0])
@@ -323,17 +322,17 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
     if "delay" in further:
         begin = replace(begin, delay=problem.likeliest_delay(plain.state))
     full = AxisOutputError(pieces, begin, (*NAMES, *further)).fit()
-    if not _is_noise(full):
+    if not full.is_noise:
         # What is missing in the plain fit may have led it far away: once more from where the inverse dynamics with
         # all of it is.
         rough = fit_inverse_dynamics(records, start.delay, (*NAMES, *further)).parameters
         rough = replace(rough, mass=rough.mass if rough.mass > 0.0 else start.mass)
         other = AxisOutputError(pieces, rough, (*NAMES, *further)).fit()
-        full = other if _is_noise(other) else full
-    needed = _needed(full, further, sum(piece.n_samples for _, piece in pieces))
+        full = other if other.is_noise else full
+    needed = full.needed(further, sum(piece.n_samples for _, piece in pieces))
     if "delay" in needed:
         full = _at_likeliest_delay(pieces, full)
-        needed = _needed(full, further, sum(piece.n_samples for _, piece in pieces))
+        needed = full.needed(further, sum(piece.n_samples for _, piece in pieces))
     if len(needed) == len(further):
         return full
     if not needed:
@@ -355,63 +354,6 @@ def _at_likeliest_delay(pieces: Sequence[tuple[AxisRecord, Piece]], fit: AxisFit
         fit = found
 
 
-def _look_for_spring(
-    records: Sequence[AxisRecord],
-    stiff: AxisFit,
-    further: tuple[str, ...],
-    drive_mass: float | None,
-    plain: MassAndFriction,
-) -> tuple[AxisFit | None, float]:
-    """Return the fit with a spring in the drive if the records show one, else None and its least stiffness [N/m].
-
-    The stiffness is NaN where a spring was found, and where neither fit leaves a sensor's noise.
-    """
-    if drive_mass is not None and not drive_mass < stiff.parameters.mass:
-        raise EstimationError(
-            f"drive_mass is {drive_mass:.6g} kg and the moving mass {stiff.parameters.mass:.6g} kg; the drive is a "
-            "part of it: expected the inertia of rotor and pulley over the square of the pulley's radius, in kg"
-        )
-    pieces = [(record, piece) for record in records for piece in record.pieces]
-    # A delay may have followed the spring: where it leaves no noise, the search is beside mass and friction alone.
-    at = stiff.parameters
-    at = at if _is_noise(stiff) else at.changed({name: plain.value(name) for name in further})
-    rough = AxisOutputError(pieces, at, stiff.names if _is_noise(stiff) else NAMES)
-    point = rough.minimum().state
-    problem = AxisOutputError(pieces, rough.parameters(point.theta), (*NAMES, *further))
-    look = SpringSearch(problem, problem.first(rough.own(point.theta)), drive_mass, stiff.inflation).look()
-    own = ("resonance", "resonance_damping", *(("drive_mass",) if drive_mass is None else ()))
-    n = sum(piece.n_samples for _, piece in pieces)
-    price = 0.5 * len(own) * math.log(n)
-    if look.gain > _WORTH_A_LOOK * price:
-        best, cost, begin, ringing = look.starts[0], math.inf, None, None
-        for start in look.starts:
-            start = start.changed({name: plain.value(name) for name in further})
-            one = AxisOutputError(pieces, start, (*NAMES, *own))
-            state = one.minimum(target=cost, is_patient=True).state
-            if state.cost < cost:
-                best, cost, begin = one.parameters(state.theta), state.cost, one.own(state.theta)
-                ringing = one.ringing(state)
-        fit = AxisOutputError(pieces, best, (*NAMES, *further, *own), ringing).fit(begin)
-        needed = _needed(fit, further, n)
-        if len(needed) < len(further):
-            best = best.changed({name: fit.parameters.value(name) for name in needed})
-            fit = AxisOutputError(pieces, best, (*NAMES, *needed, *own), ringing).fit(begin)
-        gain = 0.5 * n * math.log(stiff.power / fit.power)
-        if gain > price * fit.inflation**2 and _is_shaken(records, fit.parameters):
-            return fit, math.nan
-    return None, look.stiffer_than if _is_noise(stiff) else math.nan
-
-
-def _is_shaken(records: Sequence[AxisRecord], parameters: MassAndFriction) -> bool:
-    """Return whether the records hold what shakes the spring.
-
-    Samples of a force say what it contains below half their rate (Shannon). Above it there is only what its hold
-    makes of that: a spring that is seen there would be a statement about the hold, its delay and its filters.
-    """
-    slowest = max(record.period_s for record in records)
-    return parameters.resonance * slowest < math.pi
-
-
 def _inverse_dynamics(
     records: Sequence[AxisRecord],
     simulated: AxisFit,
@@ -419,7 +361,7 @@ def _inverse_dynamics(
     motions: Sequence[FloatArray] | None,
 ) -> InverseDynamicsFit:
     """Return the fit with those further parameters that it, or a simulation that describes the records, shows."""
-    if _is_noise(simulated):
+    if simulated.is_noise:
         if motions is None:
             motions = _simulated_motions(records, simulated)
         names = tuple(name for name in simulated.names if name != "delay")
@@ -430,11 +372,11 @@ def _inverse_dynamics(
         further = tuple(name for name in further if name != "delay")
     full = fit_inverse_dynamics(records, known, (*NAMES, *further), motions)
     n_values = sum(piece.n_samples for record in records for piece in record.pieces)
-    needed = _needed(full, further, n_values)
+    needed = full.needed(further, n_values)
     if "delay" in needed:
         # A delay is linear in small steps: once more from where the first one led, if it then is one still.
         again = fit_inverse_dynamics(records, full.parameters.delay, (*NAMES, *needed), motions)
-        if "delay" in _needed(again, further, n_values):
+        if "delay" in again.needed(further, n_values):
             return again
         needed = tuple(name for name in needed if name != "delay")
     return fit_inverse_dynamics(records, known, (*NAMES, *needed), motions)
@@ -451,21 +393,6 @@ def _simulated_motions(records: Sequence[AxisRecord], simulated: AxisFit) -> lis
     return motions
 
 
-def _needed(fit: AxisFit | InverseDynamicsFit, further: tuple[str, ...], n_values: int) -> tuple[str, ...]:
-    """Return which of further parameters a fit shows, as the Bayesian information criterion asks of each."""
-    least = math.sqrt(math.log(n_values))
-    return tuple(
-        name
-        for j, name in enumerate(fit.names)
-        if name in further and abs(fit.parameters.value(name)) > least * math.sqrt(fit.covariance[j, j])
-    )
-
-
-def _is_noise(simulated: AxisFit) -> bool:
-    """Return whether what a simulation leaves is the noise of a sensor."""
-    return simulated.converged and simulated.inflation < COLOURED
-
-
 def _rough_mass(records: Sequence[AxisRecord]) -> float:
     """Return the force's rms over that of the smoothed acceleration [kg]."""
     pushes = [float(np.std(record.drive.values)) for record in records]
@@ -479,7 +406,7 @@ def _chosen(simulated: AxisFit, inverse: InverseDynamicsFit) -> _Estimate:
     own = float(np.linalg.slogdet(simulated.covariance[:n, :n])[1])
     other = float(np.linalg.slogdet(inverse.covariance[:n, :n])[1])
     is_far_better = simulated.converged and own < other - 2.0 * n * math.log(_MUCH_BETTER)
-    if _is_noise(simulated) or is_far_better:
+    if simulated.is_noise or is_far_better:
         return _Estimate("output_error", simulated.parameters, simulated.names, simulated.covariance)
     return _Estimate("instrumental_variables", inverse.parameters, inverse.names, inverse.covariance)
 

@@ -24,7 +24,7 @@ from beam_ident.axis.compliant_motion import DriveSpring, TwoMotions, simulate_c
 from beam_ident.axis.first_ringing import FirstRinging
 from beam_ident.axis.hub_motion import GridForce, Guide, at_stamps, simulate_guide
 from beam_ident.noise.autoregression import coloured_covariance
-from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
+from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 
 _STEP = 1e-6  # of a parameter's scale, for derivatives by differences
 _FIRST_ITERATIONS, _MAX_ITERATIONS = 12, 60
@@ -163,6 +163,31 @@ class AxisFit:
         """Sum of their squares [m^2]."""
         return _power(self.residuals)
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether what the simulation leaves is the noise of a sensor."""
+        return self.converged and self.inflation < COLOURED
+
+    def needed(self, further: Sequence[str], n_values: int) -> tuple[str, ...]:
+        """Return which of further parameters the fit shows, as ``shown`` says."""
+        return shown(self.parameters, self.names, self.covariance, further, n_values)
+
+
+def shown(
+    parameters: MassAndFriction,
+    names: Sequence[str],
+    covariance: FloatArray,
+    further: Sequence[str],
+    n_values: int,
+) -> tuple[str, ...]:
+    """Return which of further parameters a fit shows, as the Bayesian information criterion asks of each."""
+    least = math.sqrt(math.log(n_values))
+    return tuple(
+        name
+        for j, name in enumerate(names)
+        if name in further and abs(parameters.value(name)) > least * math.sqrt(covariance[j, j])
+    )
+
 
 class AxisOutputError:
     """Output error over the pieces of one or several records; implements ``levenberg_marquardt.Problem``.
@@ -207,6 +232,7 @@ class AxisOutputError:
         self._steps = _STEP * np.array([scales.get(name, start.mass) for name in self.names])
         self._n_samples = sum(piece.n_samples for _, piece in self.pieces)
         self._forces: dict[tuple[int, float], GridForce] = {}
+        self._derived: tuple[FloatArray, list[FloatArray], list[FloatArray]] | None = None
 
     def first(self, own: FloatArray | None = None) -> AxisPoint:
         """Return the start, with what is the pieces' own; where that is not known, the smoothed velocity.
@@ -343,6 +369,12 @@ class AxisOutputError:
         shared : list of ndarray, shape (n_samples, n)
         own : list of ndarray, shape (n_samples, 1), or (n_samples, 3) behind a spring
         """
+        # Slope, covariance and the first ringing are asked for at one and the same point.
+        if self._derived is None or self._derived[0] is not state.theta:
+            self._derived = (state.theta, *self._differences(state))
+        return self._derived[1:]
+
+    def _differences(self, state: AxisPoint) -> tuple[list[FloatArray], list[FloatArray]]:
         own = self.own(state.theta)
         values = state.theta[: len(self.names)]
         shared: list[list[FloatArray]] = [[] for _ in self.pieces]
@@ -387,9 +419,7 @@ class AxisOutputError:
         inflation = float(np.max(np.diag(coloured) / np.diag(white), initial=1.0))
         return coloured / np.outer(scale, scale), max(math.sqrt(inflation), 1.0)
 
-    def minimum(
-        self, own: FloatArray | None = None, target: float = math.inf, is_patient: bool = False
-    ) -> Minimum[AxisPoint]:
+    def minimum(self, own: FloatArray | None = None, is_patient: bool = False) -> Minimum[AxisPoint]:
         """Return the most likely parameters and first velocities.
 
         Only where the simulation nearly follows the positions are more than a few iterations worth their time.
@@ -397,15 +427,14 @@ class AxisOutputError:
         Parameters
         ----------
         own : ndarray, optional -- as for ``first``
-        target : float -- cost without which the result is of no use
         is_patient : bool -- whether many iterations are worth their time in any case
         """
-        found = minimise(self, self.first(own), _FIRST_ITERATIONS, target)
-        if found.converged or found.reason == HOPELESS:
+        found = minimise(self, self.first(own), _FIRST_ITERATIONS)
+        if found.converged:
             return found
         if not is_patient and self.covariance(found.state)[1] > COLOURED:
             return found
-        return minimise(self, found.state, _MAX_ITERATIONS, target)
+        return minimise(self, found.state, _MAX_ITERATIONS)
 
     def fit(self, own: FloatArray | None = None) -> AxisFit:
         """Return the best parameters, with their covariance; ``own`` is as for ``first``."""

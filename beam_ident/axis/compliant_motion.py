@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 from beam_ident.arrays import FloatArray
 from beam_ident.axis.hub_motion import GridForce, Guide
 
-_FIRST_CHUNK, _LONGEST_CHUNK = 512, 8192  # steps that are looked at together for the next reversal
+_FIRST_CHUNK, _LONGEST_CHUNK = 2048, 8192  # steps that are looked at together for the next reversal
 _MOST_EVENTS = 8  # within one step: a hub that rattles on rests
 _DEGREE, _REACH = 20, 2.0  # of the Taylor series, and the norm up to which its rest is below 1e-12
 _LOOKS = np.arange(1, 9) / 8.0  # shares of a piece of a step at which a sign is looked for

@@ -24,7 +24,7 @@ from beam_ident.axis.axis_record import AxisRecord, Piece
 
 _SLOWEST = 2.0  # periods in the longest piece, of resonances that are tried
 _FASTEST = 20.0  # rad from knot to knot
-_RATIO = 1.1  # from resonance to resonance
+_RATIO = 1.1  # from resonance to resonance at most
 _DAMPING = (0.03, 0.1, 0.4)  # damping ratios that are tried
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the mass that the drive may have, where it is not known
 _MIN_PART = 0.2  # of what a spring should ring with
@@ -82,7 +82,9 @@ class SpringSearch:
         least, softest, starts = power, math.inf, []
         for zeta in _DAMPING:
             own_least, start = power, None
-            for omega in map(float, self._resonances()):
+            # Resonances closer than their damping ratio ring alike; further off, nothing of a ringing is seen.
+            ratio = min(_RATIO, 1.0 + zeta)
+            for omega in map(float, self._resonances(ratio)):
                 pushed, carried = self._rung(omega, zeta)
                 for share in self._shares:
                     reduced = share * (1.0 - share) * mass
@@ -90,7 +92,7 @@ class SpringSearch:
                     size, along = float(column @ column), float(column @ self._left)
                     if power - 2.0 * along + size < most:
                         # The one before, a step of the search softer, was still excluded.
-                        softest = min(softest, reduced * (omega / _RATIO) ** 2)
+                        softest = min(softest, reduced * (omega / ratio) ** 2)
                     # Between two resonances that are tried, less of the column is of use than all of it.
                     part = min(max(along / size, _MIN_PART), 1.0) if size > 0.0 else 1.0
                     remains = power - part * (2.0 * along - part * size)
@@ -111,11 +113,11 @@ class SpringSearch:
         side = 1.0 - share if self._is_of_drive else -share
         return side * ((1.0 - share) * pushed + carried)
 
-    def _resonances(self) -> FloatArray:
+    def _resonances(self, ratio: float) -> FloatArray:
         period = max(record.period_s for record, _ in self._problem.pieces)
         longest = max(piece.last - piece.first for _, piece in self._problem.pieces)
         slowest = 2.0 * math.pi * _SLOWEST / longest
-        n = max(round(math.log(max(_FASTEST / slowest, _RATIO)) / math.log(_RATIO)), 1)
+        n = max(round(math.log(max(_FASTEST / slowest, ratio)) / math.log(ratio)), 1)
         return np.asarray(np.geomspace(slowest, _FASTEST, n + 1) / period)
 
     def _rung(self, omega: float, zeta: float) -> tuple[FloatArray, FloatArray]:

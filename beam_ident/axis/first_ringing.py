@@ -7,9 +7,10 @@ damping came out too small, now and then as zero.
 
 A ringing c with c ~ N(0, 1 / W), beside the information S of the positions on it, is integrated out in closed form:
 
-    -log p(y) = -log p(y | c) + c^T W c / 2 + log det(W + S) / 2 + ...
+    -log p(y) = -log p(y | c) + c^T W c / 2 + log det(W + S) / 2 - log det(W) / 2
 
-at the most likely c. Among what the last term depends on, only how fast the ringing fades counts:
+at the most likely c, apart from a constant. W is kept while an optimum is approached; it counts where two of them are
+compared, a spring that rings and one that creeps. Among what S depends on, only how fast the ringing fades counts:
 
     S ~ integral_0^T exp(-2 zeta omega t) dt = (1 - exp(-2 zeta omega T)) / (2 zeta omega)
 """
@@ -54,10 +55,11 @@ class FirstRinging:
         return FirstRinging(weights, np.array(shown), np.array(durations_s), fading)
 
     def cost(self, fading: float) -> float:
-        """Return half of the sum of log det(W + S) at another fading [1/s]."""
+        """Return half of the sum of log det(W + S) - log det(W) at another fading [1/s]."""
         share = _heard(fading, self.durations_s) / _heard(self.fading, self.durations_s)
         whole = np.diag(self.weights) + self.shown * share[:, None, None]
-        return 0.5 * float(np.sum(np.linalg.slogdet(whole)[1]))
+        expected = float(np.sum(np.log(self.weights)))
+        return 0.5 * float(np.sum(np.linalg.slogdet(whole)[1] - expected))
 
     def slope(self, fading: float) -> float:
         """Return the derivative of the cost by the fading [s]."""

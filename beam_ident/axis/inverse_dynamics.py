@@ -24,7 +24,7 @@ from scipy.ndimage import binary_erosion
 from scipy.signal import fftconvolve
 
 from beam_ident.arrays import BoolArray, FloatArray, IndexArray
-from beam_ident.axis.axis_output_error import MODAL_MASS, MassAndFriction
+from beam_ident.axis.axis_output_error import MODAL_MASS, MassAndFriction, shown
 from beam_ident.axis.axis_record import AxisRecord, runs
 from beam_ident.axis.axis_result import AxisTerm
 from beam_ident.errors import EstimationError
@@ -64,6 +64,10 @@ class InverseDynamicsFit:
     covariance: FloatArray
     window_s: float
     residuals: FloatArray
+
+    def needed(self, further: Sequence[str], n_values: int) -> tuple[str, ...]:
+        """Return which of further parameters the fit shows, as ``shown`` says."""
+        return shown(self.parameters, self.names, self.covariance, further, n_values)
 
     @property
     def volume(self) -> float:

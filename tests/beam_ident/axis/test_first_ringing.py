@@ -37,8 +37,15 @@ def test_its_cost_at_another_damping_is_that_of_the_information_there(to: float)
     assert first.cost(to * OMEGA) - first.cost(0.03 * OMEGA) == pytest.approx(wanted, rel=0.03)
 
 
+def test_a_ringing_that_positions_cannot_show_costs_nothing_however_large_it_may_be() -> None:
+    # Springs with ringings of other sizes are compared: beside no information, what is expected must not count.
+    for weights in (WEIGHTS, 100.0 * WEIGHTS):
+        first = FirstRinging.of(weights, [1e-9 * information(0.03, 2.0)], [2.0], 0.03 * OMEGA)
+        assert first.cost(0.01 * OMEGA) == pytest.approx(0.0, abs=1e-5)
+
+
 def test_its_slope_is_that_of_its_cost_where_the_ringing_has_faded() -> None:
-    first = FirstRinging.of(np.zeros(2), [information(0.05, 2.0)] * 3, [2.0] * 3, 0.05 * OMEGA)
+    first = FirstRinging.of(np.full(2, 1e-9), [information(0.05, 2.0)] * 3, [2.0] * 3, 0.05 * OMEGA)
     # Two parts in each of three pieces, half a logarithm of 1 / fading each.
     assert first.slope(10.0) == pytest.approx(-3.0 / 10.0, rel=1e-5)
 
