@@ -15,6 +15,8 @@ from beam_ident.errors import EstimationError
 _APART, _DIFFERENT = 4.0, 0.01  # standard deviations between two estimates, and share of them
 _AT_LIMIT = (0.005, 0.95)
 """Shares of a force's samples at its limits that speak of limits: what is switched stands there always."""
+_JUMP, _FASTEST = 5.0, 0.99
+"""How many times a step between samples must exceed this quantile of all steps in motion, to be no motion."""
 _UNMEASURED = (
     "forces that nobody measured outweigh the noise of the position: the estimates are those of inverse dynamics, "
     "with standard deviations that the colour of these forces gives"
@@ -30,6 +32,27 @@ def negative_friction(estimates: FloatArray, covariance: FloatArray) -> list[str
     if estimates[2] < -_APART * np.sqrt(covariance[2, 2]):
         return ["the dry friction comes out negative: check the signs of force and position"]
     return []
+
+
+def of_jumps(records: Sequence[AxisRecord]) -> list[str]:
+    """Return a warning for every record whose position jumps from one sample to the next as no motion does."""
+    found = []
+    for record in records:
+        speeds = np.abs(np.diff(record.positions) / np.diff(record.times_s))
+        moving = speeds[~record.is_slow[1:]]
+        fastest = float(np.quantile(moving, _FASTEST)) if len(moving) else np.inf
+        places = np.flatnonzero(speeds > _JUMP * fastest)
+        if len(places):
+            k = int(places[0])
+            size = abs(float(record.positions[k + 1] - record.positions[k]))
+            at = f"{record.times_s[k + 1]:.6g} s from where the force begins"
+            found.append(
+                f"the position {record.output.name!r} jumps by {size:.3g} m at {at}, {speeds[k] / fastest:.0f} times "
+                f"as fast as it moves ({len(places)} such jumps): wild or lost samples, a counter that wraps, an "
+                "encoder that slips; set such samples to NaN, unwrap the counter, or identify the stretches between "
+                "as records of their own"
+            )
+    return found
 
 
 def of_methods(

@@ -315,7 +315,7 @@ def _followed(record: AxisRecord) -> FloatArray:
 def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further: tuple[str, ...]) -> AxisFit:
     """Return the fit with those further parameters that the records show."""
     pieces = [(record, piece) for record in records for piece in record.pieces]
-    start = replace(start, mass=start.mass if start.mass > 0.0 else _rough_mass(records))
+    start = _possible(start, _rough_mass(records))
     problem = AxisOutputError(pieces, start, NAMES)
     plain = problem.fit()
     begin = plain.parameters
@@ -326,8 +326,7 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
         # What is missing in the plain fit may have led it far away: once more from where the inverse dynamics with
         # all of it is.
         rough = fit_inverse_dynamics(records, start.delay, (*NAMES, *further)).parameters
-        rough = replace(rough, mass=rough.mass if rough.mass > 0.0 else start.mass)
-        other = AxisOutputError(pieces, rough, (*NAMES, *further)).fit()
+        other = AxisOutputError(pieces, _possible(rough, start.mass), (*NAMES, *further)).fit()
         full = other if other.is_noise else full
     needed = full.needed(further, sum(piece.n_samples for _, piece in pieces))
     if "delay" in needed:
@@ -393,6 +392,14 @@ def _simulated_motions(records: Sequence[AxisRecord], simulated: AxisFit) -> lis
     return motions
 
 
+def _possible(found: MassAndFriction, mass: float) -> MassAndFriction:
+    """Return what a simulation can begin with: with friction that drives it an axis runs away, to infinity."""
+    viscous = max(found.viscous, 0.0)
+    difference = min(max(found.viscous_difference, -2.0 * viscous), 2.0 * viscous)
+    positive = found.mass if found.mass > 0.0 else mass
+    return replace(found, mass=positive, viscous=viscous, viscous_difference=difference)
+
+
 def _rough_mass(records: Sequence[AxisRecord]) -> float:
     """Return the force's rms over that of the smoothed acceleration [kg]."""
     pushes = [float(np.std(record.drive.values)) for record in records]
@@ -434,6 +441,7 @@ def _result(
     other_estimates, other_covariance = _in_all(other.names, other_values, other.covariance)
     in_all = _in_all(names, estimates, covariance)
     warnings = [] if is_output_error else axis_doubts.of_unmeasured_forces(records, inverse, motions)
+    warnings += axis_doubts.of_jumps(records)
     warnings += axis_doubts.negative_friction(*in_all)
     if not chosen.parameters.resonance:
         # Inverse dynamics know of no spring.

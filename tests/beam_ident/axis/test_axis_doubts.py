@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from beam_ident import TimeRecord, identify_axis
+from beam_ident.axis.axis_doubts import of_jumps
+from beam_ident.axis.axis_record import AxisRecord
 from benchmarks.ident.driven_axis import DrivenAxis
 
 
@@ -31,3 +33,53 @@ def test_what_changes_the_force_is_named(change: Callable[[np.ndarray], np.ndarr
     assert found.method == "instrumental_variables"
     named = [warning for warning in found.warnings if "halves" in warning or "stands at" in warning]
     assert [words in warning for warning in named] == [True] * bool(words)
+
+
+def one_wild(y: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(y)) == 4321, y + 0.02, y)
+
+
+def lost(y: np.ndarray) -> np.ndarray:
+    return np.where((np.arange(len(y)) >= 3000) & (np.arange(len(y)) < 3020), -0.05, y)
+
+
+def wrapped(y: np.ndarray) -> np.ndarray:
+    return np.mod(y, 0.05)
+
+
+def slipped(y: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(y)) < 5000, y, y + 3e-3)
+
+
+def jumps(axis: DrivenAxis, change: Callable[[np.ndarray], np.ndarray]) -> list[str]:
+    record = axis.record(1)
+    return of_jumps(
+        [AxisRecord(record.inputs[0], replace(record.outputs[0], values=change(record.outputs[0].values)))]
+    )
+
+
+@pytest.mark.parametrize("change", [one_wild, lost, wrapped, slipped])
+def test_positions_that_jump_as_no_axis_moves_are_named(change: Callable[[np.ndarray], np.ndarray]) -> None:
+    assert "jumps by" in "".join(jumps(DrivenAxis(duration_s=8.0, noise=1e-6), change))
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        DrivenAxis(duration_s=8.0),
+        DrivenAxis(duration_s=8.0, noise=1e-6, quantum=1e-4),
+        DrivenAxis(duration_s=8.0, noise=1e-4),
+        DrivenAxis(duration_s=8.0, static=15.0),
+    ],
+    ids=["plain", "coarse", "noisy", "sticking"],
+)
+def test_motion_steps_of_an_encoder_and_noise_are_no_jumps(axis: DrivenAxis) -> None:
+    assert not jumps(axis, lambda y: y)
+
+
+def test_lost_samples_lead_no_simulation_to_infinity() -> None:
+    # Inverse dynamics gave a friction that drives the axis; from there a simulation overflowed, in a LinAlgError.
+    record = DrivenAxis(duration_s=8.0, noise=1e-6).record(1)
+    output = replace(record.outputs[0], values=lost(record.outputs[0].values))
+    found = identify_axis(replace(record, outputs=(output,)), force="force")
+    assert any("jumps by" in warning for warning in found.warnings)
