@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -69,6 +69,7 @@ class IdentificationTask:
     progress : callable
     found_noise : mapping -- of the records whose input did not state its own
     own_latencies, own_rates : mapping -- what is known of the clocks of single outputs, by name
+    first_clocks : mapping -- clocks of single outputs that the search begins with, by name
     """
 
     terms: ModalStructure
@@ -82,6 +83,7 @@ class IdentificationTask:
     found_noise: Mapping[int, StillNoise]
     own_latencies: Mapping[str, Prior]
     own_rates: Mapping[str, Prior]
+    first_clocks: Mapping[str, OwnClock] = field(default_factory=dict)
 
     def result(self, records: list[TimeRecord]) -> IdentificationResult:
         """Return what is found in some records, clocks that jump among them."""
@@ -280,7 +282,7 @@ class IdentificationTask:
     def _outcome(self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]) -> IdentificationResult:
         """Return what is found in some records with the jumps of their clocks, and outputs late by themselves."""
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
-        clocks = self._known_clocks(measured)
+        clocks = {**self.first_clocks, **self._known_clocks(measured)}
         has_asked = False  # every output by itself
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)

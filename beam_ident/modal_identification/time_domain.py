@@ -16,6 +16,7 @@ from beam_ident.data.argument_checks import (
     require_records,
 )
 from beam_ident.data.batches import Progress
+from beam_ident.data.own_clocks import OwnClock, on_common_clock
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
@@ -143,7 +144,7 @@ def identify(
     if not set(names) - set(own_rates_known):
         clock_rate = Prior()
     late = {}
-    if latency.sd > farthest and len(drives) == 1 and not own_latencies:
+    if latency.sd >= farthest and len(drives) == 1 and not own_latencies:
         late = coarse_delays(records, input_names[0], _BEGINS_FAR * farthest)
     common = min(late.values(), key=abs, default=0.0)
     if abs(common) > _BEGINS_FAR * farthest:
@@ -162,6 +163,16 @@ def identify(
         own_latencies=own_latencies,
         own_rates=own_rates_known,
     )
+    apart = {name: OwnClock(delay - common) for name, delay in late.items()}
+    apart = {name: own for name, own in apart.items() if abs(own.delay) > _BEGINS_FAR * farthest}
+    if apart:
+        # As if they had been stamped with the others, which says by how much more or less they are late.
+        with contextlib.suppress(EstimationError):
+            found_there = task.result([on_common_clock(one, apart) for one in records]).model.own_clocks
+            clocks = {
+                name: found_there.get(name, OwnClock()).moved(own.delay, 0.0) for name, own in apart.items()
+            }
+            task = replace(task, first_clocks={**found_there, **clocks})
     result, said = without_clipped(records, names, task.result, _prediction)
     doubts = [text for text in (said, noisy_blows) if text]
     if latency.is_free and abs(result.model.latency) > _AT_THE_END * farthest:
