@@ -14,8 +14,10 @@ from scipy.special import fdtrc
 from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, DecayProblem, Law
 from beam_ident.amplitude.driven_fit import LAW as DRIVEN_LAW
 from beam_ident.amplitude.driven_fit import DrivenProblem
+from beam_ident.amplitude.lack_of_fit import LEVEL as MISFIT_LEVEL
+from beam_ident.amplitude.lack_of_fit import lack_of_fit, without_own_swings
 from beam_ident.amplitude.slow_flow import ringing, ringing_slopes
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.argument_checks import require_output, require_signals
 from beam_ident.data.records import OutputSignal, TimeRecord
 from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, written
@@ -24,6 +26,9 @@ from beam_ident.modal.model import ModalModel
 from beam_ident.modal_estimation.free_decay import end_of_rest, fit_free_decay
 from beam_ident.noise.scores import Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.misfit_causes import misfit_warnings
+from beam_ident.sensing.quantisation import clipped_warnings
 
 SCHEMA = 1
 
@@ -195,19 +200,28 @@ def amplitude_curves(
     base = problem.fit(problem.start(frequency_hz, _LAWS[0]))
     if not base.cost < one_pole.cost:
         base = problem.fit(one_pole.point.extended(_LAWS[0]))
-    fit = base = _with_other_modes(problem, base)
+    base = _with_other_modes(problem, base)
     if len(base.point.others):
         one_pole = problem.fit(replace(one_pole.point, others=base.point.others))
-    for law in _LAWS[1:]:
-        if problem.n_samples > 4 * (fit.n_parameters + 2):
-            richer = problem.fit(base.point.extended(law))
-            fit = richer if richer.converged and richer.criterion < fit.criterion else fit
+    fit = _richest(problem, base)
+    if lack_of_fit(problem, fit) < MISFIT_LEVEL:
+        beating = _with_near_mode(problem, one_pole, fit)
+        if beating is not None:
+            one_pole, base = beating
+            fit = _richest(problem, base)
     # What the criterion does not ask for may still bend the curve by as much as its noise: the band is that of a law
     # with one more power of each, beside which what stays out is small. Amplitudes that hardly differ do not tell so
     # many powers apart, and do not need them. The test knows nothing of this choice.
     law = fit.point.law
     wide = problem.fit(fit.point.extended(Law(law.n_frequency + 1, law.n_rate + 1)))
-    curves = _judged(problem, wide if wide.converged else fit, (one_pole, base), "decay", seed)
+    if _asks_for_more(problem, fit):
+        warnings.append(
+            "the frequency bends more sharply over the amplitude than the powers of the law do, as at a stop or a "
+            "clearance: the bands do not hold there; give decays from below the bend, and others from above it"
+        )
+    fit = wide if wide.converged else fit
+    warnings += _misfit(problem, fit)
+    curves = _judged(problem, fit, (one_pole, base), "decay", seed)
     return replace(curves, warnings=(*warnings, *curves.warnings))
 
 
@@ -323,23 +337,113 @@ def _without_rest(decays: list[list[OutputSignal]]) -> tuple[list[list[OutputSig
     return rows, warnings
 
 
+def _richest(problem: DecayProblem, base: DecayFit) -> DecayFit:
+    """Return the fit of the law that the Bayesian information criterion asks for."""
+    fit = base
+    for law in _LAWS[1:]:
+        if problem.n_samples > 4 * (fit.n_parameters + 2):
+            richer = problem.fit(base.point.extended(law))
+            fit = richer if richer.converged and richer.criterion < fit.criterion else fit
+    return fit
+
+
+def _asks_for_more(problem: DecayProblem, fit: DecayFit) -> bool:
+    """Return whether the criterion asks for more powers of frequency than there are."""
+    law = fit.point.law
+    if law.n_frequency < _LAWS[-1].n_frequency:
+        return False
+    richer = problem.fit(fit.point.extended(Law(law.n_frequency + 1, law.n_rate)))
+    return richer.converged and richer.criterion < fit.criterion
+
+
 def _with_other_modes(problem: DecayProblem, fit: DecayFit) -> DecayFit:
     """Return a fit in which further modes, that ring beside the one of the curve, have their own columns."""
     own = float(fit.point.omega_terms[0])
-    residuals = [
-        replace(signal, values=e) for signal, e in zip(problem.decays[0], fit.residuals[0], strict=True)
-    ]
     try:
-        beside = fit_free_decay(residuals, max_modes=2 * _MAX_OTHERS)
+        beside = fit_free_decay(without_own_swings(problem, fit), max_modes=_MAX_OTHERS)
     except EstimationError:
         return fit
-    omegas, zetas = beside.natural_frequencies, beside.damping_ratios
-    is_other = (np.abs(omegas / own - 1.0) > _ALONE) & (np.abs(omegas / (3.0 * own) - 1.0) > 0.5 * _ALONE)
-    others = np.stack([omegas[is_other], zetas[is_other]], axis=1)[:_MAX_OTHERS]
+    others = np.stack([beside.natural_frequencies, beside.damping_ratios], axis=1)
+    others = others[_are_apart(others, own)]
     if not len(others):
         return fit
     found = problem.fit(replace(fit.point, others=others))
-    return found if found.converged and found.criterion < fit.criterion else fit
+    # What moves to the mode's own frequency takes up what the law leaves there, and is no mode.
+    apart = _are_apart(found.point.others, own)
+    if not np.any(apart):
+        return fit
+    if not np.all(apart):
+        found = problem.fit(replace(fit.point, others=found.point.others[apart]))
+        apart = _are_apart(found.point.others, own)
+    return found if np.all(apart) and found.converged and found.criterion < fit.criterion else fit
+
+
+def _are_apart(others: FloatArray, own: float) -> BoolArray:
+    """Return which modes ring apart from the one of the curve and from its third harmonic."""
+    share, zetas = others[:, 0] / own, others[:, 1]
+    is_apart = (np.abs(share - 1.0) > _ALONE) & (np.abs(share / 3.0 - 1.0) > 0.5 * _ALONE)
+    return np.asarray(is_apart & (share > 0.0) & (np.abs(zetas) < 1.0))
+
+
+def _with_near_mode(
+    problem: DecayProblem, one_pole: DecayFit, fit: DecayFit
+) -> tuple[DecayFit, DecayFit] | None:
+    """Return fits of one pole and of the first law beside another mode near it, None where no linear mode is there.
+
+    Two linear modes must describe the decays better than a law alone, and as well as two modes with the law.
+    """
+    try:
+        found = fit_free_decay(problem.decays[0], n_modes=2)
+    except EstimationError:
+        return None
+    omegas, zetas = found.natural_frequencies, found.damping_ratios
+    if not abs(omegas[1] / omegas[0] - 1.0) < _ALONE:
+        return None
+    swings = found.amplitudes[problem.reference]
+    first = int(np.argmax(np.abs(swings) / np.sqrt(omegas * zetas)))  # the one of more energy
+    point = one_pole.point
+    sizes, phases = point.amplitudes.copy(), point.phases.copy()
+    sizes[0], phases[0] = abs(swings[first]) / point.reference, np.angle(swings[first])
+    near = np.array([[omegas[1 - first], zetas[1 - first]]])
+    start = replace(
+        point,
+        omega_terms=omegas[first : first + 1] * np.sqrt(1.0 - zetas[first] ** 2),
+        rate_terms=np.array([0.0, omegas[first] * zetas[first]]),
+        amplitudes=sizes,
+        phases=phases,
+        others=np.concatenate([near, point.others]),
+    )
+    beating = problem.fit(start)
+    if not (beating.converged and beating.criterion < fit.criterion):
+        return None
+    base = problem.fit(beating.point.extended(_LAWS[0]))
+    return (beating, base) if beating.criterion < base.criterion else None
+
+
+def _misfit(problem: DecayProblem, fit: DecayFit) -> list[str]:
+    """Return what is known of outputs that a law does not describe, or that are no measurements."""
+    own, modes = float(fit.point.omega_terms[0]), fit.point.others[:, 0]
+    said = [
+        f"two modes beat, at {own / (2.0 * math.pi):.5g} and {omega / (2.0 * math.pi):.5g} Hz: the curve is that "
+        "of the first, beside which the second is taken for linear"
+        for omega in modes[np.abs(modes / own - 1.0) < _ALONE]
+    ]
+    p_value = lack_of_fit(problem, fit)
+    if p_value < MISFIT_LEVEL:
+        said.append(
+            f"the law does not follow the decay: what is left of it swings at the mode's own frequency (p = "
+            f"{p_value:.1g}), and the bands do not hold. A stop or a clearance, a blow in mid-record, or another "
+            "mode near this one may do that: give a stretch without it"
+        )
+    for j, signal in enumerate(problem.decays[0]):
+        parts = [
+            (row[j].times_s, row[j].values - e[j], e[j])
+            for row, e in zip(problem.decays, fit.residuals, strict=True)
+        ]
+        said += misfit_warnings([(signal.name, parts)])
+    for row in problem.decays:
+        said += [*clipped_warnings(row), *damage_warnings(row)]
+    return list(dict.fromkeys(said))
 
 
 def _colour(problem: DecayProblem | DrivenProblem, fit: DecayFit) -> tuple[float, int]:

@@ -159,10 +159,16 @@ class DecayProblem:
         turns = [_windows(signal, omega, begin) for signal, begin in zip(signals, self.starts, strict=True)]
         if not any(len(turn.times) >= _FEW_WINDOWS for turn in turns):
             longest = max(float(np.ptp(signal.times_s)) for signal in signals) * omega / (2.0 * math.pi)
+            remedy = "record a longer decay, or one with a larger amplitude"
+            if any(turn.returns for turn in turns):
+                remedy = (
+                    "the swings vanish and return, as where two modes beat: take an output where one of them does "
+                    "not show, or release the structure so that one is larger"
+                )
             raise EstimationError(
                 f"output {signals[0].name!r} holds {longest:.0f} cycles at {omega / (2.0 * math.pi):.4g} Hz, of "
                 f"which {max(len(turn.times) for turn in turns)} windows stand out of the noise; a curve over "
-                f"amplitude needs {_FEW_WINDOWS} at least: record a longer decay, or one with a larger amplitude"
+                f"amplitude needs {_FEW_WINDOWS} at least: {remedy}"
             )
         unit = max(float(turn.amplitudes.max()) for turn in turns if len(turn.times))
         w, g = _regressed(turns, omega, unit, law)
@@ -242,7 +248,7 @@ class DecayProblem:
         scale[: start.law.n_terms] = 1.0 / span
         n = start.law.n_terms + 1 + 2 * len(self.decays)
         scale[n::2] = 1.0 / span
-        scale[n + 1 :: 2] = 1.0 / (span * np.maximum(start.others[:, 0], 1e-300))
+        scale[n + 1 :: 2] = 1.0 / (span * np.maximum(np.abs(start.others[:, 0]), 1e-300))
         return scale
 
     def _last_amplitude(self, point: Start, k: int) -> float:
@@ -252,7 +258,7 @@ class DecayProblem:
             slow_flow(point.omega_terms, point.rate_terms, float(point.amplitudes[k]), end).amplitude[0]
         )
 
-    def _flows(self, point: Start, k: int, *, slopes: bool = False) -> list[SlowFlow]:
+    def flows(self, point: Start, k: int, *, slopes: bool = False) -> list[SlowFlow]:
         """Return amplitude and phase at the stamps of every output of a decay."""
         known: dict[bytes, SlowFlow] = {}
         for signal in self.decays[k]:
@@ -290,7 +296,7 @@ class DecayProblem:
         """Return what is left of every output of every decay, over its noise."""
         result = []
         for k in range(len(self.decays)):
-            for j, flow in enumerate(self._flows(point, k)):
+            for j, flow in enumerate(self.flows(point, k)):
                 Q, _ = np.linalg.qr(self._columns(point, k, j, flow))
                 values = self._unexplained(point, k, j, flow)
                 result.append((values - Q @ (Q.T @ values)) / sigmas[j])
@@ -312,7 +318,7 @@ class DecayProblem:
         kept = [*range(law.n_frequency), *(law.n_frequency + np.arange(law.n_rate) + (law == LINEAR))]
         rows = []
         for k, decay in enumerate(self.decays):
-            for j, (signal, flow) in enumerate(zip(decay, self._flows(point, k, slopes=True), strict=True)):
+            for j, (signal, flow) in enumerate(zip(decay, self.flows(point, k, slopes=True), strict=True)):
                 t = signal.times_s - self.starts[k]
                 columns = self._columns(point, k, j, flow)
                 Q, R = np.linalg.qr(columns)
@@ -383,6 +389,7 @@ class _Windows:
     times: FloatArray
     amplitudes: FloatArray
     phases: FloatArray
+    returns: bool  # whether further windows stand out of the noise after one that does not
 
 
 def _highest_peak(signals: Sequence[OutputSignal]) -> float:
@@ -424,10 +431,12 @@ def _windows(signal: OutputSignal, omega: float, begin: float) -> _Windows:
         rows.append((middle, complex(found[0], found[1]), sd))
     z: ComplexArray = np.array([row[1] for row in rows], dtype=np.complex128)
     spread = np.array([row[2] for row in rows])
-    hidden = np.flatnonzero(np.abs(z) < _SEEN * spread)
+    is_hidden = np.abs(z) < _SEEN * spread
+    hidden = np.flatnonzero(is_hidden)
     count = int(hidden[0]) if hidden.size else len(rows)
     times = np.array([row[0] for row in rows])[:count]
-    return _Windows(times, np.abs(z[:count]), np.unwrap(np.angle(z[:count])) + omega * times)
+    returns = int(np.count_nonzero(~is_hidden[count:])) > _FEW_WINDOWS
+    return _Windows(times, np.abs(z[:count]), np.unwrap(np.angle(z[:count])) + omega * times, returns)
 
 
 def _regressed(
