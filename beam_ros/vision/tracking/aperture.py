@@ -15,14 +15,13 @@ aperture is as long as the smear, so that the centre is the mean position over t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray
-from beam_ros.vision.tracking.moments import beyond
 
 _PHASES_U = 32
 """Positions of the aperture per pixel along u, along which the marker moves."""
@@ -53,6 +52,7 @@ class Aperture(NamedTuple):
     ----------
     left, top, width, height : int -- the pixels that carry weight, relative to the whole pixel of the point [px]
     weights : ndarray of float32, shape (3, height * width) -- w, w (p_u - c_u) and w (p_v - c_v)
+    beyond : ndarray of float32, shape (height * width,) -- 0: all of it counts as beyond the rim
     sums : tuple of 3 float -- of the weights
     gain_u, gain_v : float -- k
     noise : float -- square root of sum (w (p_u - c_u))^2, over k
@@ -63,6 +63,7 @@ class Aperture(NamedTuple):
     width: int
     height: int
     weights: Float32Array
+    beyond: Float32Array
     sums: tuple[float, float, float]
     gain_u: float
     gain_v: float
@@ -105,78 +106,114 @@ def aperture_at(
     return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
 
 
-def weighted_sums(
+def clipped(
+    image: ImageArray,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    beyond: Float32Array,
+    low: float,
+    high: float,
+    is_dark: bool,
+) -> Float32Array:
+    """Grey levels of a region, those of the background between bounds, shape (pixels of the region,)."""
+    grey = image[top:bottom, left:right].astype(np.float32).ravel()
+    if is_dark:
+        np.minimum(grey, high, out=grey)
+        if low > -math.inf:
+            np.maximum(grey, np.float32(low) - beyond, out=grey)
+    else:
+        np.maximum(grey, low, out=grey)
+        if high < math.inf:
+            np.minimum(grey, beyond + np.float32(high), out=grey)
+    return grey
+
+
+def clipped_sums(
     image: ImageArray,
     left: int,
     top: int,
     right: int,
     bottom: int,
     weights: Float32Array,
-    floor: float,
+    beyond: Float32Array,
+    low: float,
+    high: float,
     is_dark: bool,
-) -> list[float]:
-    """Sums of the grey levels beyond a floor, with weights.
+) -> Float32Array:
+    """Sums of a region's grey levels with weights.
 
     Parameters
     ----------
     image : ndarray, shape (height, width), uint8 or uint16
-    left, top, right, bottom : int -- region of the image, the last two exclusive [px]
-    weights : ndarray of float32, shape (3, pixels of the region)
-    floor : float -- a whole grey level
-    is_dark : bool -- beyond it towards black
+    left, top, right, bottom : int -- the region, the last two exclusive [px]
+    weights : ndarray of float32, shape (n, pixels of the region)
+    beyond : ndarray of float32, shape (pixels of the region,) -- 0 beyond the rim, infinity within
+    low, high : float -- bounds of the background: what lies outside of them, away from the disc's side or beyond
+        its rim, counts as the nearer one [grey levels]
+    is_dark : bool -- the disc lies towards black
 
     Returns
     -------
-    list of 3 float
+    ndarray, shape (n,)
     """
-    grey = beyond(image[top:bottom, left:right], floor, is_dark=is_dark)
-    sums: list[float] = weights.dot(grey.ravel().astype(np.float32)).tolist()
+    sums: Float32Array = weights.dot(clipped(image, left, top, right, bottom, beyond, low, high, is_dark))
     return sums
 
 
-def weighted_sums_in_loops(
+def clipped_sums_in_loops(
     image: ImageArray,
     left: int,
     top: int,
     right: int,
     bottom: int,
     weights: Float32Array,
-    floor: float,
+    beyond: Float32Array,
+    low: float,
+    high: float,
     is_dark: bool,
-) -> tuple[float, float, float]:
-    """Return what ``weighted_sums`` does, by loops that Numba compiles."""
-    zero, sign, most = int(floor), -1 if is_dark else 1, 255 if image.itemsize == 1 else 65535
-    mass = first_u = first_v = 0.0
-    width = right - left
+) -> Float32Array:
+    """Return what ``clipped_sums`` does, by loops that Numba compiles."""
+    count, width = weights.shape[1], right - left
+    grey = np.empty(count, np.float32)
+    lower, upper = np.float32(low), np.float32(high)
     for y in range(bottom - top):
         for x in range(width):
-            grey = min(max(sign * (int(image[top + y, left + x]) - zero), 0), most)
-            at = y * width + x
-            mass += weights[0, at] * grey
-            first_u += weights[1, at] * grey
-            first_v += weights[2, at] * grey
-    return mass, first_u, first_v
+            at, level = y * width + x, np.float32(image[top + y, left + x])
+            if is_dark:
+                grey[at] = max(min(level, upper), lower - beyond[at])
+            else:
+                grey[at] = min(max(level, lower), beyond[at] + upper)
+    sums = np.empty(weights.shape[0], np.float32)
+    for row in range(weights.shape[0]):
+        total = np.float32(0.0)
+        for at in range(count):
+            total += weights[row, at] * grey[at]
+        sums[row] = total
+    return sums
 
 
 @cache
-def compiled_weighted_sums() -> Callable[..., Sequence[float]] | None:
-    """Return ``weighted_sums`` as machine code, or None without Numba."""
+def compiled_clipped_sums() -> Callable[..., Float32Array] | None:
+    """Return ``clipped_sums`` as machine code, or None without Numba."""
     try:
         from numba import njit, types
     except ImportError:
         return None
     whole, real = types.int64, types.float64
-    weights = types.Array(types.float32, 2, "C", readonly=True)
-    compiled: Callable[..., Sequence[float]] = njit(
+    table, row = (types.Array(types.float32, n, "C", readonly=True) for n in (2, 1))
+    compiled: Callable[..., Float32Array] = njit(
         [
-            types.UniTuple(real, 3)(
-                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, weights, real, types.boolean
+            types.float32[::1](
+                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, table, row, real, real, types.boolean
             )
             for grey in (types.uint8, types.uint16)
         ],
         cache=True,
         nogil=True,
-    )(weighted_sums_in_loops)
+        fastmath={"reassoc", "contract"},  # sums in whatever order, as those of a BLAS
+    )(clipped_sums_in_loops)
     return compiled
 
 
@@ -194,6 +231,7 @@ def _tabulated(phase_u: int, phase_v: int, radius_steps: int, edge_steps: int, s
         x.size,
         y.size,
         np.stack([weight.ravel(), along_u.ravel(), along_v.ravel()]).astype(np.float32),
+        np.zeros(weight.size, np.float32),
         (float(weight.sum()), float(along_u.sum()), float(along_v.sum())),
         gain_u,
         gain_v,

@@ -43,7 +43,6 @@ class Light:
     level : float -- what is subtracted (for dark markers: subtracted from), a whole grey level
     above : float -- distance of this level from the background
     floor : float -- a whole grey level beyond the background, away from the markers, that noise does not reach
-    base : float -- distance of this floor from the background
     speck : float -- mean grey level that noise alone leaves beyond the level
     speck_variance : float -- its variance
     """
@@ -70,12 +69,10 @@ class Light:
             self.level = float(math.floor(self.background - above))
             self.above = self.background - self.level
             self.floor = float(math.ceil(self.background + below))
-            self.base = self.floor - self.background
         else:
             self.level = float(math.ceil(self.background + above))
             self.above = self.level - self.background
-            self.floor = max(0.0, float(math.floor(self.background - below)))
-            self.base = self.background - self.floor
+            self.floor = float(math.floor(self.background - below))
         self.speck = self.speck_variance = 0.0
         depth = self.above / self.noise if self.noise > 0 else math.inf
         if depth < 4.0:

@@ -26,8 +26,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -35,7 +34,15 @@ import cv2
 import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray
-from beam_ros.vision.tracking.aperture import EDGE_STEP_PX, RADIUS_STEP_PX, cumulative_normal, disc_steps
+from beam_ros.vision.tracking.aperture import (
+    EDGE_STEP_PX,
+    RADIUS_STEP_PX,
+    clipped,
+    clipped_sums,
+    compiled_clipped_sums,
+    cumulative_normal,
+    disc_steps,
+)
 
 _PHASES = 8
 """Tabulated points per pixel and axis."""
@@ -214,115 +221,6 @@ def _tabulated(
     )
 
 
-def _clipped(
-    image: ImageArray,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    beyond: Float32Array,
-    low: float,
-    high: float,
-    is_dark: bool,
-) -> Float32Array:
-    """Grey levels of a region, those of the background between bounds, shape (pixels of the region,)."""
-    grey = image[top:bottom, left:right].ravel().astype(np.float32)
-    if is_dark:
-        np.minimum(grey, high, out=grey)
-        np.maximum(grey, np.float32(low) - beyond, out=grey)
-    else:
-        np.maximum(grey, low, out=grey)
-        np.minimum(grey, beyond + np.float32(high), out=grey)
-    return grey
-
-
-def clipped_sums(
-    image: ImageArray,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    weights: Float32Array,
-    beyond: Float32Array,
-    low: float,
-    high: float,
-    is_dark: bool,
-) -> Float32Array:
-    """Sums of a region's grey levels with weights.
-
-    Parameters
-    ----------
-    image : ndarray, shape (height, width), uint8 or uint16
-    left, top, right, bottom : int -- the region, the last two exclusive [px]
-    weights : ndarray of float32, shape (n, pixels of the region)
-    beyond : ndarray of float32, shape (pixels of the region,) -- 0 beyond the rim, infinity within
-    low, high : float -- bounds of the background: what lies outside of them, away from the disc's side or beyond
-        its rim, counts as the nearer one [grey levels]
-    is_dark : bool -- the disc lies towards black
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    sums: Float32Array = weights.dot(_clipped(image, left, top, right, bottom, beyond, low, high, is_dark))
-    return sums
-
-
-def clipped_sums_in_loops(
-    image: ImageArray,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    weights: Float32Array,
-    beyond: Float32Array,
-    low: float,
-    high: float,
-    is_dark: bool,
-) -> Float32Array:
-    """Return what ``clipped_sums`` does, by loops that Numba compiles."""
-    count, width = weights.shape[1], right - left
-    grey = np.empty(count, np.float32)
-    lower, upper = np.float32(low), np.float32(high)
-    for y in range(bottom - top):
-        for x in range(width):
-            at, level = y * width + x, np.float32(image[top + y, left + x])
-            if is_dark:
-                grey[at] = max(min(level, upper), lower - beyond[at])
-            else:
-                grey[at] = min(max(level, lower), beyond[at] + upper)
-    sums = np.empty(weights.shape[0], np.float32)
-    for row in range(weights.shape[0]):
-        total = np.float32(0.0)
-        for at in range(count):
-            total += weights[row, at] * grey[at]
-        sums[row] = total
-    return sums
-
-
-@cache
-def compiled_clipped_sums() -> Callable[..., Float32Array] | None:
-    """Return ``clipped_sums`` as machine code, or None without Numba."""
-    try:
-        from numba import njit, types
-    except ImportError:
-        return None
-    whole, real = types.int64, types.float64
-    table, row = (types.Array(types.float32, n, "C", readonly=True) for n in (2, 1))
-    compiled: Callable[..., Float32Array] = njit(
-        [
-            types.float32[::1](
-                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, table, row, real, real, types.boolean
-            )
-            for grey in (types.uint8, types.uint16)
-        ],
-        cache=True,
-        nogil=True,
-        fastmath={"reassoc", "contract"},  # sums in whatever order, as those of a BLAS
-    )(clipped_sums_in_loops)
-    return compiled
-
-
 class DiscFit(NamedTuple):
     """A disc found in an image.
 
@@ -486,7 +384,7 @@ class DiscModel:
             smear = max(smear_steps * _SMEAR_STEP_PX + min(max(longer, -_LOST_PX), _LOST_PX), 0.0)
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
-            grey = _clipped(image, left, top, right, bottom, table.beyond, low, high, least < 0.0)
+            grey = clipped(image, left, top, right, bottom, table.beyond, low, high, least < 0.0)
             self._look_closely(table, grey, light)
         if self._frames & (self._frames - 1) == 0 or self._frames % _CONSTANT_FRAMES == 0:
             self._look_beside(table, image, left, top, ground, contrast)

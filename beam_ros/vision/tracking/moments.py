@@ -29,67 +29,99 @@ _MAX_PASSES = 4
 """The region is centred anew on what it shows at most this often."""
 _CENTRED_PX = 1.5
 """A spot this close to its region's centre needs no further pass [px]."""
+UNKNOWN = (-1.0,) * 8
+"""Moments that have not been summed yet."""
+_NOTHING = (*(0.0,) * 10, (0, 0, 0, 0))
 _ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (0, 3))
 
+Region = tuple[int, int, int, int]
+"""Left, top, right and bottom of a part of an image, the last two exclusive [px]."""
 
-def beyond(region: ImageArray, level: float, *, is_dark: bool = False) -> ImageArray:
-    """Grey levels beyond a level, with saturation.
+
+def beyond(regions: ImageArray, levels: tuple[float, ...], *, is_dark: bool = False) -> ImageArray:
+    """Grey levels beyond levels, with saturation.
 
     Parameters
     ----------
-    region : ndarray, shape (height, width), uint8 or uint16
-    level : float -- a whole grey level
+    regions : ndarray, shape (n * height, width), uint8 or uint16 -- regions of one size, one below the other
+    levels : tuple of n float -- a whole grey level for each
     is_dark : bool -- beyond it towards black
 
     Returns
     -------
-    ndarray, of the region's shape and type -- contiguous
+    ndarray, of the regions' shape and type -- contiguous
     """
-    plane = _even(level, region.shape, region.itemsize)
-    found: ImageArray = cv2.subtract(plane, region) if is_dark else cv2.subtract(region, plane)
+    planes = _even(levels, regions.shape, regions.itemsize)
+    found: ImageArray = cv2.subtract(planes, regions) if is_dark else cv2.subtract(regions, planes)
     return found
 
 
 @lru_cache(maxsize=1024)
-def _even(level: float, shape: tuple[int, ...], itemsize: int) -> ImageArray | float:
-    """Return a region of one grey level, which is subtracted in half the time that a number takes.
-
-    A level that the grey levels do not reach stays a number.
-    """
+def _even(levels: tuple[float, ...], shape: tuple[int, ...], itemsize: int) -> ImageArray:
+    """Return regions of one grey level each, which are subtracted in half the time that numbers take."""
     dtype = np.dtype(np.uint8 if itemsize == 1 else np.uint16)
-    if not 0 <= level <= np.iinfo(dtype).max:
-        return level
-    plane = np.full(shape, level, dtype)
-    plane.flags.writeable = False
-    return plane
+    values = np.clip(levels, 0, np.iinfo(dtype).max).astype(dtype)
+    planes = np.ascontiguousarray(np.broadcast_to(np.repeat(values, shape[0] // len(levels))[:, None], shape))
+    planes.flags.writeable = False
+    return planes
 
 
-def moments_beyond(
-    image: ImageArray, left: int, top: int, right: int, bottom: int, level: float, is_dark: bool
-) -> Sequence[float]:
+def moments_of(
+    image: ImageArray, regions: Sequence[Region], levels: Sequence[float], is_dark: bool
+) -> list[list[float]]:
     """Sums of grey levels beyond a level times powers of the distance from a region's first column and row.
 
     Parameters
     ----------
     image : ndarray, shape (height, width), uint8 or uint16
-    left, top, right, bottom : int -- the region, the last two exclusive [px]
-    level : float -- a whole grey level
+    regions : sequence of Region -- of one size
+    levels : sequence of float -- a whole grey level for each
     is_dark : bool -- beyond it towards black
 
     Returns
     -------
-    8 float -- m_00, m_10, m_01, m_20, m_11, m_02, m_30, m_03
+    list of 8 float for each -- m_00, m_10, m_01, m_20, m_11, m_02, m_30, m_03
     """
-    grey = beyond(image[top:bottom, left:right], level, is_dark=is_dark)
-    sums: list[float] = _powers(grey.shape).dot(grey.ravel().astype(np.float64)).tolist()
+    grey = np.concatenate([image[top:bottom, left:right] for left, top, right, bottom in regions])
+    powers = _powers((grey.shape[0] // len(regions), grey.shape[1]))
+    light = beyond(grey, tuple(levels), is_dark=is_dark).reshape(len(regions), -1)
+    sums: list[list[float]] = light.astype(np.float64).dot(powers).tolist()
     return sums
+
+
+def moments_beyond(
+    image: ImageArray, left: int, top: int, right: int, bottom: int, level: float, is_dark: bool
+) -> Sequence[float]:
+    """Return ``moments_of`` of one region."""
+    return moments_of(image, [(left, top, right, bottom)], [level], is_dark)[0]
 
 
 @lru_cache(maxsize=64)
 def _powers(shape: tuple[int, int]) -> FloatArray:
-    """Return x^p y^q for every pixel of a region, shape (8, height * width)."""
+    """Return x^p y^q for every pixel of a region, shape (height * width, 8)."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
-    return np.stack([(x**p * y**q).ravel() for p, q in _ORDERS])
+    return np.stack([(x**p * y**q).ravel() for p, q in _ORDERS]).T
+
+
+def first_moments(
+    image: ImageArray,
+    places: Sequence[tuple[float, float]],
+    half: int,
+    levels: Sequence[float],
+    is_dark: bool,
+) -> Sequence[Sequence[float]]:
+    """Moments of the squares about some places, which begin with u and v [px], in one product.
+
+    Where the edge of the image cuts one of them, all are ``UNKNOWN``.
+    """
+    height, width = image.shape
+    regions = []
+    for u, v, *_ in places:
+        left, top, right, bottom = round(u) - half, round(v) - half, round(u) + half + 1, round(v) + half + 1
+        if left < 0 or top < 0 or right > width or bottom > height:
+            return [UNKNOWN] * len(places)
+        regions.append((left, top, right, bottom))
+    return moments_of(image, regions, levels, is_dark)
 
 
 def spot_numbers(
@@ -102,6 +134,7 @@ def spot_numbers(
     least: float,
     reach: float,
     is_dark: bool,
+    sums: Sequence[float] = UNKNOWN,
 ) -> tuple[Any, ...]:
     """Look for a spot in a square about a point, which moves with what it shows.
 
@@ -115,35 +148,36 @@ def spot_numbers(
     least : float -- sum of grey levels that a spot has at least
     reach : float -- how far a spot reaches from its centre [px]
     is_dark : bool -- beyond the level towards black
+    sums : 8 float -- moments of the first square, or ``UNKNOWN``
 
     Returns
     -------
     int -- SEEN, HIDDEN or BORDER, and with SEEN:
     10 float -- u, v, mass, area, variance_u, variance_v, covariance, skew_u, skew_v and plateau of a ``Spot``
-    4 int -- left, top, right, bottom of the region, the last two exclusive [px]
+    Region -- where they were measured
     """
     height, width = image.shape
-    for _ in range(_MAX_PASSES):
+    for n in range(_MAX_PASSES):
         column, row = round(u), round(v)
         left, top, right, bottom = column - half, row - half, column + half + 1, row + half + 1
         if left < 0 or top < 0 or right > width or bottom > height:
             left, top, right, bottom = max(left, 0), max(top, 0), min(right, width), min(bottom, height)
             if right - left <= half or bottom - top <= half:
-                return BORDER, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
-        m00, m10, m01, m20, m11, m02, m30, m03 = moments_beyond(
-            image, left, top, right, bottom, level, is_dark
-        )
+                return (BORDER, *_NOTHING)
+        if n > 0 or sums[0] < 0.0:
+            sums = moments_beyond(image, left, top, right, bottom, level, is_dark)
+        m00, m10, m01, m20, m11, m02, m30, m03 = sums
         # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
         grey = speck * ((right - left) * (bottom - top))
         mass = m00 - grey
         if mass < least:
-            return HIDDEN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
+            return (HIDDEN, *_NOTHING)
         u = left + (m10 - grey * (right - left - 1) / 2) / mass
         v = top + (m01 - grey * (bottom - top - 1) / 2) / mass
         if -_CENTRED_PX <= u - column <= _CENTRED_PX and -_CENTRED_PX <= v - row <= _CENTRED_PX:
             break
     if u - reach < 0 or v - reach < 0 or u + reach > width - 1 or v + reach > height - 1:
-        return BORDER, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0
+        return (BORDER, *_NOTHING)
     plateau = 0.2 * _cross(image, round(v), round(u))
     above = level - plateau if is_dark else plateau - level
     # About the centre of gravity of all that lies beyond the level.
@@ -163,10 +197,7 @@ def spot_numbers(
         mu30 / (mass * variance_u * math.sqrt(variance_u)),
         mu03 / (mass * variance_v * math.sqrt(variance_v)),
         plateau,
-        left,
-        top,
-        right,
-        bottom,
+        (left, top, right, bottom),
     )
 
 
@@ -207,10 +238,11 @@ def compiled_spot_numbers() -> Callable[..., tuple[Any, ...]] | None:
         return None
     own = {"moments_beyond": njit(moments_in_loops), "_cross": njit(cross_by_pixels)}
     whole, real = types.int64, types.float64
-    found = types.Tuple([whole] + [real] * 10 + [whole] * 4)
+    found = types.Tuple([whole, *[real] * 10, types.UniTuple(whole, 4)])
+    sums = types.UniTuple(real, 8)
     images = [types.Array(grey, 2, "A", readonly=True) for grey in (types.uint8, types.uint16)]
     compiled: Callable[..., tuple[Any, ...]] = njit(
-        [found(image, real, real, whole, real, real, real, real, types.boolean) for image in images],
+        [found(image, real, real, whole, *[real] * 4, types.boolean, sums) for image in images],
         cache=True,
         nogil=True,
     )(FunctionType(spot_numbers.__code__, {**globals(), **own}))

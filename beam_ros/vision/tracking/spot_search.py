@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
@@ -19,8 +20,7 @@ _SIGNIFICANT = 5.0
 never acquired."""
 
 
-@dataclass(frozen=True)
-class RowSpots:
+class RowSpots(NamedTuple):
     """What lies in a marker's row.
 
     Attributes

@@ -12,6 +12,7 @@ position over the exposure however far the marker moved.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import cv2
@@ -19,10 +20,16 @@ import numpy as np
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.aperture import aperture_at, compiled_weighted_sums, weighted_sums
+from beam_ros.vision.tracking.aperture import aperture_at, clipped_sums, compiled_clipped_sums
 from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
 from beam_ros.vision.tracking.disc_model import DiscFit, DiscModel
-from beam_ros.vision.tracking.moments import HIDDEN, SEEN, compiled_spot_numbers, spot_numbers
+from beam_ros.vision.tracking.moments import (
+    SEEN,
+    UNKNOWN,
+    compiled_spot_numbers,
+    first_moments,
+    spot_numbers,
+)
 from beam_ros.vision.tracking.radial_symmetry import radial_symmetry_centre
 
 Reason = Literal[
@@ -48,6 +55,8 @@ focus); smear: longer than its speed explains, before the marker is acquired; ju
 from the marker's row; border: cut by the edge of the image.
 """
 
+_REASONS: tuple[Reason, ...] = "ok", "hidden", "border"
+"""What comes of looking for a spot, in words: SEEN, HIDDEN and BORDER."""
 _REFINED_PX = 4
 """A refinement uses the pixels up to this far beyond a marker's radius [px]."""
 _SIDE_PX = 2
@@ -145,41 +154,44 @@ class SpotMeter:
         self.smear_variance = parameters.max_smear_px**2 / 12
         self._is_dark = parameters.polarity == "dark"
         self._least_area = 0.25 * math.pi * self.radius**2
-        self._spot_numbers = compiled_spot_numbers() or spot_numbers
-        self._weighted_sums = compiled_weighted_sums() or weighted_sums
+        self._compiled = compiled_spot_numbers()
+        self._clipped_sums = compiled_clipped_sums() or clipped_sums
 
     # -- moments -------------------------------------------------------------------------------------------
 
     def measure(
         self, image: ImageArray, u: float, v: float, light: Light, *, is_narrow: bool = False
     ) -> tuple[Spot | None, Reason]:
-        """Measure the spot near (u, v).
+        """Measure the spot near (u, v), as ``measure_all`` does."""
+        return self.measure_all(image, [(u, v, light, is_narrow)])[0]
+
+    def measure_all(
+        self, image: ImageArray, places: Sequence[tuple[float, float, Light, bool]]
+    ) -> list[tuple[Spot | None, Reason]]:
+        """Measure the spots near some places.
 
         Parameters
         ----------
         image : ndarray, shape (height, width), uint8 or uint16
-        u, v : float -- where to look [px]
-        light : Light -- background, contrast and noise there
-        is_narrow : bool -- leave no room for smear, because another spot is near
+        places : sequence of (float, float, Light, bool) -- where to look, u and v [px]; background, contrast
+            and noise there; and whether to leave no room for smear, because another spot is near
 
         Returns
         -------
-        Spot or None, Reason -- "ok", or "hidden" or "border" with None
+        list of (Spot or None, Reason) -- "ok", or "hidden" or "border" with None
         """
-        numbers = self._spot_numbers(
-            image,
-            u,
-            v,
-            self.narrow_half if is_narrow else self.half,
-            light.level,
-            light.speck,
-            self._least_area * light.contrast,
-            self.radius + 1.0,
-            self._is_dark,
-        )
-        if numbers[0] == SEEN:
-            return Spot._make((*numbers[1:11], numbers[11:])), "ok"
-        return None, "hidden" if numbers[0] == HIDDEN else "border"
+        firsts: Sequence[Sequence[float]] = [UNKNOWN] * len(places)
+        if self._compiled is None and len(places) > 1 and not any(is_narrow for *_, is_narrow in places):
+            firsts = first_moments(image, places, self.half, [at[2].level for at in places], self._is_dark)
+        measure = self._compiled or spot_numbers
+        found: list[tuple[Spot | None, Reason]] = []
+        reach = self.radius + 1.0
+        for (u, v, light, is_narrow), first in zip(places, firsts, strict=True):
+            half = self.narrow_half if is_narrow else self.half
+            least = self._least_area * light.contrast
+            numbers = measure(image, u, v, half, light.level, light.speck, least, reach, self._is_dark, first)
+            found.append((Spot._make(numbers[1:]) if numbers[0] == SEEN else None, _REASONS[numbers[0]]))
+        return found
 
     def sides(self, image: ImageArray, spot: Spot) -> Sides:
         """Measure the outermost columns of a spot's region."""
@@ -187,13 +199,11 @@ class SpotMeter:
         mean_left, at_left = cv2.meanStdDev(image[top:bottom, left : left + _SIDE_PX])
         mean_right, at_right = cv2.meanStdDev(image[top:bottom, right - _SIDE_PX : right])
         count = _SIDE_PX * (bottom - top)
-        lower, higher = sorted(
-            max(float(sd.item()) ** 2 * count / (count - 1), QUANTISATION_VARIANCE)
-            for sd in (at_left, at_right)
-        )
+        lower, higher = sorted((at_left.item(), at_right.item()))
+        lower = max(lower * lower * count / (count - 1), QUANTISATION_VARIANCE)
         # What passes on one side is no noise of the background.
-        variance = 0.5 * (lower + min(higher, _ALIKE * lower))
-        return Sides(float(mean_left.item()), float(mean_right.item()), variance)
+        variance = 0.5 * (lower + min(max(higher * higher * count / (count - 1), lower), _ALIKE * lower))
+        return Sides(mean_left.item(), mean_right.item(), variance)
 
     def is_dim(self, image: ImageArray, u: float, v: float, contrast: float) -> bool:
         """True when nothing near a place, as far as a lost marker is believed, is as bright as a marker."""
@@ -241,18 +251,19 @@ class SpotMeter:
         right, bottom = left + aperture.width, top + aperture.height
         if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
             return "border"
-        mass, first_u, first_v = self._weighted_sums(
-            image, left, top, right, bottom, aperture.weights, light.floor, self._is_dark
-        )
-        base, (sum_w, sum_u, sum_v) = light.base, aperture.sums
+        low, high = (-math.inf, light.floor) if self._is_dark else (light.floor, math.inf)
+        mass, first_u, first_v = self._clipped_sums(
+            image, left, top, right, bottom, aperture.weights, aperture.beyond, low, high, self._is_dark
+        ).tolist()
+        base, (sum_w, sum_u, sum_v) = light.background, aperture.sums
         mass -= base * sum_w
-        if mass < self._least_area * light.contrast:
+        if (-mass if self._is_dark else mass) < self._least_area * light.contrast:
             return "hidden"
         floor = self.parameters.sigma_floor_px
         return (
             u + (first_u - base * sum_u) / (mass * aperture.gain_u),
             v + (first_v - base * sum_v) / (mass * aperture.gain_v),
-            math.sqrt((light.noise * aperture.noise / mass) ** 2 + floor * floor),
+            math.hypot(light.noise * aperture.noise / mass, floor),
         )
 
     def refine(

@@ -21,6 +21,7 @@ from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
+from beam_ros.vision.tracking.appearance import Light
 from beam_ros.vision.tracking.marker_state import (
     SAME_PLACE_PX,
     MarkerState,
@@ -183,12 +184,14 @@ class MarkerTracker:
         if not self.is_acquired:
             reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
         spots: dict[int, Spot] = {}
-        for k, marker in enumerate(self._markers):
-            if k not in reasons and marker.lost_frames == 0:
-                spot, reasons[k] = self._measure(image, marker)
-                if spot is not None:
-                    spots[k] = spot
-        lost = [k for k, marker in enumerate(self._markers) if marker.is_followed and reasons.get(k) != "ok"]
+        seen = [k for k, m in enumerate(self._markers) if m.lost_frames == 0 and k not in reasons]
+        places = [self._expected(self._markers[k]) for k in seen]
+        measured = self._meter.measure_all(image, places)
+        for k, place, (spot, reason) in zip(seen, places, measured, strict=True):
+            reasons[k] = reason
+            if spot is not None:
+                spots[k], reasons[k] = spot, self._compare(image, self._markers[k], spot, place[0])
+        lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
         if lost:
             self._recovery.find(image, self._frame, lost, spots, reasons)
         results = [self._result(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
@@ -210,34 +213,38 @@ class MarkerTracker:
             math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
         )
 
-    def _measure(self, image: ImageArray, marker: MarkerState) -> tuple[Spot | None, Reason]:
-        """Measure a marker where it should be."""
+    def _beside(self, marker: MarkerState) -> list[float]:
+        """Columns in which a marker's rivals should be [px]."""
+        return [rival.predicted(self._frame) for rival in recent(marker.rivals, self._frame)]
+
+    def _expected(self, marker: MarkerState) -> tuple[float, float, Light, bool]:
+        """Where and in which light a marker should be, and whether another spot is near."""
+        assert marker.light is not None
+        predicted, near = marker.predicted, self._meter.half + self._meter.radius + APART_PX
+        is_crowded = bool(marker.rivals) and any(abs(at - predicted) < near for at in self._beside(marker))
+        return predicted, marker.v, marker.light, is_crowded
+
+    def _compare(self, image: ImageArray, marker: MarkerState, spot: Spot, predicted: float) -> Reason:
+        """Compare a spot with the marker that should be there, in a predicted column [px]."""
         light, appearance, gates = marker.light, marker.appearance, marker.gates
         assert light is not None
         assert appearance is not None
         assert gates is not None
-        meter, predicted = self._meter, marker.predicted
-        rivals: list[float] = []
-        is_crowded = False
-        if marker.rivals:
-            rivals = [rival.predicted(self._frame) for rival in recent(marker.rivals, self._frame)]
-            is_crowded = any(abs(at - predicted) < meter.half + meter.radius + APART_PX for at in rivals)
-        spot, reason = meter.measure(image, predicted, marker.v, light, is_narrow=is_crowded)
-        if spot is None:
-            return None, reason
-        reason, distance = meter.judge(spot, gates), abs(spot.u - predicted)
+        rivals = self._beside(marker) if marker.rivals else []
+        reason, distance = self._meter.judge(spot, gates), abs(spot.u - predicted)
         if reason == "ok" and (
-            distance > self.parameters.max_jump_px or any(2 * distance >= abs(spot.u - at) for at in rivals)
+            distance > self.parameters.max_jump_px
+            or (rivals and 2 * distance >= min(abs(spot.u - at) for at in rivals))
         ):
             reason = "ambiguous"
         # What fails may be the marker and a rival in one.
         if reason != "ok" and (
             any(abs(at - marker.u) < 2 * self.parameters.marker_diameter_px for at in rivals)
-            or (spot.area > 1.1 * appearance.area and meter.is_compact(image, spot, light))
+            or (spot.area > 1.1 * appearance.area and self._meter.is_compact(image, spot, light))
         ):
             marker.is_mixed, marker.is_joined, marker.is_blind = True, not marker.rivals, False
             marker.rivals.append(Track(marker.u, 0.0, self._frame - 1, v=marker.v))
-        return spot, reason
+        return reason
 
     def _result(
         self, image: ImageArray, k: int, spot: Spot | None, reason: Reason, stamp_ns: int
@@ -253,7 +260,7 @@ class MarkerTracker:
         is_fresh = marker.lost_frames > 0 or marker.lost_at == self._frame
         is_new = self._frame - marker.acquired_at < _PROBATION_FRAMES
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-        is_accompanied = bool(recent(marker.rivals, self._frame))
+        is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
         if is_due or is_fresh or is_new or is_accompanied:
             row = self._recovery.in_row(image, k, own=spot.u)
             if is_new and self._has_company(marker, row):
@@ -262,8 +269,9 @@ class MarkerTracker:
                     Track.of(other, self._frame) for other in (spot, *(other for other, _ in row.alike))
                 ]
                 return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
-            others = [other for other, _ in row.alike]
-            marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
+            if row.alike or marker.rivals:
+                others = [other for other, _ in row.alike]
+                marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
         refined = meter.centre if self.parameters.refinement == "none" else meter.refine
         centre = refined(image, spot, light, appearance)
         if isinstance(centre, str):

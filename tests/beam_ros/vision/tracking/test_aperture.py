@@ -8,10 +8,10 @@ from beam_ros.vision.rendering.frames import SceneRenderer, _DiscTable
 from beam_ros.vision.timing import exposure_weights
 from beam_ros.vision.tracking.aperture import (
     aperture_at,
-    compiled_weighted_sums,
+    clipped_sums,
+    clipped_sums_in_loops,
+    compiled_clipped_sums,
     disc_steps,
-    weighted_sums,
-    weighted_sums_in_loops,
 )
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
@@ -122,21 +122,29 @@ def test_a_dark_object_beside_a_bright_marker_does_not_pull():
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("is_dark", [False, True])
-def test_loops_weigh_what_lies_beyond_a_floor_as_products_do(dtype, is_dark):
-    most = np.iinfo(dtype).max
-    rng = np.random.default_rng(3)
-    image = rng.integers(0, most + 1, (60, 80)).astype(dtype)
+@pytest.mark.parametrize("is_bounded", [True, False])
+def test_loops_sum_clipped_grey_levels_as_products_do(dtype, is_dark, is_bounded):
+    rng = np.random.default_rng(5)
+    image = rng.integers(0, 256, (40, 50)).astype(dtype)
     image.flags.writeable = False
-    aperture, column, row, _, _ = aperture_at(40.37, 30.12, disc_steps(6.0, EDGE), 3.0)
-    left, top = column + aperture.left, row + aperture.top
-    region = left, top, left + aperture.width, top + aperture.height
-    # A dark marker's floor may lie beyond white; what lies that far beyond it is as dark as can be.
-    for floor in (0.0, 21.0, float(most), most + 9.0):
-        expected = weighted_sums(image, *region, aperture.weights, floor, is_dark)
-        for sums in (weighted_sums_in_loops, compiled_weighted_sums()):
-            if sums is not None:
-                # Single precision holds seven digits of a sum whose terms cancel in part.
-                found = sums(image, *region, aperture.weights, floor, is_dark)
-                assert (
-                    np.abs(np.subtract(found, expected)).max() <= 1e-6 * most * np.abs(aperture.weights).sum()
-                )
+    weights = rng.standard_normal((13, 19 * 21)).astype(np.float32)
+    beyond = np.where(rng.random(19 * 21) < 0.5, np.inf, 0.0).astype(np.float32)
+    region = 7, 11, 7 + 21, 11 + 19
+    # The same, pixel by pixel: within the rim only the side away from the disc is bounded.
+    grey = image[11:30, 7:28].ravel().astype(float)
+    low = 60.3 if is_bounded or not is_dark else -np.inf
+    high = 150.7 if is_bounded or is_dark else np.inf
+    within = np.isinf(beyond)
+    if is_dark:
+        grey = np.where(within, np.minimum(grey, high), np.clip(grey, low, high))
+    else:
+        grey = np.where(within, np.maximum(grey, low), np.clip(grey, low, high))
+    for sums in (clipped_sums, clipped_sums_in_loops, compiled_clipped_sums()):
+        if sums is not None:
+            found = sums(image, *region, weights, beyond, low, high, is_dark)
+            assert found.shape == (13,)
+            # Single precision: seven digits of some four hundred terms.
+            assert (
+                np.abs(found - weights.astype(float) @ grey).max()
+                <= 1e-6 * 255 * np.abs(weights).sum(axis=1).max()
+            )

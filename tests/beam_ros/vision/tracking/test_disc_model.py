@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import ive
 
-from beam_ros.vision.tracking.disc_model import (
-    DiscModel,
-    Habit,
-    clipped_sums,
-    clipped_sums_in_loops,
-    compiled_clipped_sums,
-)
+from beam_ros.vision.tracking.disc_model import DiscModel, Habit
 
 BACKGROUND, CONTRAST, BLUR = 30.0, 180.0, 0.8
 EDGE = math.hypot(BLUR, math.sqrt(1 / 12))
@@ -340,31 +334,3 @@ def test_a_camera_whose_noise_is_known_needs_no_residuals():
     assert film.model.alpha == pytest.approx(1.0 + 1 / 12 + 0.4 * BACKGROUND, rel=0.02)
     assert film.model.beta == pytest.approx(0.4 * CONTRAST, rel=0.02)
     assert 0.87 < rms(errors / stated) < 1.16
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("is_dark", [False, True])
-def test_loops_sum_clipped_grey_levels_as_products_do(dtype, is_dark):
-    rng = np.random.default_rng(5)
-    image = rng.integers(0, 256, (40, 50)).astype(dtype)
-    image.flags.writeable = False
-    weights = rng.standard_normal((13, 19 * 21)).astype(np.float32)
-    beyond = np.where(rng.random(19 * 21) < 0.5, np.inf, 0.0).astype(np.float32)
-    region = 7, 11, 7 + 21, 11 + 19
-    # The same, pixel by pixel: within the rim only the side away from the disc is bounded.
-    grey = image[11:30, 7:28].ravel().astype(float)
-    low, high = 60.3, 150.7
-    within = np.isinf(beyond)
-    if is_dark:
-        grey = np.where(within, np.minimum(grey, high), np.clip(grey, low, high))
-    else:
-        grey = np.where(within, np.maximum(grey, low), np.clip(grey, low, high))
-    for sums in (clipped_sums, clipped_sums_in_loops, compiled_clipped_sums()):
-        if sums is not None:
-            found = sums(image, *region, weights, beyond, low, high, is_dark)
-            assert found.shape == (13,)
-            # Single precision: seven digits of some four hundred terms.
-            assert (
-                np.abs(found - weights.astype(float) @ grey).max()
-                <= 1e-6 * 255 * np.abs(weights).sum(axis=1).max()
-            )
