@@ -19,7 +19,7 @@ from beam_ros.vision.tracking.spot_search import one_disc
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
 
 _THRESHOLDS = (0.5, 0.3, 0.7)
-"""Fractions of the image's strongest contrast at which spots are looked for."""
+"""Fractions of the strongest contrast at which spots are looked for, in a marker's rows where they are known."""
 _MAJORITY = 3
 """So many sizes have one that most of them agree on."""
 _SPEED_SLACK = 0.15
@@ -60,8 +60,41 @@ class Acquisition:
             return dict.fromkeys(missing, "no_contrast")
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
+        for top, bottom in self._bands(missing, image.shape[0]):
+            self._look(image, top, bottom, found, others)
+        has_rows = any(self._markers[k].known_row is not None for k in missing)
+        chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
+        unequal = self._unequal(chosen)
+        for k in chosen.keys() - unequal:
+            spot, light = chosen[k]
+            appearance = self._meter.appearance(spot, light)
+            self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
+        return {**reasons, **dict.fromkeys(unequal, "area")}
+
+    def _bands(self, missing: list[int], height: int) -> list[tuple[int, int]]:
+        """First rows, and those after the last, in which to look for markers: their own, or the whole image."""
+        rows = [row for k in missing if (row := self._markers[k].known_row) is not None]
+        reach = self._parameters.expected_row_tolerance_px + self._meter.half
+        bands = [(max(0, math.floor(row - reach)), min(height, math.ceil(row + reach) + 1)) for row in rows]
+        return [(top, bottom) for top, bottom in bands if top < bottom] if rows else [(0, height)]
+
+    def _look(
+        self,
+        image: ImageArray,
+        top: int,
+        bottom: int,
+        found: list[Candidate],
+        others: list[tuple[float, float]],
+    ) -> None:
+        """Sort what stands out in a part of the image, by its own light, into markers and other things."""
+        band = image[top:bottom]
+        background, extreme = self._meter.levels(band)
+        contrast = abs(extreme - background)
+        if contrast < self._parameters.min_contrast_grey:
+            return
         for fraction in _THRESHOLDS:
-            for u, v, is_crowded in self._meter.centres(image, background, fraction * contrast):
+            for u, y, is_crowded in self._meter.centres(band, background, fraction * contrast):
+                v = top + y
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
                 if candidate is None:
                     others.append((u, v))
@@ -72,14 +105,6 @@ class Acquisition:
                 elif away > self._meter.radius / 2:
                     # No room for two discs: one, and something that touches it.
                     others.append(candidate[0][:2])
-        has_rows = any(self._markers[k].known_row is not None for k in missing)
-        chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
-        unequal = self._unequal(chosen)
-        for k in chosen.keys() - unequal:
-            spot, light = chosen[k]
-            appearance = self._meter.appearance(spot, light)
-            self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
-        return {**reasons, **dict.fromkeys(unequal, "area")}
 
     def _in_order(
         self, missing: list[int], found: list[Candidate], others: list[tuple[float, float]]

@@ -346,7 +346,7 @@ class DiscModel:
         -------
         DiscFit or None -- None where the image's edge cuts the fit, or no such disc is near
         """
-        if self._noise_frames < _PRIOR_FRAMES:
+        if self._noise_frames == 0:
             self._radius, self._edge = radius, edge
             self.disc = disc_steps(radius, edge, self.disc)
         disc = self.disc
@@ -431,8 +431,7 @@ class DiscModel:
         edge = self.disc[1] * EDGE_STEP_PX + float(solved[5] / solved[2])
         self._radius += share * (radius - self._radius)
         self._edge += share * (edge - self._edge)
-        if self._noise_frames >= _PRIOR_FRAMES:
-            self.disc = disc_steps(self._radius, self._edge, self.disc)
+        self.disc = disc_steps(self._radius, self._edge, self.disc)
 
     def _look_beside(
         self,

@@ -441,6 +441,19 @@ def test_markers_one_above_the_other_with_a_diameter_between_them_are_followed()
         assert columns(result) == pytest.approx(camera.columns(x), abs=0.04)
 
 
+@pytest.mark.parametrize("contrast", [60.0, -60.0])
+def test_light_elsewhere_in_the_picture_keeps_no_marker_from_being_found(contrast):
+    camera = packaged_camera(contrast=contrast, background=20.0 if contrast > 0 else 235.0)
+    renderer, tracker = make(camera)
+    image = renderer.render([0.001, 0.002, 0.003], np.random.default_rng(3))
+    # A lamp beside the beam, and the lowest marker in light that is three times as strong.
+    row = round(float(camera.rows(HEIGHTS[0]))) - 30
+    lowest = image[row:].astype(float)
+    image[row:] = np.clip(3 * lowest if contrast > 0 else 235 + 3 * (lowest - 235), 0, 255)
+    image[200:260, 500:560] = 255 if contrast > 0 else 0
+    assert tracker.process(image, 0).is_complete
+
+
 @pytest.mark.parametrize("aside_px", [1.0, 2.0, 4.0])
 def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
     camera = packaged_camera()
