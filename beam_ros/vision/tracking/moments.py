@@ -100,7 +100,7 @@ def moments_beyond(
 def _powers(shape: tuple[int, int]) -> FloatArray:
     """Return x^p y^q for every pixel of a region, shape (height * width, 8)."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
-    return np.stack([(x**p * y**q).ravel() for p, q in _ORDERS]).T
+    return np.asarray(np.stack([(x**p * y**q).ravel() for p, q in _ORDERS]).T)
 
 
 def first_moments(
@@ -110,13 +110,13 @@ def first_moments(
     levels: Sequence[float],
     is_dark: bool,
 ) -> Sequence[Sequence[float]]:
-    """Moments of the squares about some places, which begin with u and v [px], in one product.
+    """Moments of the squares about some places (u, v) [px], in one product.
 
     Where the edge of the image cuts one of them, all are ``UNKNOWN``.
     """
     height, width = image.shape
     regions = []
-    for u, v, *_ in places:
+    for u, v in places:
         left, top, right, bottom = round(u) - half, round(v) - half, round(u) + half + 1, round(v) + half + 1
         if left < 0 or top < 0 or right > width or bottom > height:
             return [UNKNOWN] * len(places)

@@ -182,7 +182,8 @@ class SpotMeter:
         """
         firsts: Sequence[Sequence[float]] = [UNKNOWN] * len(places)
         if self._compiled is None and len(places) > 1 and not any(is_narrow for *_, is_narrow in places):
-            firsts = first_moments(image, places, self.half, [at[2].level for at in places], self._is_dark)
+            centres, levels = [(u, v) for u, v, _, _ in places], [light.level for _, _, light, _ in places]
+            firsts = first_moments(image, centres, self.half, levels, self._is_dark)
         measure = self._compiled or spot_numbers
         found: list[tuple[Spot | None, Reason]] = []
         reach = self.radius + 1.0
