@@ -137,6 +137,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.chosen_entry = 0
         self._believed = (base, 0)  # the last fit that passed every gate, and its entry
         self._is_unsettled = False  # whether a fit that did not converge promised more since
+        self.looks_inside = True  # whether a given order is compared with what simpler structures find
+        self.is_better_inside = False  # whether one of them led to a better end
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -242,7 +244,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 return self._stopped(
                     stop, "a second look at orders that were not believed, and the weighing by the noise"
                 )
-        if n_modes is not None:
+        if n_modes is not None and self.looks_inside:
             try:
                 self._look_inside()
             except Stopped as stop:
@@ -321,7 +323,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         for smaller in self.inside(len(self.chosen.omegas)):
             fit = self.fit(smaller.omegas, smaller.zetas, smaller.clock, _ITERATIONS)
             if fit.cost < self.chosen.cost and (left := self._n_doubtful(fit)) < max(doubts, 1):
-                doubts = left
+                doubts, self.is_better_inside = left, True
                 self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
                 self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
 

@@ -284,6 +284,7 @@ class IdentificationTask:
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
         clocks = {**self.first_clocks, **self._known_clocks(measured)}
         has_asked = False  # every output by itself
+        looks_inside = True
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)
         for turn in range(most):
@@ -292,7 +293,7 @@ class IdentificationTask:
                 regression = ModalRegression(shifted, self.terms, self.input_names)
                 _refuse_hopeless(regression, self.n_modes)
                 search = self._begun(shifted, regression, clocks=clocks, jumps=jumps)
-                search.is_in_doubt = has_asked
+                search.is_in_doubt, search.looks_inside = has_asked, looks_inside
                 if turn == 0 and (result := self._untangled(regression, search)) is not None:
                     return result
                 try:
@@ -304,7 +305,7 @@ class IdentificationTask:
                     raise EstimationError(f"{err}. {' '.join(gaps)}") from err
                 if search.stopped_by is not None and known is not None:
                     raise search.stopped_by
-                known = search, weighed
+                known, looks_inside = (search, weighed), search.is_better_inside
                 goes_on = search.stopped_by is None and turn + 1 < most
                 further = search.further_clocks(weighed) if goes_on else {}
             except OwnClocks as own:

@@ -222,6 +222,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
             search = TimeSearch(
                 self.records, smaller, self.latency, self.clock_rate, self.input_names, self.progress
             )
+            search.is_in_doubt = self.is_in_doubt  # outputs by themselves have been asked
             search.run_plain(n_modes)
             yield search.chosen
 
