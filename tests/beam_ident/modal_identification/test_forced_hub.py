@@ -49,7 +49,7 @@ def test_the_set_point_of_a_soft_servo_gives_other_poles(servo):
     ).model
     z = (model.natural_frequencies - servo.truth[:3]) / model.natural_frequency_sd
     assert np.max(np.abs(z)) > 10.0
-    # Of what such a clock of one output is refined by, only the first look asks simpler structures and single outputs.
+    # Only the first look asks simpler structures and single outputs; the turns of the output's clock do not.
     assert 5 < phrases.count("looking for mode 1") < 20
 
 
