@@ -126,7 +126,6 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
         self.progress = progress
         self.max_iterations = _ITERATIONS
-        self.is_trusting = False  # whether the search ends at the first mode that is not believed
         self.stopped_by: BaseException | None = None  # before its time
         if start is None:
             base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
@@ -139,6 +138,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self._is_unsettled = False  # whether a fit that did not converge promised more since
         self.looks_inside = True  # whether a given order is compared with what simpler structures find
         self.is_better_inside = False  # whether one of them led to a better end
+        self.is_persistent = True  # whether the search goes on past orders that are not believed
+        self.is_worth_persisting = False  # whether that has led to one that is
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -235,9 +236,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 stop, f"the search for more than {n} of {wanted}, and the weighing by the noise"
             )
         is_believed = self.chosen is self._believed[0] and not self._is_unsettled
-        if n_modes is None and not self.is_trusting and not is_believed:
+        if n_modes is None and self.is_persistent and not is_believed:
             try:
                 if self._settle(limit):
+                    self.is_worth_persisting = True
                     ended = self._extend(None, limit)
                 self.chosen, self.chosen_entry = self._believed
             except Stopped as stop:
@@ -298,8 +300,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def _without_doubtful(self, fit: ModalFit) -> ModalFit:
         """Return a fit without the modes that do not pass the gates, as long as one is left."""
         while len(fit.omegas) > 1:
-            modes = range(len(fit.omegas))
-            doubtful = [mode for mode in modes if mode_complaint(fit, self.problem, mode, self.band)]
+            doubtful = self._doubtful(fit)
             if not doubtful or len(doubtful) == len(fit.omegas):
                 break
             fit = self.fit(np.delete(fit.omegas, doubtful), np.delete(fit.zetas, doubtful), fit.clock)
@@ -319,18 +320,18 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
         What fits better with modes that could not be believed is no better end.
         """
-        doubts = self._n_doubtful(self.chosen)
+        doubts = len(self._doubtful(self.chosen))
         for smaller in self.inside(len(self.chosen.omegas)):
             fit = self.fit(smaller.omegas, smaller.zetas, smaller.clock, _ITERATIONS)
-            if fit.cost < self.chosen.cost and (left := self._n_doubtful(fit)) < max(doubts, 1):
+            if fit.cost < self.chosen.cost and (left := len(self._doubtful(fit))) < max(doubts, 1):
                 doubts, self.is_better_inside = left, True
                 self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
                 self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
 
-    def _n_doubtful(self, fit: ModalFit) -> int:
-        return sum(
-            bool(mode_complaint(fit, self.problem, mode, self.band)) for mode in range(len(fit.omegas))
-        )
+    def _doubtful(self, fit: ModalFit) -> list[int]:
+        """Return the modes of a fit that do not pass the gates."""
+        modes = range(len(fit.omegas))
+        return [mode for mode in modes if mode_complaint(fit, self.problem, mode, self.band)]
 
     def _extend(self, n_modes: int | None, limit: int) -> str:
         """Add modes to the present model, and return why no further one was tried."""
@@ -380,6 +381,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 self.doubt()
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:
+                self.is_worth_persisting |= current is not self._believed[0]
                 self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
                 self._is_unsettled = False
                 return True
@@ -389,7 +391,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                     doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
         patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
-        if self.is_trusting or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
+        if not self.is_persistent or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
             return False
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True
@@ -416,20 +418,29 @@ class ModeSearch(ABC, Generic[ProblemT]):
         return len(found) > 1
 
     def _sound(self, start: ModalFit, found: list[tuple[ModalFit, int]]) -> None:
-        """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found."""
-        believed = found[0][0]
-        fit = self.fit(start.omegas, start.zetas, start.clock)
+        """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found.
+
+        A few steps show which modes are none: to refine them in full, towards an optimum that they do not have, takes
+        longer than the search itself wherever something else than modes is left.
+        """
+        believed, fit = found[0][0], start
         fewest = max(len(believed.omegas) + 1, len(start.omegas) - _MOST_LEFT_OUT)
         while len(fit.omegas) >= fewest:
+            fit = self.fit(fit.omegas, fit.zetas, fit.clock, SHORT)
+            doubtful = self._doubtful(fit)
+            if not doubtful and not fit.converged:
+                fit = self.fit(fit.omegas, fit.zetas, fit.clock)
+                doubtful = self._doubtful(fit)
             refusal = self._refusal(fit, believed, is_given=False)
             self.entries.append(self._entry(fit, refusal))
             if not refusal:
                 found.append((fit, len(self.entries) - 1))
                 return
-            modes = range(len(fit.omegas))
-            doubtful = [m for m in modes if mode_complaint(fit, self.problem, m, self.band)] or list(modes)
-            weakest = min(doubtful, key=lambda m: mode_significance(fit, self.problem, m, self.band)[0])
-            fit = self.fit(np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest), fit.clock)
+            among = doubtful or range(len(fit.omegas))
+            weakest = min(among, key=lambda mode: mode_significance(fit, self.problem, mode, self.band)[0])
+            fit = dataclasses.replace(
+                fit, omegas=np.delete(fit.omegas, weakest), zetas=np.delete(fit.zetas, weakest)
+            )
 
     def _pursued(self, limit: int) -> ModalFit:
         """Return modes placed one after the other as long as the criterion falls, refined by a few steps each."""

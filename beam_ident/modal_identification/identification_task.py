@@ -237,7 +237,7 @@ class IdentificationTask:
         regression = ModalRegression(records, self.terms, self.input_names)
         _refuse_hopeless(regression, self.n_modes)
         search = self._begun(records, regression)
-        search.is_trusting = True
+        search.is_persistent = False
         try:
             fit = search.begun(self.n_modes, self.max_modes).fit
         except OwnClocks:
@@ -284,7 +284,7 @@ class IdentificationTask:
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
         clocks = {**self.first_clocks, **self._known_clocks(measured)}
         has_asked = False  # every output by itself
-        looks_inside = True
+        looks_inside = is_persistent = True
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)
         for turn in range(most):
@@ -294,6 +294,7 @@ class IdentificationTask:
                 _refuse_hopeless(regression, self.n_modes)
                 search = self._begun(shifted, regression, clocks=clocks, jumps=jumps)
                 search.is_in_doubt, search.looks_inside = has_asked, looks_inside
+                search.is_persistent = is_persistent
                 if turn == 0 and (result := self._untangled(regression, search)) is not None:
                     return result
                 try:
@@ -305,7 +306,9 @@ class IdentificationTask:
                     raise EstimationError(f"{err}. {' '.join(gaps)}") from err
                 if search.stopped_by is not None and known is not None:
                     raise search.stopped_by
-                known, looks_inside = (search, weighed), search.is_better_inside
+                known = search, weighed
+                # A clock that moves a little leaves in vain what was in vain.
+                looks_inside, is_persistent = search.is_better_inside, search.is_worth_persisting
                 goes_on = search.stopped_by is None and turn + 1 < most
                 further = search.further_clocks(weighed) if goes_on else {}
             except OwnClocks as own:

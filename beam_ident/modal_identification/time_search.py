@@ -234,7 +234,8 @@ class TimeSearch(ModeSearch[ModalRegression]):
         OwnClocks
             Some outputs have a clock of their own.
         """
-        may_ask, self.is_in_doubt = not (self.is_in_doubt or self.clocks.own or self.is_trusting), True
+        may_ask = self.is_persistent and not (self.is_in_doubt or self.clocks.own)
+        self.is_in_doubt = True
         if not may_ask or self.plain.n_outputs < 2 or not self.band.is_excited:
             return
         searches = [own for name in self.plain.output_names if (own := self._alone(name)) is not None]
@@ -296,7 +297,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         if max(map(len, regression.times)) > THINNED:
             regression = regression.thinned(THINNED)
         search = TimeSearch(records, regression, latency, self.clock_rate, self.input_names, self.progress)
-        search.is_trusting = True
+        search.is_persistent = False
         return search
 
     def run_plain(self, n_modes: int) -> None:
@@ -527,6 +528,7 @@ class LongSearch(TimeSearch):
             found_noise=before.found_noise,
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
+        self.is_persistent, self.is_worth_persisting = before.is_persistent, before.is_worth_persisting
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
         """Return the best place over the input's band, refined, if all stamps say that it may be worth a fit."""

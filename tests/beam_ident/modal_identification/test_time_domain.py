@@ -23,6 +23,8 @@ from beam_ident import (
     identify,
     validate,
 )
+from beam_ident.modal_estimation import mode_search
+from beam_ident.modal_estimation.variable_projection import fit_modes
 from tests.beam_ident.truth import (
     OMEGAS,
     RESIDUAL_TERMS,
@@ -410,6 +412,38 @@ def test_no_order_is_tried_twice_where_a_sensor_has_a_filter_that_the_model_lack
     assert len(tried) > 4
     assert len(set(tried)) == len(tried)
     assert np.min(np.abs(result.model.natural_frequencies / omega - 1.0)) < 0.02
+
+
+def test_what_no_mode_explains_is_left_alone_after_a_few_steps(monkeypatch):
+    """Channels that were swapped in mid-record leave much that no number of modes explains."""
+    rng = np.random.default_rng(3)
+    t = 0.005 * np.arange(1500)
+    force = sosfilt(butter(4, (0.01, 0.6), "band", output="sos"), rng.standard_normal(len(t)))
+    seen = np.zeros((len(t), 2))
+    for hertz, zeta, shape in (
+        (3.1, 0.008, (1.0, 0.6)),
+        (11.7, 0.02, (-30.0, 40.0)),
+        (29.0, 0.005, (80.0, 20.0)),
+    ):
+        omega = 2.0 * np.pi * hertz
+        seen += np.outer(lsim(([1.0], [1.0, 2.0 * zeta * omega, omega**2]), force, t)[1], shape)
+    seen += 3e-3 * np.std(seen, axis=0) * rng.standard_normal(seen.shape)
+    seen[len(t) // 2 :] = seen[len(t) // 2 :, ::-1]
+    outputs = tuple(OutputSignal(name, "m", t, seen[:, j]) for j, name in enumerate("ab"))
+    steps = []
+
+    def counted(problem, omegas, *rest, **options):
+        fit = fit_modes(problem, omegas, *rest, **options)
+        steps.append(len(omegas) * fit.iterations)
+        return fit
+
+    monkeypatch.setattr(mode_search, "fit_modes", counted)
+    result = identify(
+        TimeRecord((InputSignal("force", "N", t, force),), outputs), "receptance", latency=Prior(0.0, 0.01)
+    )
+    assert 500 < sum(steps) < 2500  # 5000 where each of many orders is refined in full
+    assert result.model.natural_frequencies / (2.0 * np.pi) == pytest.approx([29.0], rel=1e-3)
+    assert any("Misfit" in warning for warning in result.warnings)
 
 
 def test_motion_at_the_beginning_is_found_behind_frames_from_long_before_the_input():
