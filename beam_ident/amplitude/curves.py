@@ -38,6 +38,7 @@ _DRAWS = 4000
 _LEVEL = 0.95
 _ALONE = 0.2  # another mode within this of the frequency, or of three times it, is the nonlinearity's own
 _MAX_OTHERS = 4
+_SEEN_DECAY = 3.0  # standard deviations of the decay rate of one pole
 _LOWEST = 3.0  # standard deviations of the noise over a decay: below that no amplitude is seen
 _MIN_SAMPLES = 60
 
@@ -174,7 +175,8 @@ def amplitude_curves(
     Raises
     ------
     EstimationError
-        Too few samples or cycles, outputs that differ from decay to decay, or an unknown output.
+        Too few samples or cycles, swings that do not decay, outputs that differ from decay to decay, or an unknown
+        output.
 
     Notes
     -----
@@ -197,6 +199,7 @@ def amplitude_curves(
     problem = DecayProblem(rows, reference)
     # Windows whose amplitudes hardly differ say little of a law: one pole may then be the better start of one.
     one_pole = problem.fit(problem.start(frequency_hz, LINEAR))
+    _require_decay(problem, one_pole)
     base = problem.fit(problem.start(frequency_hz, _LAWS[0]))
     if not base.cost < one_pole.cost:
         base = problem.fit(one_pole.point.extended(_LAWS[0]))
@@ -294,18 +297,18 @@ def _judged(
 
 def _checked(decays: Any) -> list[list[OutputSignal]]:
     """Return decays as rows of outputs without missing values."""
-    rows: list[Any] = [decays] if isinstance(decays, OutputSignal) else list(decays)
-    if not rows:
-        raise EstimationError("there is no decay; expected an OutputSignal, or sequences of them")
-    if isinstance(rows[0], OutputSignal):
-        rows = [rows]
+    expected = "expected an OutputSignal, a sequence of them, or a sequence of such sequences"
+    given = [decays] if isinstance(decays, OutputSignal) else decays
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise EstimationError(f"decays is a {type(decays).__name__}; {expected}")
+    if not given:
+        raise EstimationError(f"there is no decay; {expected}")
+    rows: Sequence[Any] = [given] if isinstance(given[0], OutputSignal) else given
     result = []
     for number, row in enumerate(rows):
-        own = list(row)
+        own = list(row) if isinstance(row, Sequence) else []
         if not own or not all(isinstance(signal, OutputSignal) for signal in own):
-            raise EstimationError(
-                f"decay {number} is no sequence of OutputSignal; expected one for every output"
-            )
+            raise EstimationError(f"decay {number} is no sequence of outputs; {expected}")
         if [signal.name for signal in own] != [signal.name for signal in rows[0]]:
             raise EstimationError(
                 f"decay {number} has the outputs {', '.join(s.name for s in own)}, the first has "
@@ -335,6 +338,23 @@ def _without_rest(decays: list[list[OutputSignal]]) -> tuple[list[list[OutputSig
             ]
         rows.append(row)
     return rows, warnings
+
+
+def _require_decay(problem: DecayProblem, one_pole: DecayFit) -> None:
+    """Raise EstimationError where the swings stay as they are, or grow: they show one level, or a drive."""
+    rate = float(one_pole.point.rate_terms[1])
+    sd = math.sqrt(_colour(problem, one_pole)[0]) * float(np.linalg.norm(one_pole.spread[1]))
+    if rate < _SEEN_DECAY * sd:
+        signal = problem.decays[0][problem.reference]
+        first, last = (
+            one_pole.point.reference * float(np.max(sizes))
+            for sizes in (one_pole.point.amplitudes, one_pole.last_amplitudes)
+        )
+        raise EstimationError(
+            f"the swings do not decay: those of {signal.name} go from {first:.3g} to {last:.3g} {signal.unit}; a "
+            "curve needs amplitudes that differ: give the stretch after the structure is let go, or records driven "
+            "at several levels to driven_amplitude_curves"
+        )
 
 
 def _richest(problem: DecayProblem, base: DecayFit) -> DecayFit:

@@ -160,10 +160,17 @@ class DecayProblem:
         if not any(len(turn.times) >= _FEW_WINDOWS for turn in turns):
             longest = max(float(np.ptp(signal.times_s)) for signal in signals) * omega / (2.0 * math.pi)
             remedy = "record a longer decay, or one with a larger amplitude"
+            if frequency_hz is not None:
+                remedy += "; leave frequency_hz out if the mode is elsewhere"
+            elif longest < _FEW_WINDOWS:
+                remedy += (
+                    "; where the structure also moves slower than the mode, name the mode with frequency_hz"
+                )
             if any(turn.returns for turn in turns):
                 remedy = (
-                    "the swings vanish and return, as where two modes beat: take an output where one of them does "
-                    "not show, or release the structure so that one is larger"
+                    "the swings begin late, or vanish and return. Where the structure was still moved, or struck, "
+                    "give the stretch after it; where two modes beat, take an output where one of them does not "
+                    "show, or release the structure so that one is larger"
                 )
             raise EstimationError(
                 f"output {signals[0].name!r} holds {longest:.0f} cycles at {omega / (2.0 * math.pi):.4g} Hz, of "

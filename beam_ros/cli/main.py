@@ -75,7 +75,8 @@ class _Parser(argparse.ArgumentParser):
         self.exit(FAULT_OF_THE_USER, f"{self.prog}: {message}; {remedy}\n")
 
 
-def _verb_parser(verb: str) -> argparse.ArgumentParser:
+def verb_parser(verb: str) -> argparse.ArgumentParser:
+    """Return the parser of one verb."""
     room = "live" if verb in LIVE else "offline" if verb in OFFLINE else "results"
     module = importlib.import_module(f"beam_ros.cli.{room}.{verb}")
     parser = _Parser(
@@ -145,7 +146,7 @@ def main(argv: list[str] | None = None) -> int:
         return FAULT_OF_THE_USER
     faults = faults_of_the_user()
     try:
-        parsed = _verb_parser(verb).parse_args(rest)
+        parsed = verb_parser(verb).parse_args(rest)
         with signals_taken(interrupt):
             return int(parsed.run(parsed))
     except SystemExit as exit_request:

@@ -205,3 +205,34 @@ def test_what_cannot_have_a_curve_is_refused() -> None:
         amplitude_curves(OutputSignal("z285", "m", (0.0, 0.01), noise))
     with pytest.raises(EstimationError, match="the same in the same order"):
         amplitude_curves([[noisy(CUBIC, 1e-4, 3)], [OutputSignal("z", "m", t, x)]])
+
+
+@pytest.mark.parametrize("zeta", [0.0, -0.005], ids=["held", "growing"])
+def test_swings_that_do_not_decay_are_refused(zeta: float) -> None:
+    t, rng = np.arange(0.0, 10.0, 0.01), np.random.default_rng(0)
+    swing = UNIT * np.exp(-zeta * OMEGA * t) * np.cos(OMEGA * t) + 2e-5 * rng.standard_normal(len(t))
+    with pytest.raises(EstimationError, match=r"swings do not decay.*driven_amplitude_curves"):
+        amplitude_curves(OutputSignal("z285", "m", t, swing))
+
+
+def test_what_is_no_mode_or_no_rest_is_refused_by_its_name() -> None:
+    t, rng = np.arange(0.0, 10.0, 0.01), np.random.default_rng(0)
+    noise = 2e-5 * rng.standard_normal(len(t))
+    decay = noise + UNIT * np.exp(-0.14 * t) * np.cos(OMEGA * t)
+    # Moved slowly before it is let go: the swings begin late.
+    later = noise + np.where(
+        t > 3.0, UNIT * np.exp(-0.14 * (t - 3.0)) * np.cos(OMEGA * (t - 3.0)), UNIT * t / 3.0
+    )
+    for values, frequency_hz, said in (
+        (later, None, "still moved.*give the stretch after it"),
+        (decay, 30.0, "leave frequency_hz out"),
+        (decay + 0.01 * t**2, None, "slower than the mode.*frequency_hz"),
+    ):
+        with pytest.raises(EstimationError, match=said):
+            amplitude_curves(OutputSignal("z285", "m", t, values), frequency_hz=frequency_hz)
+
+
+@pytest.mark.parametrize("decays", [None, np.zeros(100), "drag", [1.0, 2.0]], ids=repr)
+def test_what_is_no_output_is_refused(decays: object) -> None:
+    with pytest.raises(EstimationError, match="expected an OutputSignal"):
+        amplitude_curves(decays)  # type: ignore[arg-type]
