@@ -23,10 +23,13 @@ from scipy.special import fdtrc
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import require_signals
+from beam_ident.data.bandwidth import excited_band
 from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ColumnBlock, ModalRegression
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
+from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.numerics.blas_threads import on_one_thread
 
 LEVEL = 0.05
@@ -34,6 +37,9 @@ _BLOCKS = 40
 _MOST_SAMPLES = 40_000  # of an output in all records together
 _LOW = 1.0 / 3.0  # of the largest amplitude: where the range begins over which changes are stated
 _N_LAWS = 3
+_NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: what noise on the input adds beyond is filtered out
+_MIN_SHARE = 1e-3  # of the residuals' variance, which the outputs' own noise has at least
+_ROUNDS = 4  # in which the outputs' own noise is found
 
 
 @dataclass(frozen=True)
@@ -129,41 +135,109 @@ def linearity(records: Sequence[TimeRecord], model: ModalModel) -> Linearity:
     """
     require_signals(records)
     most = max(_MOST_SAMPLES // len(records), 2)
-    regression = ModalRegression(
-        [busiest_stretch(record, most) for record in records],
-        ModalStructure(model.structure),
-        model.input_names,
-    )
+    stretches = [busiest_stretch(record, most) for record in records]
+    structure = ModalStructure(model.structure)
+    regression = ModalRegression(stretches, structure, model.input_names)
+    band_hz = _noisy_band_hz(regression, model)
+    if band_hz is not None:
+        regression = ModalRegression(stretches, structure, model.input_names, Smoothing(band_hz))
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=True)
     outputs = [
         _Output(regression, j, blocks[regression.block_of[j]], model) for j in range(regression.n_outputs)
     ]
-    modes = tuple(_tested(outputs, mode, model) for mode in range(model.n_modes))
+    if band_hz is None:
+        parts = [_Part([output], []) for output in outputs]
+    else:
+        parts = [_Part(outputs, _filters(regression, stretches, outputs, model, Smoothing(band_hz)))]
+    modes = tuple(_tested(parts, mode) for mode in range(model.n_modes))
     smallest = min(mode.p_value for mode in modes)
     return Linearity(modes, -math.expm1(len(modes) * math.log1p(-min(smallest, 1.0 - 1e-16))))
 
 
+def _noisy_band_hz(regression: ModalRegression, model: ModalModel) -> float | None:
+    """Return the end of the band that the inputs excite where noise on the only input matters, else None."""
+    drives = regression.drives
+    if len(model.input_names) > 1 or not any(drive.sigma > 0.0 for drive in drives):
+        return None
+    shares = []
+    for drive in drives:
+        omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive)
+        response = model.frequency_response(omegas).response
+        shares.append(float(np.max(input_noise_share(response, omegas, drive, model.noise_sd))))
+    if not max(shares) > _NEGLIGIBLE_SHARE:
+        return None
+    structure = regression.structure
+    power = structure.differentiations if structure.is_motion else 0
+    return max(
+        excited_band(drive, power, regression.duration_s, regression.rate_hz).high_hz for drive in drives
+    )
+
+
+def _filters(
+    regression: ModalRegression,
+    records: Sequence[TimeRecord],
+    outputs: Sequence[_Output],
+    model: ModalModel,
+    smoothing: Smoothing,
+) -> list[DisturbanceFilter]:
+    """Return what takes the noise of every record's input out of its rows, the outputs' own noise found along."""
+    disturbances = []
+    shared = model.column_parameters()
+    for index, (record, drive) in enumerate(zip(records, regression.drives, strict=True)):
+        exposures = np.array(
+            [
+                record.output(output.name).exposure_s if output.name in record.output_names else 0.0
+                for output in outputs
+            ]
+        )
+        disturbances.append(
+            (
+                InputDisturbance(
+                    drive,
+                    regression.structure,
+                    model.natural_frequencies,
+                    model.damping_ratios,
+                    shared,
+                    exposures,
+                    smoothing,
+                ),
+                Observations.of_record(regression, index, model.latency),
+            )
+        )
+    alone = [_Part([output], []) for output in outputs]
+    variances = np.array([part.noise_sd**2 for part in alone])
+    least = _MIN_SHARE * variances
+    filters: list[DisturbanceFilter] = []
+    for _ in range(_ROUNDS):
+        filters = [disturbance.filter(seen, variances) for disturbance, seen in disturbances]
+        white = [part.residuals[:, None].copy() for part in alone]
+        for one in filters:
+            one.whiten(white)
+        # Innovations have unit power where the outputs' own noise is right.
+        variances = np.maximum(variances * [float(np.mean(np.square(own))) for own in white], least)
+    return filters
+
+
 class _Output:
-    """What the linear model leaves of one output, and what it could still take up."""
+    """One output, what the linear model could take up of it, and how it moves in each mode."""
 
     def __init__(self, regression: ModalRegression, j: int, block: ColumnBlock, model: ModalModel) -> None:
         self.name, self.unit = regression.output_names[j], regression.units[j]
         self.times, self.segments = regression.times[j], regression.segments[j]
+        self.values = regression.values[j]
         self._block, self._model = block, model
         assert block.by_time is not None
-        self._found, _, _, _ = np.linalg.lstsq(block.matrix, regression.values[j], rcond=None)
+        self._found, _, _, _ = np.linalg.lstsq(block.matrix, self.values, rcond=None)
         slopes = block.slopes(np.asarray(self._found), latency_is_free=True, rate_is_free=True)
         tangent = np.hstack([block.matrix, slopes])
         size = np.linalg.norm(tangent, axis=0)
-        U, s, _ = np.linalg.svd(tangent / np.where(size > 0.0, size, 1.0), full_matrices=False)
-        self.known = U[:, s > 1e-9 * s[0]]
-        self.residuals = self.rest(regression.values[j])
-        free = max(len(self.times) - self.known.shape[1], 1)
-        self.noise_sd = float(np.linalg.norm(self.residuals)) / math.sqrt(free)
+        self.tangent = tangent / np.where(size > 0.0, size, 1.0)
 
-    def rest(self, values: FloatArray) -> FloatArray:
-        """Return what no linear parameter explains."""
-        return np.asarray(values - self.known @ (self.known.T @ values))
+    @property
+    def instants(self) -> FloatArray:
+        """Times that go on from record to record, shape (n_rows,)."""
+        own = [1e9 * record + self.times[rows] for record, rows in self.segments]
+        return np.concatenate(own or [np.zeros(0)])
 
     def motion(self, mode: int) -> ComplexArray:
         """Return amplitude and phase of one mode's own motion, shape (n_rows,)."""
@@ -188,6 +262,34 @@ class _Output:
         return result
 
 
+class _Part:
+    """Outputs whose noise is independent of that of all others, behind the filters, and what they could take up."""
+
+    def __init__(self, outputs: Sequence[_Output], filters: Sequence[DisturbanceFilter]) -> None:
+        self.outputs, self._filters = outputs, filters
+        self.instants = np.concatenate([output.instants for output in outputs])
+        ends = np.cumsum([0, *(output.tangent.shape[1] for output in outputs)])
+        tangents = [np.zeros((len(output.values), ends[-1])) for output in outputs]
+        for own, output, begin, end in zip(tangents, outputs, ends, ends[1:], strict=False):
+            own[:, begin:end] = output.tangent
+        U, s, _ = np.linalg.svd(self._passed(tangents), full_matrices=False)
+        self.known = U[:, s > 1e-9 * s[0]]
+        self.residuals = self.rest([output.values[:, None] for output in outputs])[:, 0]
+        free = max(len(self.instants) - self.known.shape[1], 1)
+        self.noise_sd = float(np.linalg.norm(self.residuals)) / math.sqrt(free)
+
+    def _passed(self, columns: Sequence[FloatArray]) -> FloatArray:
+        passed = [own.copy() for own in columns]
+        for one in self._filters:
+            one.whiten(passed)
+        return np.concatenate(passed)
+
+    def rest(self, columns: Sequence[FloatArray]) -> FloatArray:
+        """Return what no linear parameter explains of the same quantities for every output, one under the other."""
+        values = self._passed(columns)
+        return np.asarray(values - self.known @ (self.known.T @ values))
+
+
 def driven(pole: complex, times: FloatArray, causes: ComplexArray) -> ComplexArray:
     """Return int exp(pole (t - tau)) cause(tau) dtau from the first instant on, shape (n, n_causes).
 
@@ -210,23 +312,29 @@ def driven(pole: complex, times: FloatArray, causes: ComplexArray) -> ComplexArr
     return result
 
 
-def _tested(outputs: Sequence[_Output], mode: int, model: ModalModel) -> ModeLinearity:
+def _tested(parts: Sequence[_Part], mode: int) -> ModeLinearity:
     """Return the test of one mode."""
-    motions = [output.motion(mode) for output in outputs]
-    largest = [float(np.max(np.abs(motion))) for motion in motions]
-    reference = int(np.argmax(np.array(largest) / [output.noise_sd for output in outputs]))
-    parts = []
-    for output, motion, most in zip(outputs, motions, largest, strict=True):
-        raw = output.answers(mode, motion, max(most, 1e-300))
-        parts.append(np.stack([output.rest(raw[:, k]) for k in range(_N_LAWS)], axis=1) / output.noise_sd)
-    numbers = _equal_blocks(outputs, parts)
+    outputs = [output for part in parts for output in part.outputs]
+    noise = [part.noise_sd for part in parts for _ in part.outputs]
+    answers, largest = [], []
+    for part in parts:
+        motions = [output.motion(mode) for output in part.outputs]
+        own = [float(np.max(np.abs(motion))) for motion in motions]
+        raw = [
+            output.answers(mode, motion, max(most, 1e-300))
+            for output, motion, most in zip(part.outputs, motions, own, strict=True)
+        ]
+        answers.append(part.rest(raw) / part.noise_sd)
+        largest += own
+    reference = int(np.argmax(np.array(largest) / noise))
+    numbers = _equal_blocks(parts, answers)
     normal, scores = np.zeros((_N_LAWS, _N_LAWS)), np.zeros((_BLOCKS, _N_LAWS))
-    for output, X, own in zip(outputs, parts, numbers, strict=True):
+    for part, X, own_blocks in zip(parts, answers, numbers, strict=True):
         normal += X.T @ X
         for law in range(_N_LAWS):
-            weighed = X[:, law] * output.residuals / output.noise_sd
-            scores[:, law] += np.bincount(own, weighed, minlength=_BLOCKS)
-    restored = scores @ _restored(normal, outputs, parts, numbers)
+            weighed = X[:, law] * part.residuals / part.noise_sd
+            scores[:, law] += np.bincount(own_blocks, weighed, minlength=_BLOCKS)
+    restored = scores @ _restored(normal, parts, answers, numbers)
     # Of laws that the amplitudes of these data do not tell apart, one direction is tested.
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     sizes, directions = np.linalg.eigh(normal / np.outer(scale, scale))
@@ -251,28 +359,19 @@ def _tested(outputs: Sequence[_Output], mode: int, model: ModalModel) -> ModeLin
     )
 
 
-def _equal_blocks(outputs: Sequence[_Output], parts: Sequence[FloatArray]) -> list[IndexArray]:
-    """Return the block of time to which every sample of every output belongs, all with as much of the answers."""
-    keys = [
-        np.concatenate(
-            [1e9 * record + output.times[rows] for record, rows in output.segments] or [np.zeros(0)]
-        )
-        for output in outputs
-    ]
-    weights = [np.sum(X**2 / np.maximum(np.sum(X**2, axis=0), 1e-300), axis=1) for X in parts]
-    every, weight = np.concatenate(keys), np.concatenate(weights)
+def _equal_blocks(parts: Sequence[_Part], answers: Sequence[FloatArray]) -> list[IndexArray]:
+    """Return the block of time to which every sample of every part belongs, all with as much of the answers."""
+    weights = [np.sum(X**2 / np.maximum(np.sum(X**2, axis=0), 1e-300), axis=1) for X in answers]
+    every, weight = np.concatenate([part.instants for part in parts]), np.concatenate(weights)
     order = np.argsort(every, kind="stable")
     share = np.cumsum(weight[order])
     share /= max(float(share[-1]), 1e-300)
     edges = every[order][np.searchsorted(share, np.arange(1, _BLOCKS) / _BLOCKS)]
-    return [np.searchsorted(edges, key, side="left") for key in keys]
+    return [np.searchsorted(edges, part.instants, side="left") for part in parts]
 
 
 def _restored(
-    normal: FloatArray,
-    outputs: Sequence[_Output],
-    parts: Sequence[FloatArray],
-    numbers: Sequence[IndexArray],
+    normal: FloatArray, parts: Sequence[_Part], answers: Sequence[FloatArray], numbers: Sequence[IndexArray]
 ) -> FloatArray:
     """Return what gives the scores of blocks the spread that white noise has, shape (3, 3).
 
@@ -280,10 +379,10 @@ def _restored(
     X^T (I - H) X within the blocks, where their sum spreads by X^T X.
     """
     within = normal.copy()
-    for output, X, own in zip(outputs, parts, numbers, strict=True):
+    for part, X, own in zip(parts, answers, numbers, strict=True):
         for block in range(_BLOCKS):
             rows = own == block
-            shared = X[rows].T @ output.known[rows]
+            shared = X[rows].T @ part.known[rows]
             within -= shared @ shared.T
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     roots = []
