@@ -10,6 +10,11 @@ The same drive moves
 by a' = lambda a + i n/omega_d + u, integrated as it is, without averaging, at 24 instants a cycle. The outputs are
 x beside the linear columns of the other modes, gains, offsets and free motions, which are projected out (Golub and
 Pereyra 1973). kappa, beta and mu are stated as the coefficients of ``slow_flow``, which have the units of rates.
+
+Noise on a measured input rings in the mode. The estimates are least squares all the same, and their covariance has
+what it adds: with J the derivatives of the residuals e = r + H nu by the parameters,
+
+    cov = (J^T J)^-1 (J^T J + q J^T H H^T J) (J^T J)^-1.
 """
 
 from __future__ import annotations
@@ -24,12 +29,14 @@ from scipy import optimize
 from scipy.interpolate import CubicSpline
 
 from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, Law, Start, spread_of
+from beam_ident.amplitude.measured_input import disturbances_of, noisy_band_hz
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.records import OutputSignal, TimeRecord, busiest_stretch
 from beam_ident.errors import EstimationError
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.noise.input_noise import Smoothing
 
 LAW = Law(2, 3)
 _MOST_SAMPLES = 30_000
@@ -128,6 +135,13 @@ class DrivenProblem:
         omega, zeta = float(model.natural_frequencies[mode]), float(model.damping_ratios[mode])
         self.pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
         self._records = records
+        structure = ModalStructure(model.structure)
+        regression = ModalRegression(records, structure, model.input_names)
+        band_hz = noisy_band_hz(regression, model)
+        self._smoothing = None if band_hz is None else Smoothing(band_hz)
+        if self._smoothing is not None:
+            regression = ModalRegression(records, structure, model.input_names, self._smoothing)
+        self._regression = regression
         self._drives = [self._driven(record) for record in records]
         largest = max(float(np.max(np.abs(drive.motion))) for drive in self._drives)
         if not largest > 0.0:
@@ -135,9 +149,6 @@ class DrivenProblem:
                 f"input {model.input_name!r} moves mode {mode + 1} in no record; expected records under drive. Of "
                 "free decays take amplitude_curves()"
             )
-        regression = self._regression = ModalRegression(
-            records, ModalStructure(model.structure), model.input_names
-        )
         seen = self._seen(model.clock)
         self._shares = [each.share for each in seen]
         names = regression.output_names
@@ -155,6 +166,11 @@ class DrivenProblem:
         ]
         self.n_samples = sum(len(values) for values in regression.values)
         self._lowest = self._lowest_amplitude() / largest
+
+    @property
+    def has_noisy_input(self) -> bool:
+        """Whether noise on the input rings in the mode; then it is in the covariance of a fit."""
+        return self._smoothing is not None
 
     def _seen(self, clock: ClockState) -> list[_Seen]:
         """Return what is known of every output if its clock stands so."""
@@ -208,8 +224,9 @@ class DrivenProblem:
         place = OutputSignal("instants", "", times, np.zeros(n))
         regression = ModalRegression(
             [TimeRecord(record.inputs, (place,))],
-            ModalStructure(self._model.structure),
+            self._regression.structure,
             self._model.input_names,
+            self._smoothing,
         )
         (block,) = regression.blocks(
             self._model.natural_frequencies, self._model.damping_ratios, ClockState(), True
@@ -278,7 +295,7 @@ class DrivenProblem:
         third = float(w[1] / (12.0 * w[0])) if is_cubic else 0.0
         return DecayFit(
             Start(law, w, g, self.unit, np.array([1.0]), np.zeros(1), np.zeros((0, 2)), third),
-            scale * own @ spread_of(J)[:n],
+            scale * own @ self._spread(J, sigmas)[:n],
             0.5 * self.n_samples + float(sizes @ np.log(sigmas)),
             n + sum(each.n_columns for each in seen),
             self.n_samples,
@@ -296,6 +313,29 @@ class DrivenProblem:
             bool(found.status > 0),
             int(found.nfev),
         )
+
+    def _spread(self, J: FloatArray, sigmas: FloatArray) -> FloatArray:
+        """Return S of the covariance S S^T of least squares, with what noise on the input adds."""
+        S = spread_of(J)
+        if self._smoothing is None:
+            return S
+        ends = np.cumsum([0, *(len(values) for values in self._regression.values)])
+        added = np.zeros((J.shape[1], J.shape[1]))
+        for disturbance, seen in disturbances_of(
+            self._regression, self._records, self._model, self._smoothing
+        ):
+            columns = [
+                disturbance.most_likely(
+                    seen,
+                    [J[a:b, k] / sd for a, b, sd in zip(ends, ends[1:], sigmas, strict=False)],
+                )
+                for k in range(J.shape[1])
+            ]
+            # Each is q H^T J on the samples, a period apart: their products over the variance are those of (J^T H) q.
+            passed = np.stack(columns, axis=1) / disturbance.drive.sigma
+            added += passed.T @ passed
+        sizes, axes = np.linalg.eigh(added)
+        return np.hstack([S, S @ (S.T @ (axes * np.sqrt(np.maximum(sizes, 0.0))))])
 
     @staticmethod
     def _deviations(seen: Sequence[_Seen], residuals: Sequence[FloatArray]) -> FloatArray:

@@ -21,15 +21,15 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
+from beam_ident.amplitude.measured_input import disturbances_of, noisy_band_hz
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import require_signals
-from beam_ident.data.bandwidth import excited_band
 from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ColumnBlock, ModalRegression
 from beam_ident.modal.structure import ModalStructure
-from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
-from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
+from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter
+from beam_ident.noise.input_noise import Smoothing
 from beam_ident.numerics.blas_threads import on_one_thread
 
 LEVEL = 0.05
@@ -37,7 +37,6 @@ _BLOCKS = 40
 _MOST_SAMPLES = 40_000  # of an output in all records together
 _LOW = 1.0 / 3.0  # of the largest amplitude: where the range begins over which changes are stated
 _N_LAWS = 3
-_NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: what noise on the input adds beyond is filtered out
 _MIN_SHARE = 1e-3  # of the residuals' variance, which the outputs' own noise has at least
 _ROUNDS = 4  # in which the outputs' own noise is found
 
@@ -138,7 +137,7 @@ def linearity(records: Sequence[TimeRecord], model: ModalModel) -> Linearity:
     stretches = [busiest_stretch(record, most) for record in records]
     structure = ModalStructure(model.structure)
     regression = ModalRegression(stretches, structure, model.input_names)
-    band_hz = _noisy_band_hz(regression, model)
+    band_hz = noisy_band_hz(regression, model)
     if band_hz is not None:
         regression = ModalRegression(stretches, structure, model.input_names, Smoothing(band_hz))
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=True)
@@ -154,25 +153,6 @@ def linearity(records: Sequence[TimeRecord], model: ModalModel) -> Linearity:
     return Linearity(modes, -math.expm1(len(modes) * math.log1p(-min(smallest, 1.0 - 1e-16))))
 
 
-def _noisy_band_hz(regression: ModalRegression, model: ModalModel) -> float | None:
-    """Return the end of the band that the inputs excite where noise on the only input matters, else None."""
-    drives = regression.drives
-    if len(model.input_names) > 1 or not any(drive.sigma > 0.0 for drive in drives):
-        return None
-    shares = []
-    for drive in drives:
-        omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive)
-        response = model.frequency_response(omegas).response
-        shares.append(float(np.max(input_noise_share(response, omegas, drive, model.noise_sd))))
-    if not max(shares) > _NEGLIGIBLE_SHARE:
-        return None
-    structure = regression.structure
-    power = structure.differentiations if structure.is_motion else 0
-    return max(
-        excited_band(drive, power, regression.duration_s, regression.rate_hz).high_hz for drive in drives
-    )
-
-
 def _filters(
     regression: ModalRegression,
     records: Sequence[TimeRecord],
@@ -181,29 +161,7 @@ def _filters(
     smoothing: Smoothing,
 ) -> list[DisturbanceFilter]:
     """Return what takes the noise of every record's input out of its rows, the outputs' own noise found along."""
-    disturbances = []
-    shared = model.column_parameters()
-    for index, (record, drive) in enumerate(zip(records, regression.drives, strict=True)):
-        exposures = np.array(
-            [
-                record.output(output.name).exposure_s if output.name in record.output_names else 0.0
-                for output in outputs
-            ]
-        )
-        disturbances.append(
-            (
-                InputDisturbance(
-                    drive,
-                    regression.structure,
-                    model.natural_frequencies,
-                    model.damping_ratios,
-                    shared,
-                    exposures,
-                    smoothing,
-                ),
-                Observations.of_record(regression, index, model.latency),
-            )
-        )
+    disturbances = disturbances_of(regression, records, model, smoothing)
     alone = [_Part([output], []) for output in outputs]
     variances = np.array([part.noise_sd**2 for part in alone])
     least = _MIN_SHARE * variances

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.signal import lsim
 
 from beam_ident import InputSignal, OutputSignal, TimeRecord
 
@@ -167,3 +168,26 @@ def driven_record(
     return TimeRecord(
         (base,), (OutputSignal("z285", "m", 0.01 * np.arange(seen.size), y),), name=f"level {level:g}"
     )
+
+
+def moved_hub(seed: int, encoder: float, hardening: float = 0.0) -> TimeRecord:
+    """Return two points of a mode of 4.4 Hz on a hub that moves five times, seen by an encoder with noise."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 1e-3)
+    hub, omega = np.zeros(len(t)), 2.0 * np.pi * 4.4
+    for begin, distance in ((1.0, 0.02), (3.5, -0.04), (6.0, 0.035), (8.5, -0.025), (11.0, 0.01)):
+        share = np.clip((t - begin) / 0.35, 0.0, 1.0)
+        hub += distance * (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5)
+    push = -1.5 * np.gradient(np.gradient(hub, t), t)
+    system = ([[0.0, 1.0], [-(omega**2), -0.01 * omega]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    _, swing, _ = lsim(system, push, t)
+    for _ in range(4 if hardening else 0):  # to first order and on: the spring's force as one more push
+        _, swing, _ = lsim(system, push - hardening * omega**2 * swing**3 / np.max(np.abs(swing)) ** 2, t)
+    frames = np.arange(5, len(t), 10)
+    drive = InputSignal(
+        "hub", "m", (0.0, 1e-3), hub + encoder * rng.standard_normal(len(t)), "linear", sigma=encoder
+    )
+    outputs = [
+        OutputSignal(name, "m", t[frames], values[frames] + 5e-6 * rng.standard_normal(len(frames)))
+        for name, values in (("tip", hub + swing), ("middle", hub + 0.6 * swing))
+    ]
+    return TimeRecord((drive,), tuple(outputs))

@@ -7,19 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 
-from beam_ident import (
-    EstimationError,
-    IdentificationResult,
-    InputSignal,
-    OutputSignal,
-    TimeRecord,
-    driven_amplitude_curves,
-    identify,
-)
+from beam_ident import EstimationError, IdentificationResult, driven_amplitude_curves, identify
 from beam_ident.amplitude.linearity import Linearity, driven, linearity
-from tests.beam_ident.amplitude.oscillators import UNIT, Oscillator, driven_record
+from tests.beam_ident.amplitude.oscillators import UNIT, Oscillator, driven_record, moved_hub
 from tests.beam_ident.truth import beam_record
 
 
@@ -98,29 +89,6 @@ def test_noise_that_swells_with_the_motion_is_no_change_of_the_pole() -> None:
         chances.append(linearity([noisy], identify(noisy, n_modes=1).model).p_value)
     # Half of all draws lie above 0.5 where the test is right.
     assert np.median(chances) > 0.1
-
-
-def moved_hub(seed: int, encoder: float, hardening: float = 0.0) -> TimeRecord:
-    """Return two points of a mode of 4.4 Hz on a hub that moves five times, seen by an encoder with noise."""
-    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 1e-3)
-    hub, omega = np.zeros(len(t)), 2.0 * np.pi * 4.4
-    for begin, distance in ((1.0, 0.02), (3.5, -0.04), (6.0, 0.035), (8.5, -0.025), (11.0, 0.01)):
-        share = np.clip((t - begin) / 0.35, 0.0, 1.0)
-        hub += distance * (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5)
-    push = -1.5 * np.gradient(np.gradient(hub, t), t)
-    system = ([[0.0, 1.0], [-(omega**2), -0.01 * omega]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
-    _, swing, _ = lsim(system, push, t)
-    for _ in range(4 if hardening else 0):  # to first order and on: the spring's force as one more push
-        _, swing, _ = lsim(system, push - hardening * omega**2 * swing**3 / np.max(np.abs(swing)) ** 2, t)
-    frames = np.arange(5, len(t), 10)
-    drive = InputSignal(
-        "hub", "m", (0.0, 1e-3), hub + encoder * rng.standard_normal(len(t)), "linear", sigma=encoder
-    )
-    outputs = [
-        OutputSignal(name, "m", t[frames], values[frames] + 5e-6 * rng.standard_normal(len(frames)))
-        for name, values in (("tip", hub + swing), ("middle", hub + 0.6 * swing))
-    ]
-    return TimeRecord((drive,), tuple(outputs))
 
 
 @pytest.mark.parametrize("encoder", [2e-6, 2e-5])
