@@ -9,6 +9,7 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.axis.axis_record import AxisRecord
+from beam_ident.axis.axis_result import AxisTerm
 from beam_ident.axis.inverse_dynamics import NAMES, InverseDynamicsFit, fit_inverse_dynamics
 from beam_ident.errors import EstimationError
 
@@ -32,6 +33,18 @@ def negative_friction(estimates: FloatArray, covariance: FloatArray) -> list[str
     if estimates[2] < -_APART * np.sqrt(covariance[2, 2]):
         return ["the dry friction comes out negative: check the signs of force and position"]
     return []
+
+
+def of_terms(terms: Sequence[AxisTerm]) -> list[str]:
+    """Return a warning where the record shows forces that the model lacks."""
+    if not terms:
+        return []
+    named = " and ".join(term.name for term in terms)
+    return [
+        f"forces that the model lacks go with {named}: mass and friction take up what of them goes with the motion, "
+        "and may err by many of their deviations. Look for a spring, a cable, a slope or a gearing beside the axis; "
+        "shorter and faster moves show less of what goes with the position"
+    ]
 
 
 def of_jumps(records: Sequence[AxisRecord]) -> list[str]:

@@ -447,6 +447,7 @@ def _result(
         # Inverse dynamics know of no spring.
         warnings += axis_doubts.of_methods(*in_all, other_estimates, other_covariance)
     check = _checked(records, chosen.parameters, simulated.residuals if is_output_error else (), is_fit=True)
+    warnings += axis_doubts.of_terms(check.terms)
     names, estimates, covariance = _with_stiffness(names, estimates, covariance, chosen.parameters)
     if mass is not None:
         estimates, covariance = _scaled(names, estimates, covariance, mass, mass_sd)

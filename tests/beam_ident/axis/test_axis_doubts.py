@@ -35,6 +35,20 @@ def test_what_changes_the_force_is_named(change: Callable[[np.ndarray], np.ndarr
     assert [words in warning for warning in named] == [True] * bool(words)
 
 
+def test_a_cable_beside_the_axis_is_named() -> None:
+    record = DrivenAxis(duration_s=8.0).record(1)
+    drive, (position,) = record.input("force"), record.outputs
+    stiffness = 0.05 * np.std(drive.values) / np.std(position.values)
+    pulled = replace(drive, values=drive.values + stiffness * position.values[: len(drive.values)])
+    found = identify_axis(TimeRecord((pulled,), record.outputs))
+    mass, sd = found.estimates[0], found.standard_deviations[0]
+    # It takes k/omega^2 off the mass, of which the intervals know nothing.
+    assert abs(mass - DrivenAxis().truth[0]) > 3.0 * sd
+    assert any("go with the position" in warning for warning in found.warnings), found.warnings
+    own = identify_axis(record, force="force")
+    assert not any("go with" in warning for warning in own.warnings)
+
+
 def one_wild(y: np.ndarray) -> np.ndarray:
     return np.where(np.arange(len(y)) == 4321, y + 0.02, y)
 
