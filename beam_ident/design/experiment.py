@@ -325,8 +325,8 @@ class _Design:
         few = slice(None, None, _SEARCHED)
         seen = [SeenLines(own, recipe, self.limits, self.observation) for own in self.models[few]]
         start = np.concatenate([effective * np.cos(phases), effective * np.sin(phases)])
-        best = refined(self._criteria(), seen, LimitedLines(recipe, self.limits_of[few]), start)
-        effective, phases = amplitudes_and_phases(best)
+        limited = LimitedLines(recipe, self.limits_of[few])
+        effective, phases = amplitudes_and_phases(refined(self._criteria(), seen, limited, start), limited)
         audible = effective > 0.0
         recipe = self._recipe(lines[kept][audible], effective[audible], phases[audible], active_s)
         return self.candidate(self.loudest_of(recipe))
@@ -344,10 +344,11 @@ class _Design:
         self, lines_hz: FloatArray, effective: FloatArray, phases: FloatArray, active_s: float
     ) -> ShapedMultisine:
         """Return the recipe of some lines, in few digits."""
-        rounded = np.maximum(np.round(effective / np.max(effective), _DIGITS), 10.0**-_DIGITS)
+        shares = effective / np.max(effective)
+        rounded = [round(float(share), _DIGITS - math.floor(math.log10(share))) for share in shares]
         return ShapedMultisine(
             tuple(np.round(lines_hz, _DIGITS).tolist()),
-            tuple(rounded.tolist()),
+            tuple(rounded),
             tuple(np.round(phases, _DIGITS).tolist()),
             1.0,
             active_s,

@@ -143,6 +143,11 @@ class Observation:
                 raise ExcitationError(
                     f"observation: {name} is {getattr(self, name)!r}; expected a number >= 0"
                 )
+        if self.exposure_s * self.rate_hz > 1.0 + 1e-6:
+            raise ExcitationError(
+                f"observation: exposure_s is {self.exposure_s!r}; expected at most {1.0 / self.rate_hz:.4g} s, from "
+                f"one frame to the next at {self.rate_hz:g} Hz: give it in seconds"
+            )
 
     def noise_of(self, names: Sequence[str]) -> FloatArray:
         """Return the standard deviations of some outputs, shape (n_outputs,).

@@ -35,7 +35,7 @@ _INSTANTS = 16384  # of each limited quantity at most; the level is found from a
 _IN_A_PERIOD = 5.0  # instants of the fastest line: between fewer, refined peaks hide
 _FRAMES = 500  # that stand for all of a long record
 _PLACE_SEED = 1
-_FAINT = 1e-3  # of the largest amplitude: a line below is left out
+_FAINT = 1e-3  # of the largest acceleration and of the largest share in a limited quantity: a line below is left out
 
 
 def _chosen(places: IndexArray, most: int) -> IndexArray:
@@ -201,6 +201,12 @@ class LimitedLines:
             rows.append(np.concatenate([own.over_time(values)[:, at].ravel() for own in limits]))
         self._rows = np.stack(rows, axis=1).astype(np.float32)
 
+    @property
+    def sizes(self) -> FloatArray:
+        """Peak of a line of effective value 1 m/s^2 over the limit that it comes closest to, shape (n_lines,)."""
+        both = np.max(np.abs(self._rows), axis=0).astype(np.float64)
+        return np.asarray(np.max(both.reshape(2, -1), axis=0))
+
     def log_peak(self, x: FloatArray, power: int) -> tuple[float, FloatArray]:
         """Return the logarithm of the L_p norm of all quantities over their limits, and its slopes by x."""
         values = (self._rows @ x.astype(np.float32)).astype(np.float64)
@@ -252,9 +258,11 @@ def refined(
     return np.asarray(x, dtype=np.float64)
 
 
-def amplitudes_and_phases(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def amplitudes_and_phases(x: FloatArray, limited: LimitedLines) -> tuple[FloatArray, FloatArray]:
     """Return the effective values and the phases [rad] of lines from their sines and cosines; faint ones are 0."""
     sines, cosines = np.split(x, 2)
     amplitudes = np.hypot(sines, cosines)
-    kept = amplitudes > _FAINT * np.max(amplitudes)
+    # At a resonance little acceleration moves a tip far.
+    moved = amplitudes * limited.sizes
+    kept = (amplitudes > _FAINT * np.max(amplitudes)) | (moved > _FAINT * np.max(moved))
     return np.where(kept, amplitudes, 0.0), np.mod(np.arctan2(cosines, sines), 2.0 * np.pi)

@@ -12,8 +12,11 @@ from beam_ident import (
     AxisLimits,
     ExcitationError,
     ExcitationLimitError,
+    ExcitationLimits,
     ExperimentDesign,
     InputSignal,
+    LimitedResponse,
+    ModalModel,
     OutputSignal,
     TimeRecord,
     design_experiment,
@@ -119,7 +122,7 @@ def test_estimates_scatter_as_predicted(uncertain: ExperimentDesign):
         ({"observation": replace(OBSERVATION, noise_sd={"low": 1e-6})}, "names no tip"),
         ({"frequency_sd": -1.0}, "frequency_sd"),
         ({"criterion": "c:zeta_7"}, "no such parameter"),
-        ({"observation": replace(OBSERVATION, exposure_s=1.0 / 21.0)}, "averages whole cycles"),
+        ({"observation": replace(OBSERVATION, rate_hz=20.0, exposure_s=1.0 / 21.0)}, "averages whole cycles"),
         (
             {"model": replace(two_modes(), residues=np.array([[0.2, 0.0], [1.5, 0.0]]))},
             "the mode at 21 Hz shows in no output",
@@ -139,3 +142,33 @@ def test_limits_that_leave_no_excitation_are_named_with_what_would_do():
     tiny = replace(limits(two_modes()), axis=AxisLimits(travel=1e-9, acceleration=4.0))
     with pytest.raises(ExcitationLimitError, match=r"the limit of travel binds\. Raise it by a factor of"):
         design(limits=tiny)
+
+
+def test_a_design_that_the_tip_alone_limits_beats_the_usual_ones() -> None:
+    # At 45 Hz the tip hardly moves with the base: next to it, lines at the first resonance have little acceleration.
+    model = ModalModel(
+        structure="base_motion",
+        input_name="hub",
+        output_names=("tip",),
+        natural_frequencies=2.0 * np.pi * np.array([4.4, 28.3]),
+        damping_ratios=np.array([0.005, 0.005]),
+        residues=np.array([[1.5, -0.75]]),
+        residual_terms=np.zeros(1),
+        gains=np.ones(1),
+        latency=0.0,
+        clock_rate=0.0,
+        covariance=np.zeros((10, 10)),
+        noise_sd=np.ones(1),
+    )
+    found = design(
+        model=model,
+        limits=ExcitationLimits(AxisLimits(), [LimitedResponse(model, {"tip": 0.03})]),
+        observation=Observation(100.0, {"tip": 5e-6}, 5e-3, input_sd=3e-8),
+    )
+    assert found.gain < 0.8
+    assert found.optimal.value < 0.8 * found.multisine.value
+
+
+def test_an_exposure_longer_than_a_frame_is_refused() -> None:
+    with pytest.raises(ExcitationError, match=r"exposure_s is 5\.0; expected at most 0\.01 s"):
+        Observation(100.0, {"tip": 5e-6}, 5.0)

@@ -88,7 +88,7 @@ def test_refined_lines_tell_more_within_the_same_limits():
     start = quadratures(RECIPE)
     seen, lines = SeenLines(model, RECIPE, own, OBSERVATION), LimitedLines(RECIPE, [own])
     best = refined([(1.0, Criterion("D"), np.eye(14)[:, :4])], [seen], lines, start)
-    effective, phases = amplitudes_and_phases(best)
+    effective, phases = amplitudes_and_phases(best, lines)
 
     def value(recipe: ShapedMultisine) -> float:
         loudest = replace(recipe, acceleration=recipe.acceleration / max(own.shares(recipe).values()))
@@ -100,3 +100,13 @@ def test_refined_lines_tell_more_within_the_same_limits():
     assert value(found) < 0.6 * value(RECIPE)
     # Hardly a peak hides between the instants that are looked at, five in a period of the fastest line.
     assert np.exp(lines.log_peak(best, 1024)[0]) == pytest.approx(max(own.shares(found).values()), rel=0.05)
+
+
+def test_a_line_is_faint_where_it_moves_nothing():
+    lines = LimitedLines(RECIPE, [limits(two_modes())])
+    resonance, fast = LINES.index(4.9), LINES.index(30.0)
+    assert lines.sizes[resonance] > 3.0 * lines.sizes[fast]
+    x = np.zeros(2 * len(LINES))
+    x[fast], x[resonance], x[0] = 1.0, 9e-4, 1e-9
+    effective, _ = amplitudes_and_phases(x, lines)
+    assert np.flatnonzero(effective).tolist() == [resonance, fast]
