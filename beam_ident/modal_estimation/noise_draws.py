@@ -20,6 +20,7 @@ from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, Observations
+from beam_ident.modal_estimation.variable_projection import MIN_DAMPING
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.sensing.stamp_jitter import StampJitter
 
@@ -36,6 +37,26 @@ class FitPoint:
     zetas: FloatArray
     clock: ClockState
     coefficients: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Stride:
+    """A step that is no longer than half the width of a resonance, and half as far whenever one takes the last back.
+
+    So far the model goes along its derivatives; and a drawn score has no cost that could tell a step too long.
+    """
+
+    change: FloatArray
+    share: float = 1.0
+
+    def following(self, change: FloatArray, point: FitPoint) -> Stride:
+        """Return the step after this one, of the change that the score asks for at a point."""
+        n = len(point.omegas)
+        widths = np.tile(np.maximum(point.zetas, MIN_DAMPING), 2)
+        farthest = float(np.max(np.abs(change[: 2 * n]) / widths, initial=0.0))
+        takes_back = float(change[: 2 * n] @ self.change[: 2 * n]) < 0.0
+        share = 0.5 * self.share if takes_back else min(2.0 * self.share, 1.0)
+        return Stride(change * share / max(2.0 * farthest, 1.0), share)
 
 
 @dataclass(frozen=True, eq=False)

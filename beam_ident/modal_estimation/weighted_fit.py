@@ -37,7 +37,7 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
-from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, NoiseScore
+from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, NoiseScore, Stride
 from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
 from beam_ident.noise.autoregression import ScoreCovariance, autoregression
@@ -207,7 +207,7 @@ class WeightedFit:
         travelled = np.zeros(len(fit.covariance))
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
-        looks, before = 0, np.zeros(len(fit.covariance))
+        looks, stride = 0, Stride(np.zeros(len(fit.covariance)))
         is_slow = self._follows or self._is_driven_by_noise
         for step in range(1, (_MAX_SLOW_STEPS if is_slow else _MAX_STEPS) + 1):
             # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
@@ -219,7 +219,8 @@ class WeightedFit:
             if noise is not None:
                 inverse = _without_feigned(inverse, noise.information)
                 change = inverse @ (design.T @ right - noise.mean)
-                before = change = _careful(change, before, point)
+                stride = stride.following(change, point)
+                change = stride.change
             travelled += change
             # Hausman's comparison: under the right noise both estimates differ by no more than both scatter.
             if not np.max(np.abs(travelled / reach)[: self.n_theta], initial=0.0) < farthest:
@@ -698,19 +699,6 @@ class WeightedFit:
             return ()
         said = [str(own) if own.sd_s > 0.0 else "" for own in self.jitters]
         return tuple(tuple(said[record] for record, _ in own) for own in self.regression.segments)
-
-
-def _careful(change: FloatArray, before: FloatArray, point: FitPoint) -> FloatArray:
-    """Return a step no longer than half the width of a resonance, and half of one that takes the one before it back.
-
-    So far the model goes along its derivatives; and a drawn score has no cost that could tell a step too long.
-    """
-    n = len(point.omegas)
-    farthest = np.max(np.abs(change[: 2 * n]) / np.tile(np.maximum(point.zetas, MIN_DAMPING), 2), initial=0.0)
-    shorter = 1.0 / max(2.0 * float(farthest), 1.0)
-    if float(change[: 2 * n] @ before[: 2 * n]) < 0.0:
-        shorter *= 0.5
-    return change * shorter
 
 
 def _without_feigned(inverse: FloatArray, noise: FloatArray) -> FloatArray:

@@ -286,6 +286,7 @@ class IdentificationTask:
         has_asked = False  # every output by itself
         looks_inside = is_persistent = True
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
+        before_idle, dropped = known, set[str]()
         most = _CLOCK_TURNS * len(records[0].outputs)
         for turn in range(most):
             shifted = [on_common_clock(one, clocks) for one in measured]
@@ -320,10 +321,14 @@ class IdentificationTask:
                 search, weighed = known
                 missing = "a further look for clocks that outputs have of their own"
                 weighed, further = search.unfinished(weighed, stop, missing), {}
+            if before_idle is not None and further and dropped.issuperset(further):
+                search, weighed = before_idle  # without them they are asked for again
+                break
             if not further:
-                idle = search.clocks.idle(weighed.fit) if goes_on else []
+                idle = set(search.clocks.idle(weighed.fit)) - dropped if goes_on else set()
                 if not idle:
                     break
+                before_idle, dropped = known, dropped | idle
                 clocks = {name: own for name, own in clocks.items() if name not in idle}
             clocks |= {
                 name: clocks.get(name, OwnClock()).moved(own.delay, own.rate) for name, own in further.items()

@@ -7,7 +7,7 @@ import pytest
 
 from beam_ident import InputSignal, ModalStructure, OutputSignal, TimeRecord
 from beam_ident.modal.regression import ClockState, ModalRegression, forced_columns
-from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws
+from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, Stride
 from beam_ident.noise.input_noise import Smoothing
 
 STRUCTURE = ModalStructure(
@@ -58,3 +58,16 @@ def test_draws_know_the_moments_of_noise_that_derivatives_and_residuals_share():
     np.testing.assert_allclose(score.mean_error, score.scatter / 16.0)
     longer = score.of_longer(3.0)
     np.testing.assert_allclose(longer.scatter + longer.mean_error, (3.0 + 9.0 / 16.0) * score.scatter)
+
+
+@pytest.mark.parametrize("overshoot", [1.0, 3.0, 6.0, 40.0])
+def test_strides_settle_where_every_step_goes_too_far(overshoot):
+    root, point = np.array([20.3, 0.04]), np.array([20.0, 0.05])
+    stride = Stride(np.zeros(2))
+    for _ in range(25):
+        here = FitPoint(point[:1], point[1:], ClockState(0.0, 0.0), ())
+        error = (root - point) / [point[0], 1.0]
+        stride = stride.following(overshoot * error, here)
+        assert np.abs(stride.change).max() <= 0.5 * point[1] + 1e-12
+        point = point + stride.change * [point[0], 1.0]
+    assert point == pytest.approx(root, rel=1e-4)
