@@ -145,6 +145,25 @@ def mode_warnings(fit: ModalFit, problem: ModalProblem, band: Band) -> list[str]
     return warnings
 
 
+def crowd(fit: ModalFit, problem: ModalProblem, band: Band) -> list[int]:
+    """Return three modes or more of the same shape in the half-power band of the sharpest of them; or none.
+
+    No structure has them. Poles make them of a mode whose frequency or damping goes with the amplitude.
+    """
+    for group in _alike(fit, problem, band):
+        for sharpest in group:
+            width = 2.0 * fit.zetas[sharpest] * fit.omegas[sharpest]
+            near = [
+                mode
+                for mode in group
+                if fit.zetas[mode] >= fit.zetas[sharpest]
+                and abs(fit.omegas[mode] - fit.omegas[sharpest]) < width
+            ]
+            if len(near) > 2:
+                return near
+    return []
+
+
 def _alike(fit: ModalFit, problem: ModalProblem, band: Band) -> list[list[int]]:
     """Return groups of modes that overlap, each with another of its group, and have the same shape."""
     column = 0 if band.is_excited else problem.n_forced

@@ -32,7 +32,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.identification_result import OrderEntry
 from beam_ident.modal.regression import ClockState
-from beam_ident.modal_estimation.mode_gates import mode_complaint, mode_significance
+from beam_ident.modal_estimation.mode_gates import crowd, mode_complaint, mode_significance
 from beam_ident.modal_estimation.mode_scan import Candidate
 from beam_ident.modal_estimation.variable_projection import SINGULAR, ModalProblem, fit_modes
 from beam_ident.noise.scores import Scores
@@ -140,6 +140,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.is_better_inside = False  # whether one of them led to a better end
         self.is_persistent = True  # whether the search goes on past orders that are not believed
         self.is_worth_persisting = False  # whether that has led to one that is
+        self.is_curved = False  # whether poles crowd where one that goes with the amplitude may stand
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -238,7 +239,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         is_believed = self.chosen is self._believed[0] and not self._is_unsettled
         if n_modes is None and self.is_persistent and not is_believed:
             try:
-                if self._settle(limit):
+                if not self.is_curved and self._settle(limit):
                     self.is_worth_persisting = True
                     ended = self._extend(None, limit)
                 self.chosen, self.chosen_entry = self._believed
@@ -377,7 +378,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 trial = self.untangled(trial)
             refusal = self._refusal(trial, current, n_modes is not None)
             is_open = trial.reason != HOPELESS and not trial.converged
-            if refusal and is_open and self._bic(trial) < self._bic(current):
+            is_better = self._bic(trial) < self._bic(current)
+            if refusal and is_open and is_better:
                 self.doubt()
             self.entries.append(self._entry(trial, refusal))
             if not refusal or n_modes is not None:
@@ -385,13 +387,16 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
                 self._is_unsettled = False
                 return True
-            if trial.reason != HOPELESS and self._bic(trial) < self._bic(current):
+            if is_better and len(self._believed[0].omegas) and crowd(trial, self.problem, self.band):
+                self.is_curved = True
+            if trial.reason != HOPELESS and is_better:
                 self._is_unsettled |= not trial.converged
                 if trial.information_condition < SINGULAR:
                     doubted.append((trial, len(self.entries) - 1))
             excluded.append(candidates[place].omega)
         patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
-        if not self.is_persistent or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
+        goes_on = self.is_persistent and not self.is_curved
+        if not goes_on or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
             return False
         self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
         return True
@@ -475,6 +480,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def _refusal(self, trial: ModalFit, current: ModalFit, is_given: bool) -> str:
         if trial.reason == HOPELESS:
             return "not worth its parameters by BIC"
+        if not is_given and (near := crowd(trial, self.problem, self.band)):
+            hertz = trial.omegas[near[0]] / (2.0 * np.pi)
+            return f"{len(near)} poles at {hertz:.4g} Hz move alike, as one does that goes with the amplitude"
         if not trial.converged:
             return f"the fit did not converge: {trial.reason}"
         for mode in range(len(trial.omegas)):

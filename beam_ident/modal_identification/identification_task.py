@@ -301,6 +301,9 @@ class IdentificationTask:
                 try:
                     search, weighed = self._finished(search, regression)
                 except EstimationError as err:
+                    if known is not None:  # no mode was believed without the clocks that it needs
+                        search, weighed = known
+                        break
                     gaps = gap_sentences(search.plain)
                     if not gaps:
                         raise

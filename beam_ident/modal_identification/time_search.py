@@ -410,7 +410,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
 
     def further_clocks(self, weighed: Weighed[ModalRegression]) -> dict[str, OwnClock]:
         """Return what is to be added to the clocks that outputs have of their own, by name."""
-        if not self.band.is_excited:
+        if not self.band.is_excited or self.is_curved:  # what a curve leaves is late at some outputs
             return {}
         fit, regression = weighed.fit, weighed.problem
         names = regression.output_names
@@ -529,6 +529,7 @@ class LongSearch(TimeSearch):
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
         self.is_persistent, self.is_worth_persisting = before.is_persistent, before.is_worth_persisting
+        self.is_curved = before.is_curved
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
         """Return the best place over the input's band, refined, if all stamps say that it may be worth a fit."""
