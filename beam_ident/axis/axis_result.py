@@ -203,13 +203,17 @@ class AxisResult:
 
     def summary(self) -> str:
         """Return a table of the parameters with standard deviations and 95 % intervals, and what to know of them."""
-        lines = [f"{'':34}{'estimate':>12}{'sd':>10}{'95 % from':>12}{'to':>12}"]
+        rows = [("", "estimate", "sd", "95 % from", "to")]
         for name, unit, value, sd in zip(
             self.names, self.units, self.estimates, self.standard_deviations, strict=True
         ):
-            label = f"{meaning_of(name)} [{unit}]"
-            ends = f"{value - 1.96 * sd:>12.6g}{value + 1.96 * sd:>12.6g}"
-            lines.append(f"{label:34}{value:>12.6g}{sd:>10.2g}{ends}")
+            ends = f"{value - 1.96 * sd:.6g}", f"{value + 1.96 * sd:.6g}"
+            rows.append((f"{meaning_of(name)} [{unit}]", f"{value:.6g}", f"{sd:.2g}", *ends))
+        label, *numbers = (max(map(len, column)) for column in zip(*rows, strict=True))
+        lines = []
+        for first, *cells in rows:
+            told = [f"{cell:>{width}}" for cell, width in zip(cells, numbers, strict=True)]
+            lines.append("  ".join([f"{first:{label}}", *told]))
         lines.append(
             f"{self.method.replace('_', ' ')}, {self.n_samples} positions in {self.n_pieces} stretches of motion"
         )

@@ -387,7 +387,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
                 self._is_unsettled = False
                 return True
-            if is_better and len(self._believed[0].omegas) and crowd(trial, self.problem, self.band):
+            if is_better and current is self._believed[0] and n and crowd(trial, self.problem, self.band):
                 self.is_curved = True
             if trial.reason != HOPELESS and is_better:
                 self._is_unsettled |= not trial.converged

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -201,6 +202,8 @@ def test_a_spring_between_drive_and_hub_is_found_from_the_drives_encoder_without
     # Two masses on a spring: omega^2 = k (1/m_d + 1/m_h).
     omega = np.sqrt(1e6 * (1.0 / 20.0 + 1.0 / (SPRUNG.mass - 20.0)))
     assert found.drive_resonance == pytest.approx(omega, rel=0.02)
+    table = found.summary().splitlines()[1 : 1 + len(found.names)]
+    assert [len(re.split(r"\s{2,}", row)) for row in table] == [5] * len(found.names)
     assert "compliant" in found.summary()
     assert found.check.is_white
     # What is left of a new record is the encoder's noise, a tenth wider by the errors of the parameters.
