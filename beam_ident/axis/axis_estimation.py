@@ -328,6 +328,8 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
         rough = fit_inverse_dynamics(records, start.delay, (*NAMES, *further)).parameters
         other = AxisOutputError(pieces, _possible(rough, start.mass), (*NAMES, *further)).fit()
         full = other if other.is_noise else full
+    if not full.state.cost < plain.state.cost:
+        return plain  # what can do more ended worse, as from a delay that noise made likely
     needed = full.needed(further, sum(piece.n_samples for _, piece in pieces))
     if "delay" in needed:
         full = _at_likeliest_delay(pieces, full)
@@ -337,7 +339,8 @@ def _output_error(records: Sequence[AxisRecord], start: MassAndFriction, further
     if not needed:
         return plain
     begin = full.parameters.changed({name: start.value(name) for name in further if name not in needed})
-    return AxisOutputError(pieces, begin, (*NAMES, *needed)).fit()
+    found = AxisOutputError(pieces, begin, (*NAMES, *needed)).fit()
+    return found if found.state.cost < plain.state.cost else plain
 
 
 def _at_likeliest_delay(pieces: Sequence[tuple[AxisRecord, Piece]], fit: AxisFit) -> AxisFit:

@@ -95,6 +95,15 @@ def test_a_late_servo_that_feeds_noise_back_leaves_no_false_delay(seed: int) -> 
     assert np.max(np.abs(found.other_estimates - axis.truth) / found.other_sd) < 4.0
 
 
+@pytest.mark.parametrize("seed", [124, 143])
+def test_noise_that_makes_a_delay_likely_leaves_no_false_delay(seed: int) -> None:
+    """The fit with it ends in an optimum that leaves more than the fit without it."""
+    axis = DrivenAxis(noise=5e-5)
+    found = identify_axis(axis.record(seed), force="force")
+    assert "delay" not in found.names
+    assert np.max(np.abs(found.estimates[:4] - axis.truth) / found.standard_deviations[:4]) < 4.0
+
+
 def test_a_known_mass_turns_a_current_into_newtons() -> None:
     record = SHORT.record(5)
     current = InputSignal("current", "A", (0.0, SHORT.period_s), record.inputs[0].values / 7.5)
