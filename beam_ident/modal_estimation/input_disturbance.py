@@ -27,11 +27,14 @@ from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, expm, lapack
 
 from beam_ident.arrays import BoolArray, FloatArray, IndexArray
-from beam_ident.data.records import InputSignal
+from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure
-from beam_ident.noise.input_noise import Smoothing
+from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.numerics.state_recursion import StateRecursion
+
+NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 
 _SETTLED = 1e-9  # relative change from step to step below which the filter's gains are kept
 _TIME_RESOLUTION_S = 1e-7  # steps between stamps that differ by less share a transition
@@ -349,6 +352,44 @@ class InputDisturbance:
         for _ in range(order):
             result = -np.gradient(result, instants if period is None else period)
         return result
+
+
+def noise_shares(model: ModalModel, drive: InputSignal, smoothing: Smoothing | None = None) -> FloatArray:
+    """Return how much of every output's noise the noise on the input makes up, shape (n_outputs,)."""
+    if drive.sigma == 0.0:
+        return np.zeros(len(model.output_names))
+    omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive, smoothing)
+    return input_noise_share(model.frequency_response(omegas).response, omegas, drive, model.noise_sd)
+
+
+def disturbances_by_record(
+    regression: ModalRegression,
+    records: Sequence[TimeRecord],
+    omegas: FloatArray,
+    zetas: FloatArray,
+    shared: FloatArray,
+    latency: float,
+    smoothing: Smoothing,
+) -> list[tuple[InputDisturbance, Observations]]:
+    """Return the noise of every record's input as modes pass it to the outputs, and where it is seen.
+
+    Parameters
+    ----------
+    shared : ndarray, shape (n_outputs, n_columns) -- linear parameters that all records share
+    """
+    result = []
+    for index, (record, drive) in enumerate(zip(records, regression.drives, strict=True)):
+        exposures = np.array(
+            [
+                record.output(name).exposure_s if name in record.output_names else 0.0
+                for name in regression.output_names
+            ]
+        )
+        disturbance = InputDisturbance(
+            drive, regression.structure, omegas, zetas, shared, exposures, smoothing
+        )
+        result.append((disturbance, Observations.of_record(regression, index, latency)))
+    return result
 
 
 def _runs(kinds: IndexArray) -> list[tuple[int, int]]:

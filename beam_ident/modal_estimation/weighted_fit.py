@@ -36,7 +36,12 @@ from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
-from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
+from beam_ident.modal_estimation.input_disturbance import (
+    DisturbanceFilter,
+    InputDisturbance,
+    Observations,
+    disturbances_by_record,
+)
 from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, NoiseScore, Stride
 from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
@@ -480,23 +485,11 @@ class WeightedFit:
 
     def _disturbances(self, point: FitPoint) -> list[tuple[InputDisturbance, Observations]]:
         """Return the noise of every record's input and where it is seen."""
-        regression = self._driven
         assert self.smoothing is not None
         shared = np.array([found[: self.n_shared] for found in point.coefficients])
-        result = []
-        for index, drive in enumerate(regression.drives):
-            names = [o.name for o in self.records[index].outputs]
-            exposures = np.array(
-                [
-                    self.records[index].output(name).exposure_s if name in names else 0.0
-                    for name in regression.output_names
-                ]
-            )
-            disturbance = InputDisturbance(
-                drive, regression.structure, point.omegas, point.zetas, shared, exposures, self.smoothing
-            )
-            result.append((disturbance, Observations.of_record(regression, index, point.clock.latency)))
-        return result
+        return disturbances_by_record(
+            self._driven, self.records, point.omegas, point.zetas, shared, point.clock.latency, self.smoothing
+        )
 
     def _adjust_variances(
         self, white: list[FloatArray], residuals: Sequence[FloatArray], least_share: float

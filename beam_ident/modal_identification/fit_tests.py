@@ -18,7 +18,6 @@ from beam_ident.modal.identification_result import OutputFit
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
-from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import ScoreTest, are_rounding
 from beam_ident.sensing.misfit_causes import bent_input_warning, input_misfit_warnings
@@ -162,14 +161,6 @@ def no_body_alone(
         f"({', '.join(shares)}): input and output are swapped, the structure is not that of the sensors and their "
         "units, or modes lie outside the band."
     ]
-
-
-def noise_shares(model: ModalModel, drive: InputSignal, smoothing: Smoothing | None = None) -> FloatArray:
-    """Return how much of every output's noise the noise on the input makes up, shape (n_outputs,)."""
-    if drive.sigma == 0.0:
-        return np.zeros(len(model.output_names))
-    omegas = noise_grid(model.frequencies_hz, model.damping_ratios, drive, smoothing)
-    return input_noise_share(model.frequency_response(omegas).response, omegas, drive, model.noise_sd)
 
 
 def rate_warnings(found: float, known: Prior) -> list[str]:

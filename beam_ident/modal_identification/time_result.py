@@ -18,6 +18,7 @@ from beam_ident.modal.identification_result import IdentificationResult, OrderEn
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import MAX_WHOLE, ModalRegression
 from beam_ident.modal_estimation.free_base import FrictionEstimate
+from beam_ident.modal_estimation.input_disturbance import noise_shares
 from beam_ident.modal_estimation.mode_gates import gain_warnings, mode_complaint, mode_warnings
 from beam_ident.modal_estimation.mode_search import (
     Weighed,
@@ -31,7 +32,6 @@ from beam_ident.modal_identification.fit_tests import (
     bent_input,
     left_out_motion,
     no_body_alone,
-    noise_shares,
     rate_warnings,
 )
 from beam_ident.modal_identification.signal_clocks import SignalClocks, clock_sentence

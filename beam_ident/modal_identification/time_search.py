@@ -25,6 +25,7 @@ from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.free_base import NO_BODY
+from beam_ident.modal_estimation.input_disturbance import NEGLIGIBLE_SHARE, noise_shares
 from beam_ident.modal_estimation.mode_gates import mode_complaint
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
@@ -57,7 +58,6 @@ from beam_ident.modal_identification.fit_tests import (
     THINNED,
     VISIBLE_SHARE,
     SampledFit,
-    noise_shares,
     unrelated,
 )
 from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
@@ -68,7 +68,6 @@ from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.sensing.stamp_jitter import is_any
 from beam_ident.sensing.still_noise import StillNoise
 
-_NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
@@ -380,7 +379,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         smoothing = None
         shares = [noise_shares(model.path(drive.name), drive) for drive in regression.drives]
         self._release()
-        is_noisy = bool(np.max(shares) > _NEGLIGIBLE_SHARE)
+        is_noisy = bool(np.max(shares) > NEGLIGIBLE_SHARE)
         if self._may_weigh_input and (is_noisy or is_any(stamp_jitters(regression, fit))):
             # Where only the stamps scatter the input is taken as it is.
             smoothing = Smoothing(self.band.high_hz if is_noisy else math.inf)

@@ -163,8 +163,8 @@ def strip_in_air(drag: float = 2.0, noise: float = 1e-6) -> TimeRecord:
     seen_at = t[frames] + 3e-4 * rng.standard_normal(len(frames))
     encoder = hub + noise * rng.standard_normal(len(t))
     outputs = [
-        OutputSignal(name, "m", t[frames], np.interp(seen_at, t, hub + shape * swing) + noise)
-        for name, shape, noise in zip(
+        OutputSignal(name, "m", t[frames], np.interp(seen_at, t, hub + shape * swing) + own)
+        for name, shape, own in zip(
             ("root", "middle", "tip"),
             (0.004, 0.8, 1.0),
             5e-6 * rng.standard_normal((3, len(frames))),
