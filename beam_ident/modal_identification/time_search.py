@@ -251,9 +251,11 @@ class TimeSearch(ModeSearch[ModalRegression]):
         for search in searches:
             fit = known
             if search is not reference:
-                # Poles that move before the clock has make up for it: first the clock, then both.
-                clock = moved_alone(search.scan.regression, known)
-                fit = search.untangled(search.fit(known.omegas, known.zetas, clock))
+                # Poles that move before the clock has make up for it: first the clock, then both. Poles that are a
+                # little off ask for another clock, too, where free motion takes its place: it must be the better one.
+                clocks = known.clock, moved_alone(search.scan.regression, known)
+                starts = [search.fit(known.omegas, known.zetas, clock) for clock in clocks]
+                fit = search.untangled(min(starts, key=lambda start: start.cost))
             if fit.converged:
                 fits[search.plain.output_names[0]] = fit
         if clocks := contradicting_clocks(fits):

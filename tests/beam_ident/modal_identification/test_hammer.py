@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
-from beam_ident import identify
+from beam_ident import InputSignal, OutputSignal, TimeRecord, identify
 from benchmarks.ident.hammer import OMEGAS, RESIDUES, ZETAS, Hammer
 
 
@@ -61,3 +62,27 @@ def test_a_record_that_begins_with_a_blow_in_motion_is_not_taken_from_rest():
     assert model.n_modes == 3
     assert np.max(np.abs(model.natural_frequencies - OMEGAS) / model.natural_frequency_sd) < 4.0
     assert np.max(np.abs(model.damping_ratios - ZETAS) / model.damping_ratio_sd) < 4.0
+
+
+def test_close_modes_that_settle_slowly_give_no_sensor_a_delay():
+    # Two modes 1.5 Hz apart settle late: the outputs are asked one by one, while free motion hides their clocks.
+    hertz, zetas = np.array([12.3, 47.1, 118.0, 119.5, 260.0]), 1e-3 * np.array([6, 4, 8, 6, 3])
+    residues = np.array([[1, 0.8, 0.5, -0.4, 0.3], [0.7, -0.9, 0.2, 0.6, -0.5], [0.3, -0.4, -0.7, 0.5, 0.6]])
+    tick, finer = 1.0 / 16384.0, 8
+    since = tick * np.arange(8192 * finer) - 0.01
+    blow = np.where((since > 0.0) & (since < 6e-3), 200.0 * np.sin(np.pi * since / 6e-3) ** 2, 0.0)
+    clean = 0.0
+    for hz, zeta, residue in zip(hertz, zetas, residues.T, strict=True):
+        omega = 2.0 * np.pi * hz
+        b, a, _ = cont2discrete(([1.0, 0.0, 0.0], [1.0, 2.0 * zeta * omega, omega**2]), tick, "foh")
+        clean = clean + lfilter(np.squeeze(b), a, blow)[::finer, None] * residue
+    noise = 0.01 * np.std(clean, axis=0) * np.random.default_rng(2).standard_normal(clean.shape)
+    times = since[::finer]
+    seen = [OutputSignal(f"p{j}", "m/s^2", times, own) for j, own in enumerate((clean + noise).T)]
+    found = identify(
+        TimeRecord((InputSignal("hammer", "N", times, blow[::finer], "linear"),), tuple(seen)), "accelerance"
+    )
+    np.testing.assert_array_equal(found.model.output_delays, 0.0)
+    assert not found.warnings
+    np.testing.assert_allclose(found.model.natural_frequencies, 2.0 * np.pi * hertz, rtol=1e-4)
+    np.testing.assert_allclose(found.model.damping_ratios, zetas, rtol=0.02)
