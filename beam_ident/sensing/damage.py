@@ -17,6 +17,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.noise.rounding import quantum
+from beam_ident.sensing.quantisation import clipped_input_warnings
 
 _STUCK = 20  # samples in a row
 _BY_CHANCE = 1e-6  # that rounding alone keeps a value for so long
@@ -29,7 +30,7 @@ _LATEST = 8  # samples by which a logger may echo an input
 
 
 def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
-    """Return what must be known of outputs that are stuck, repeated, copied or exposed too long, and of still inputs.
+    """Return what must be known of outputs stuck, repeated, copied or exposed too long, of inputs still or clipped.
 
     Parameters
     ----------
@@ -42,6 +43,7 @@ def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSigna
         for own in drives
         if own.values[0] != 0.0 and np.ptp(own.values) == 0.0
     ]
+    said += clipped_input_warnings(drives)
     seen = [(own.times_s[own.is_valid], own.values[own.is_valid]) for own in outputs]
     for k, output in enumerate(outputs):
         said += _of_channel(output.name, *seen[k])

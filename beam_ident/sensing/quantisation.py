@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.records import OutputSignal, TimeRecord
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import IdentificationError
 from beam_ident.noise.record_fit import RecordFit
 from beam_ident.noise.rounding import DITHER, dither, quantum
@@ -32,6 +32,8 @@ _MIN_BEYOND = 1e-6  # of the output's size: less is rounding
 _COARSE = 1000.0  # steps in the whole swing: with more, errors are below 0.03 % of it
 _MIN_SAMPLES = 32  # samples whose differences tell noise
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
+
+_FORCES = ("N", "mN", "kN")
 
 FitT = TypeVar("FitT")
 
@@ -178,6 +180,24 @@ def clipped_warnings(outputs: Sequence[OutputSignal]) -> list[str]:
         "the end of the sensor's range. Set them to NaN (not seen), and take a wider range."
         for output in outputs
         for limit, _ in _limits(output.values)
+    ]
+
+
+def clipped_input_warnings(drives: Sequence[InputSignal]) -> list[str]:
+    """Return which forces stand at an end of their range as if clipped; held ones are commands, which may stay.
+
+    Parameters
+    ----------
+    drives : sequence of InputSignal
+    """
+    return [
+        f"Clipped: {np.count_nonzero(own.values == limit)} samples of input {own.name} stand at {limit:.4g}, as at "
+        "the end of the sensor's range: what acted beyond it is missing, and gains, delays and modes make up for it. "
+        "Take a wider range, or leave out these blows."
+        for own in drives
+        if own.unit in _FORCES and own.hold != "zoh"
+        for limit, _ in _limits(own.values)
+        if limit != 0.0  # between blows
     ]
 
 

@@ -77,3 +77,13 @@ def test_masked_samples_are_missing_ones_and_no_numbers():
     assert InputSignal("u", "m", TIMES, counts, "linear").gaps
     with pytest.raises(RecordError, match="complex"):
         OutputSignal("y", "m", TIMES, masked + 0j)
+
+
+def test_a_force_at_the_end_of_its_sensor_is_named_and_a_commanded_one_is_not():
+    blow = 200.0 * np.sin(np.pi * np.clip((TIMES - 1.0) / 0.12, 0.0, 1.0)) ** 2
+    clipped = np.minimum(blow, 120.0)
+    said = said_of(DECAY, drives=(InputSignal("hammer", "N", TIMES, clipped, "linear"),))
+    assert said.startswith("Clipped: 5 samples of input hammer stand at 120")
+    assert not said_of(DECAY, drives=(InputSignal("hammer", "N", TIMES, blow, "linear"),))
+    assert not said_of(DECAY, drives=(InputSignal("drive", "N", TIMES, clipped, "zoh"),))
+    assert not said_of(DECAY, drives=(InputSignal("hub", "m", TIMES, clipped, "cubic"),))
