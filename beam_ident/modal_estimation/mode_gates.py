@@ -23,6 +23,7 @@ _MAX_FREQUENCY_SD = 0.02  # of the frequency: beyond this a pole says nothing
 _MISTAKEN_GAIN = 5.0  # standard deviations from zero: a gain that is known this well names a mistake
 _OTHER_UNIT = 30.0  # between what a calibration may be off and a factor of 1000
 _SIGNIFICANCE = 1e-6  # level at which a mode's residues must differ from zero
+_DECAYS = 4.0  # standard deviations of the damping from zero: free motion of less may be a tone
 _SAME_SHAPE = 0.98  # modal assurance criterion beyond which outputs do not tell two shapes apart
 
 
@@ -42,13 +43,23 @@ def mode_complaint(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) 
         return f"the frequency at {hertz:.4g} Hz is known to {100 * frequency_sd:.1f} % only"
     if not damping_sd < zeta:
         return f"the damping ratio at {hertz:.4g} Hz is {zeta:.2g} +- {damping_sd:.2g}"
-    if not _stands_out(fit, problem, mode, band):
+    may_be_tone = band.is_excited and zeta < _DECAYS * damping_sd
+    own_motions = [False] if may_be_tone else [False, True] if band.is_excited else [True]
+    if not _stands_out(fit, problem, mode, band, own_motions):
+        if may_be_tone and _stands_out(fit, problem, mode, band, [True]):
+            return f"the tone at {hertz:.4g} Hz neither decays nor follows the input, as hum does"
         return f"the mode at {hertz:.4g} Hz does not stand out of its uncertainty at any output"
     return ""
 
 
-def _stands_out(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> bool:
+def _stands_out(
+    fit: ModalFit, problem: ModalProblem, mode: int, band: Band, own_motions: Sequence[bool]
+) -> bool:
     """Return whether a mode differs from nothing, at all outputs together or at one of them.
+
+    Parameters
+    ----------
+    own_motions : sequence of bool -- with its free motion or without, each a way to stand out
 
     Notes
     -----
@@ -58,7 +69,6 @@ def _stands_out(fit: ModalFit, problem: ModalProblem, mode: int, band: Band) -> 
     beside others.
     """
     n_outputs = len(fit.coefficients)
-    own_motions = [False, True] if band.is_excited else [True]
     places = [range(n_outputs), *([j] for j in range(n_outputs))] if n_outputs > 1 else [range(1)]
     for with_free_motion in own_motions:
         for outputs in places:

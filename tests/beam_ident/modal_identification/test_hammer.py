@@ -86,3 +86,14 @@ def test_close_modes_that_settle_slowly_give_no_sensor_a_delay():
     assert not found.warnings
     np.testing.assert_allclose(found.model.natural_frequencies, 2.0 * np.pi * hertz, rtol=1e-4)
     np.testing.assert_allclose(found.model.damping_ratios, zetas, rtol=0.02)
+
+
+def test_hum_that_a_blow_does_not_ring_is_no_mode():
+    (record,) = Hammer("accelerance", 0.01).records(11)
+    outputs = []
+    for own in record.outputs:
+        hum = 0.05 * np.std(own.values) * np.sin(2.0 * np.pi * 50.0 * own.times_s + 0.3)
+        outputs.append(OutputSignal(own.name, own.unit, own.times_s, own.values + hum))
+    found = identify(TimeRecord(record.inputs, tuple(outputs)), "accelerance")
+    assert np.max(np.abs(z_scores(found.model))) < 4.5
+    assert any("a line at 50 Hz" in said and "hum" in said for said in found.warnings)
