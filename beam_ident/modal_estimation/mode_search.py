@@ -128,7 +128,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.max_iterations = _ITERATIONS
         self.stopped_by: BaseException | None = None  # before its time
         if start is None:
-            base = self.fit(np.empty(0), np.empty(0), ClockState(latency.mean, clock_rate.mean))
+            base = self.fit(np.empty(0), np.empty(0), self._clock_meant)
         else:
             base = self.fit(start.omegas, start.zetas, start.clock)
         self.chosen = self.without_modes = base
@@ -285,17 +285,23 @@ class ModeSearch(ABC, Generic[ProblemT]):
             found = [fit for own in ends for fit in self.retimed(own)]
             if not found:
                 break
-            start = min(map(self._without_doubtful, found), key=self._bic)
-            if any(_is_same(start, own) for own in ends):
-                break  # nothing else would be found from there
-            before = self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled
-            self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
-            self.chosen, self.chosen_entry = self._believed = start, 1
-            following = self._extend(n_modes, limit)
-            if not self._bic(self.chosen) < self._bic(before[0]):
-                self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled = before
+            # Of many modes in doubt, those that are left hardly say which clock was the better one: it is tried, too.
+            best = min(found, key=self._bic)
+            starts = [min(map(self._without_doubtful, found), key=self._bic), self._without_doubtful(best)]
+            is_better = False
+            for start in starts[: 1 if _is_same(*starts) else 2]:
+                if any(_is_same(start, own) for own in ends):
+                    continue  # nothing else would be found from there
+                before = self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled
+                self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
+                self.chosen, self.chosen_entry = self._believed = start, 1
+                following = self._extend(n_modes, limit)
+                if self._bic(self.chosen) < self._bic(before[0]):
+                    ended, is_better = following, True
+                else:
+                    self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled = before
+            if not is_better:
                 break
-            ended = following
         return ended
 
     def _without_doubtful(self, fit: ModalFit) -> ModalFit:
@@ -366,14 +372,18 @@ class ModeSearch(ABC, Generic[ProblemT]):
             candidates = self.propose(current, excluded)
             if not candidates:
                 break
+            # What the outputs share with the input before there is a mode may say little of the clock.
+            clocks = [current.clock] if n else list(dict.fromkeys([current.clock, self._clock_meant]))
             starts = [
-                (np.append(current.omegas, c.omega), np.append(current.zetas, c.zeta)) for c in candidates
+                (np.append(current.omegas, c.omega), np.append(current.zetas, c.zeta), clock)
+                for clock in clocks
+                for c in candidates
             ]
             place = 0
             if len(starts) > 1:
-                rivals = [self.fit(*start, current.clock, _RIVAL_ITERATIONS) for start in starts]
+                rivals = [self.fit(*start, _RIVAL_ITERATIONS) for start in starts]
                 place = int(np.argmin([rival.cost for rival in rivals]))
-            trial = self.fit(*starts[place], current.clock, target=self._target(current, n_modes))
+            trial = self.fit(*starts[place], target=self._target(current, n_modes))
             if trial.reason != HOPELESS:
                 trial = self.untangled(trial)
             refusal = self._refusal(trial, current, n_modes is not None)
@@ -393,7 +403,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 self._is_unsettled |= not trial.converged
                 if trial.information_condition < SINGULAR:
                     doubted.append((trial, len(self.entries) - 1))
-            excluded.append(candidates[place].omega)
+            excluded.append(candidates[place % len(candidates)].omega)
         patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
         goes_on = self.is_persistent and not self.is_curved
         if not goes_on or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
@@ -462,6 +472,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 break
             fit = trial
         return fit
+
+    @property
+    def _clock_meant(self) -> ClockState:
+        return ClockState(self.latency.mean, self.clock_rate.mean)
 
     def _affords(self, n_modes: int) -> bool:
         unknowns = self.problem.n_columns(n_modes) + 2 * n_modes

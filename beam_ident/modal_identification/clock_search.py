@@ -352,25 +352,31 @@ class OwnClocks(Exception):  # noqa: N818 - no error: a search begins anew with 
         self.clocks = dict(clocks)
 
 
-def contradicting_clocks(alone: Mapping[str, ModalFit]) -> dict[str, OwnClock]:
+def contradicting_clocks(
+    alone: Mapping[str, ModalFit], known: ClockState | None = None
+) -> dict[str, OwnClock]:
     """Return which outputs have clocks of their own, from what each one shows without the others.
 
     Parameters
     ----------
     alone : mapping -- by the output's name, a fit of it with a latency of its own; all with a rate or none
+    known : ClockState or None -- what all outputs should agree with; None is the clock that most of them agree with
 
     Notes
     -----
-    The clock that most outputs agree with, within four standard deviations, is the common one.
+    To agree is to be within four standard deviations.
     """
+    references = [_clock_of(fit) for fit in alone.values()]
+    if known is not None:
+        references = [((known.latency, 0.0), (known.rate, 0.0))]
     found: dict[str, OwnClock] | None = None
-    for reference in alone.values():
+    for reference in references:
         own: dict[str, OwnClock] = {}
         for name, fit in alone.items():
             apart = [
                 (value - common, (value - common) ** 2 > _APART**2 * (variance + common_variance))
                 for (value, variance), (common, common_variance) in zip(
-                    _clock_of(fit), _clock_of(reference), strict=True
+                    _clock_of(fit), reference, strict=True
                 )
             ]
             (delay, is_late), (rate, is_fast) = apart

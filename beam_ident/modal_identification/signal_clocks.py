@@ -11,7 +11,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.own_clocks import OwnClock, middle_of
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, is_after
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.model import ModalModel
@@ -21,6 +21,7 @@ from beam_ident.modal_identification.clock_search import (
 )
 
 _MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
+_OF_A_SAMPLE = 0.02  # half a sample is met so closely
 _IDLE_CLOCK = 3.3  # standard deviations: an own clock that differs less from the common one is none
 
 
@@ -176,14 +177,43 @@ class SignalClocks:
         )
 
 
-def clock_sentence(name: str, own: OwnClock) -> str:
-    """Return what must be known of an output with a clock of its own."""
-    if not own.runs:
-        return (
-            f"The stamps of {name} are {1e3 * own.delay:.4g} ms later than those of the other outputs: its own delay "
-            "was estimated along."
-        )
-    return (
-        f"The clock of {name} runs {1e6 * own.rate:+.4g} ppm fast and is {1e3 * own.delay:.4g} ms later than that of "
-        "the other outputs: its own delay and rate were estimated along."
+def clock_sentences(model: ModalModel) -> list[str]:
+    """Return what must be known of outputs with clocks of their own."""
+    is_all = len(model.own_clocks) == len(model.output_names)
+    others = (
+        f"the clock of {' and '.join(model.input_names)} says" if is_all else "those of the other outputs"
     )
+    found = []
+    for name, own in model.own_clocks.items():
+        who = f"The clock of {name} runs {1e6 * own.rate:+.4g} ppm fast, and its" if own.runs else "The"
+        whose, what = ("", "delay and rate were") if own.runs else (f" of {name}", "delay was")
+        late = f"{1e3 * abs(own.delay):.4g} ms {'later' if own.delay >= 0.0 else 'earlier'}"
+        found.append(f"{who} stamps{whose} are {late} than {others}: its own {what} estimated along.")
+    return found
+
+
+def hold_warnings(model: ModalModel, drives: Sequence[InputSignal], is_clock_known: bool) -> list[str]:
+    """Return which inputs the outputs seem to follow half a sample early, or late, as if held otherwise than stated.
+
+    Parameters
+    ----------
+    model : ModalModel
+    drives : sequence of InputSignal -- of the records
+    is_clock_known : bool -- otherwise only what comes before its cause tells a hold from a latency
+    """
+    late, sd = model.latency + model.output_delays, np.hypot(model.latency_sd, model.output_delay_sd)
+    found = {}
+    for drive in drives:
+        is_held = drive.hold == "zoh"
+        if drive.period_s is None or not (is_held or is_clock_known):
+            continue
+        half = (-0.5 if is_held else 0.5) * drive.period_s
+        if np.all(np.abs(late - half) < _OF_A_SAMPLE * drive.period_s + _IDLE_CLOCK * sd) and np.all(
+            sd < _OF_A_SAMPLE * drive.period_s
+        ):
+            found[drive.name] = (
+                f"The outputs are half a sample of {drive.name} {'early' if is_held else 'late'}, as where it "
+                f"{'changes' if is_held else 'stays'} between its samples, other than hold {drive.hold!r} says. "
+                f"Set its hold to {'linear or cubic' if is_held else 'zoh'}."
+            )
+    return list(found.values())

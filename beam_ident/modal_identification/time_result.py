@@ -34,7 +34,7 @@ from beam_ident.modal_identification.fit_tests import (
     no_body_alone,
     rate_warnings,
 )
-from beam_ident.modal_identification.signal_clocks import SignalClocks, clock_sentence
+from beam_ident.modal_identification.signal_clocks import SignalClocks, clock_sentences, hold_warnings
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
@@ -99,7 +99,8 @@ class Findings:
             iterations=fit.iterations,
             warnings=tuple(
                 [f"{unrelated}."] * bool(unrelated)
-                + [clock_sentence(name, own) for name, own in model.own_clocks.items()]
+                + clock_sentences(model)
+                + hold_warnings(model, self.plain.drives, not self.priors[0].is_free)
                 + [jump.sentence for jump in jumps]
                 + self._gain_warnings(model)
                 + self._input_warnings(model)

@@ -23,7 +23,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.model import ModalModel
-from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal_estimation.free_base import NO_BODY
 from beam_ident.modal_estimation.input_disturbance import NEGLIGIBLE_SHARE, noise_shares
 from beam_ident.modal_estimation.mode_gates import mode_complaint
@@ -253,12 +253,14 @@ class TimeSearch(ModeSearch[ModalRegression]):
             if search is not reference:
                 # Poles that move before the clock has make up for it: first the clock, then both. Poles that are a
                 # little off ask for another clock, too, where free motion takes its place: it must be the better one.
-                clocks = known.clock, moved_alone(search.scan.regression, known)
-                starts = [search.fit(known.omegas, known.zetas, clock) for clock in clocks]
+                either = known.clock, moved_alone(search.scan.regression, known)
+                starts = [search.fit(known.omegas, known.zetas, clock) for clock in either]
                 fit = search.untangled(min(starts, key=lambda start: start.cost))
             if fit.converged:
                 fits[search.plain.output_names[0]] = fit
-        if clocks := contradicting_clocks(fits):
+        is_known = not (self.latency.is_free or self.clock_rate.is_free)
+        common = ClockState(self.latency.mean, self.clock_rate.mean) if is_known else None
+        if clocks := contradicting_clocks(fits, common):
             raise OwnClocks(self._refined(clocks, known))
 
     def _refined(self, clocks: Mapping[str, OwnClock], modes: ModalFit) -> dict[str, OwnClock]:
