@@ -31,6 +31,7 @@ _TIMES = 9  # time constants that are tried
 _ENOUGH = 0.01  # level of the whiteness test above which no further model is looked for
 _BELOW_NYQUIST = 0.98
 _MIN_WHITE, _MAX_WHITE = 1e-6, 0.999
+_STEEPEST = 0.9999  # slope of a process by its decay
 _IMPOSSIBLE = 1e300
 
 
@@ -219,7 +220,10 @@ class ContinuousWhitening:
 
 
 def continuous_noise(
-    residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None
+    residuals: FloatArray,
+    times_s: FloatArray,
+    doubt: FloatArray | None = None,
+    near: ContinuousNoise | None = None,
 ) -> ContinuousNoise | None:
     """Return the process that BIC prefers for residuals at stamps of any spacing, None for white noise.
 
@@ -229,6 +233,8 @@ def continuous_noise(
     times_s : ndarray, shape (n,) -- rising [s]
     doubt : ndarray or None, shape (n, n_parameters)
         U of (I.24), what the model that left these residuals is not known by; their mean then counts as well.
+    near : ContinuousNoise or None
+        What was chosen for residuals almost like these: its form stays, and its parameters are found from there.
     """
     every = np.reshape(residuals - np.mean(residuals), (-1, 1))
     if doubt is not None:
@@ -282,6 +288,16 @@ def continuous_noise(
             decay, split, decay * math.tanh(p[2]), white=_share(p[3]) if len(p) > 3 else 0.0
         )
 
+    if near is not None:
+        beside = [_logit((near.white - _MIN_WHITE) / (_MAX_WHITE - _MIN_WHITE))] * (near.white > 0.0)
+        start = [math.log(near.decay)]
+        if near.split is None:
+            offer(first_order, [[*start, *beside]])
+        else:
+            share = _logit((near.split + highest**2) / (0.999 * (near.decay**2 + highest**2)))
+            slope = math.atanh(min(max(near.slope / near.decay, -_STEEPEST), _STEEPEST))
+            offer(second_order, [[*start, share, slope, *beside]])
+        return best[1]
     decays = [math.log(decay) for decay in np.geomspace(3.0 / length, 3.0 / period, _TIMES)]
     alone = offer(first_order, [[p] for p in decays])
     if is_enough():

@@ -118,7 +118,12 @@ class Whitening:
 Colour = Whitening | ContinuousWhitening
 
 
-def colour_of(residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None) -> Colour:
+def colour_of(
+    residuals: FloatArray,
+    times_s: FloatArray,
+    doubt: FloatArray | None = None,
+    near: Colour | None = None,
+) -> Colour:
     """Return the colour that BIC prefers for residuals: an autoregression at a clock's stamps, or continuous.
 
     Parameters
@@ -126,6 +131,8 @@ def colour_of(residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | No
     residuals : ndarray, shape (n,)
     times_s : ndarray, shape (n,) -- rising [s]
     doubt : ndarray or None, shape (n, n_parameters) -- U of (I.24), what the model is not known by
+    near : Whitening or ContinuousWhitening or None
+        What was chosen for residuals almost like these: a process in continuous time keeps its form.
 
     Notes
     -----
@@ -140,7 +147,8 @@ def colour_of(residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | No
         found = Whitening(autoregression(residuals, doubt=doubt), times_s)
         if np.count_nonzero(steps > 1.5 * period) < _FEW_BREAKS * len(steps):
             return found
-    process = continuous_noise(residuals, times_s, doubt)
+    known = near.noise if isinstance(near, ContinuousWhitening) else None
+    process = continuous_noise(residuals, times_s, doubt, known)
     every = np.reshape(residuals - np.mean(residuals), (-1, 1))
     if doubt is not None:
         every = np.concatenate([residuals[:, None], doubt], axis=1)
@@ -180,7 +188,11 @@ class RecordNoise:
 
     @staticmethod
     def of(
-        values: FloatArray, residuals: FloatArray, times_s: FloatArray, doubt: FloatArray | None = None
+        values: FloatArray,
+        residuals: FloatArray,
+        times_s: FloatArray,
+        doubt: FloatArray | None = None,
+        near: Colour | None = None,
     ) -> RecordNoise:
         """Return the noise that residuals show.
 
@@ -189,6 +201,7 @@ class RecordNoise:
         values, residuals : ndarray, shape (n,) -- as they were measured, and less the model
         times_s : ndarray, shape (n,) -- rising [s]
         doubt : ndarray or None, shape (n, n_parameters) -- U of (I.24), what the model is not known by
+        near : Whitening or ContinuousWhitening or None -- the colour of residuals almost like these
 
         Notes
         -----
@@ -203,10 +216,10 @@ class RecordNoise:
         if not spoiling(residuals, far):
             if rounding is not None:
                 return RecordNoise(Whitening(np.ones(1), times_s), rounding=rounding)
-            return RecordNoise(colour_of(residuals, times_s, doubt))
+            return RecordNoise(colour_of(residuals, times_s, doubt, near))
         kept = np.ones(len(residuals), dtype=bool)
         kept[far] = False
-        colour = colour_of(residuals[kept], times_s[kept], None if doubt is None else doubt[kept])
+        colour = colour_of(residuals[kept], times_s[kept], None if doubt is None else doubt[kept], near)
         if colour.n_parameters:
             return RecordNoise(colour, kept)
         return RecordNoise(Whitening(np.ones(1), times_s), tails=HeavyTails.of(residuals, kept))

@@ -715,7 +715,7 @@ def _result(
     joint = problem.covariance(state)
     if not joint.condition < 1e14:
         converged, reason = False, "the data do not determine all poles: the information matrix is singular"
-    n_noise = 0 if problem.noise is None else problem.noise.n_parameters
+    deviance, n_noise = problem.deviance(state)
     n_all = len(state.theta) + len(state.coefficients) + n_noise
     residuals = problem.unweighed_residuals(state)
     records = record_fits(problem, state, joint)
@@ -732,7 +732,7 @@ def _result(
         "noise_coefficients": records[0].noise_coefficients,
         "scores": pooled_scores([(own.measured, own.residuals) for own in records]),
         "whiteness": Whiteness.of(problem.standardised(state.residuals)),
-        "bic": 2.0 * state.cost + n_all * math.log(len(problem.values)),
+        "bic": deviance + n_all * math.log(len(problem.values)),
         "yic": math.log(max(float(np.var(residuals)), 1e-300) / max(spread, 1e-300))
         + math.log(max(float(np.mean(relative)), 1e-300)),
         "condition": joint.condition,

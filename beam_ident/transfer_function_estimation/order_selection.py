@@ -37,6 +37,7 @@ from beam_ident.transfer_function_estimation.estimation import (
     offers,
     paths_of,
 )
+from beam_ident.transfer_function_estimation.record_share import Nuisances
 from beam_ident.transfer_function_estimation.srivc import WHITE
 
 _FIRST_PART = 0.7  # of the progress: one start for every structure
@@ -312,13 +313,19 @@ def _with_offers(
     if passed and not leaves_doubt(min(passed, key=lambda own: own[1].bic)[1]):
         return entries, results, False
     entries, results = list(entries), list(results)
-    n_plain = len(entries)
+    n_plain, tried = len(entries), set()
     for offer in offers(*structures[place], options):
         own = {**options, **{name: offer.options[name] for name in _TERMS}, "n_starts": 1}
         if not isinstance(offer.n_poles, int):
             continue
         if options["has_free_response"] is True and entries[place].refused_because:
             own["has_free_response"] = False  # what seemed to be initial motion may be a term that is offered
+        # The free motion of an integrator is an offset, that of two a drift as well.
+        columns = Nuisances(own["has_offset"], own["has_ramp"], own["has_free_response"] is True)
+        structure = offer.n_poles, own["n_integrators"], columns.with_integrators(own["n_integrators"])
+        if structure in tried:
+            continue
+        tried.add(structure)
         outcome = _attempt((records, offer.n_poles, structures[place][1], own))
         entries.append(_entry(offer.n_poles, structures[place][1], outcome, own))
         results.append(outcome)

@@ -136,9 +136,7 @@ class OutputErrorProblem:
         self.floor = len(self.values) * (_NOISE_FLOOR * float(np.max(np.abs(self.values)))) ** 2
         self.parts = np.split(np.arange(self.n_a), np.cumsum(orders)[:-1])
         self.noise = noise
-        self._shown: tuple[FloatArray, list[RecordNoise]] | None = (
-            None  # the noise at a point, for a second look
-        )
+        self._shown: tuple[FloatArray, NoiseModel] | None = None  # the noise at a point, for a second look
         self._target = self.weighed(self.values if noise is None else noise.moved(self.values))
 
     def _refuse_few(self) -> None:
@@ -177,6 +175,7 @@ class OutputErrorProblem:
         as_it_is: bool,
         known: NoiseModel | None = None,
         doubt: FloatArray | None = None,
+        near: NoiseModel | None = None,
     ) -> OutputErrorProblem:
         """Return the problem under the noise that a state's residuals show.
 
@@ -187,12 +186,18 @@ class OutputErrorProblem:
             Whether the noise has a colour, which BIC chooses, and outliers; a level of every record alone.
         known : NoiseModel or None -- whose colours and outliers stay, while levels and the weights of tails follow
         doubt : ndarray or None, shape (n_samples, n_parameters) -- what ``doubt`` says of the state
+        near : NoiseModel or None -- of residuals almost like these, from which the search of a colour begins
 
         Notes
         -----
         The level of a record's noise is that of its residuals over the samples that the parameters leave
         free: those of the record, less its share of the trace of the projection onto the model's columns.
         """
+        shown = self._noise_shown(state)
+        if as_it_is and known is None and doubt is None and shown is not None:
+            problem = self.under(shown)
+            problem.scale = state.scale
+            return problem
         left = self.unweighed_residuals(state)
         noises = None
         if as_it_is:
@@ -200,8 +205,7 @@ class OutputErrorProblem:
                 pairs = zip(known.noises, self.rows, strict=True)
                 noises = [own.followed(left[part]) for own, part in pairs]
             else:
-                noises = self._noises(left, doubt)
-            self._shown = state.theta, noises
+                noises = self._noises(left, doubt, near)
         sds = np.ones(len(self.rows))
         if len(self.rows) > 1:
             assert state.solution is not None
@@ -216,18 +220,56 @@ class OutputErrorProblem:
                 n_free = float(np.sum(1.0 - share - leverage[part]))
                 power = float(own @ own) / max(n_free, 1.0)
                 sds[record] = math.sqrt(power + self.floor / len(left) + 1e-300)
-        problem = self.under(NoiseModel(noises, sds, self.rows))
+        model = NoiseModel(noises, sds, self.rows)
+        if as_it_is:
+            self._shown = state.theta, model
+        problem = self.under(model)
         problem.scale = state.scale
         return problem
 
-    def _noises(self, left: FloatArray, doubt: FloatArray | None) -> list[RecordNoise]:
+    def _noise_shown(self, state: OutputErrorState) -> NoiseModel | None:
+        """Return the noise that a state's residuals were found to have, None where nobody looked."""
+        known = self._shown
+        return known[1] if known is not None and np.array_equal(known[0], state.theta) else None
+
+    def deviance(self, state: OutputErrorState) -> tuple[float, int]:
+        """Return -2 log-likelihood of an optimum, and the number of the noise's parameters.
+
+        Parameters
+        ----------
+        state : OutputErrorState
+
+        Notes
+        -----
+        Where the weights stayed equal although the noise has a colour or outliers, it is that of the noise as it was
+        seen: otherwise no structure could be compared with one that is weighed by its noise.
+        """
+        shown = self._noise_shown(state)
+        if shown is None or (self.noise is not None and not self.noise.is_plain):
+            return 2.0 * state.cost, 0 if self.noise is None else self.noise.n_parameters
+        left = shown.apply(shown.moved(self.unweighed_residuals(state)))
+        misfit = len(left) * math.log(float(left @ left) + self.floor)
+        return misfit + 2.0 * (shown.excess + self._misfit_of_priors(state.theta)), shown.n_parameters
+
+    def _misfit_of_priors(self, theta: FloatArray) -> float:
+        """Return the negative log-density of the delays."""
+        delays = self.delays(theta)
+        priors = [(delays[k], self.paths[k].delay) for k in self.free_delays]
+        return float(sum(0.5 * ((delay - prior.mean) / prior.sd) ** 2 for delay, prior in priors))
+
+    def _noises(
+        self, left: FloatArray, doubt: FloatArray | None, near: NoiseModel | None
+    ) -> list[RecordNoise]:
         """Return the noise that residuals show in every record; errors of arithmetic are none."""
-        return [
-            RecordNoise(Whitening(np.ones(1), own.times))
-            if are_rounding(own.values, left[part])
-            else RecordNoise.of(own.values, left[part], own.times, None if doubt is None else doubt[part])
-            for part, own in zip(self.rows, self.experiments, strict=True)
-        ]
+        found = []
+        for k, (part, own) in enumerate(zip(self.rows, self.experiments, strict=True)):
+            doubts = None if doubt is None else doubt[part]
+            colour = None if near is None or near.noises is None else near.noises[k].colour
+            if are_rounding(own.values, left[part]):
+                found.append(RecordNoise(Whitening(np.ones(1), own.times)))
+            else:
+                found.append(RecordNoise.of(own.values, left[part], own.times, doubts, colour))
+        return found
 
     def doubt(self, state: OutputErrorState, also: FloatArray | None = None) -> FloatArray | None:
         """Return U of (I.24), by what the model is not known; None without a noise model.
@@ -394,10 +436,7 @@ class OutputErrorProblem:
         residuals = self._target - matrix @ coefficients
         cost = 0.5 * len(self.values) * math.log(float(residuals @ residuals) + self.floor)
         cost += 0.0 if self.noise is None else self.noise.excess
-        delays = self.delays(theta)
-        for k in self.free_delays:
-            prior = self.paths[k].delay
-            cost += 0.5 * ((delays[k] - prior.mean) / prior.sd) ** 2
+        cost += self._misfit_of_priors(theta)
         return replace(point, cost=cost, coefficients=coefficients, residuals=residuals, solution=solution)
 
     def _own_columns(self, free: tuple[tuple[RationalResponse, ...], ...]) -> list[FloatArray]:
@@ -544,17 +583,19 @@ class OutputErrorProblem:
         self, state: OutputErrorState, jacobian: FloatArray, variance: float, covariance: FloatArray
     ) -> FloatArray:
         """Return the covariance of equal weights under the colour that the noise has: the sandwich (T.17)."""
-        known, is_rounded = self._shown, self.noise is not None and self.noise.is_rounded
-        if known is not None and np.array_equal(known[0], state.theta) and all(n.is_plain for n in known[1]):
+        shown, is_rounded = self._noise_shown(state), self.noise is not None and self.noise.is_rounded
+        if shown is not None and shown.is_plain:
             return covariance
         plain = self.unweighed_residuals(state)
         left = state.residuals if is_rounded else plain
         excess = np.zeros_like(covariance)
         design: FloatArray | None = None
-        for part, own in zip(self.rows, self.experiments, strict=True):
+        for k, (part, own) in enumerate(zip(self.rows, self.experiments, strict=True)):
             if are_rounding(own.values, plain[part]):
                 continue
-            colour = colour_of(left[part], own.times)
+            seen = None if shown is None or shown.noises is None else shown.noises[k]
+            is_colour = seen is not None and seen.kept is None and not seen.follows
+            colour = seen.colour if seen is not None and is_colour else colour_of(left[part], own.times)
             if colour.n_parameters:
                 if design is None:
                     design = np.concatenate([jacobian, self.weighed(state.matrix)], axis=1)

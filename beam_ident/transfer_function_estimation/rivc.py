@@ -24,6 +24,7 @@ from beam_ident.transfer_function_estimation.srivc import Method, Optimum, srivc
 
 _TURNS = 25  # a few for a colour; weights by the tails settle more slowly
 _ITERATIONS = 30  # of a turn
+_FORM = 2  # turns in which the form of the noise is chosen: with and without what the model is not known by
 LOOKS = 5  # turns in which colour and outliers are found anew
 _SETTLED = 0.02  # standard deviations that a turn may still move the system
 MAX_TRAVEL = 6.0  # standard deviations by which weights alone may move a coefficient
@@ -61,6 +62,7 @@ def under_noise_as_it_is(
     weighed, found = refine_with_noise_model(plain, equal, method, as_it_is=True)
     moved = weighed.converted(found.state, equal.state.scale) - equal.state.theta
     if not found.converged or not np.max(np.abs(moved) / reach) < MAX_TRAVEL:
+        plain.reweighed(equal.state, as_it_is=True)  # for its deviance
         return plain, equal
     return weighed, found
 
@@ -90,7 +92,8 @@ def refine_with_noise_model(
         # rule for outliers could come and go for ever: what the noise is taken for stays after a few turns.
         stays = stays or turn >= LOOKS
         doubt = weighed.doubt(state) if as_it_is and not stays else None
-        weighed = problem.reweighed(state, as_it_is, weighed.noise if stays else None, doubt)
+        near = weighed.noise if turn >= _FORM else None
+        weighed = problem.reweighed(state, as_it_is, weighed.noise if stays else None, doubt, near)
         first = weighed.state(state.theta)
         if method == "srivc":
             found = srivc(weighed, first)

@@ -80,3 +80,22 @@ def test_white_noise_has_no_process():
     # BIC charges log 500 = 6.2 of 2 log-likelihood for one parameter: a chance of 1.3 % each, less what the
     # test of whiteness keeps back.
     assert sum(continuous_noise(rng.standard_normal(500), times) is not None for _ in range(60)) <= 2
+
+
+@pytest.mark.parametrize("name", list(PROCESSES))
+def test_a_process_that_is_known_already_is_followed_in_its_form(name):
+    rng = np.random.default_rng(3)
+    times = np.sort(rng.uniform(0.0, 60.0, 800))
+    root = np.linalg.cholesky(covariance(PROCESSES[name], times) + 1e-12 * np.eye(800))
+    residuals = root @ rng.standard_normal(800)
+
+    def misfit(noise):
+        return 400.0 * math.log(np.sum(np.square(ContinuousWhitening(noise, times).apply(residuals))))
+
+    known = PROCESSES[name]
+    found = continuous_noise(residuals, times, near=known)
+    assert (found.order, found.n_parameters) == (known.order, known.n_parameters)
+    assert misfit(found) <= misfit(known) + 0.05
+    anew = continuous_noise(residuals, times)
+    if (anew.order, anew.n_parameters) == (known.order, known.n_parameters):
+        assert misfit(found) == pytest.approx(misfit(anew), abs=0.3)
