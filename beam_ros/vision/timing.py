@@ -15,7 +15,7 @@ exposure; its time is the middle of that exposure.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,7 @@ class FrameTiming:
 
     camera: CameraParameters
 
+    @cached_property
     def _stamp_after_start_ns(self) -> int:
         camera = self.camera
         share = {"start": 0.0, "mid": 0.5, "end": 1.0, "arrival": 1.0}[camera.stamp]
@@ -51,11 +52,11 @@ class FrameTiming:
 
     def stamp(self, start_ns: int) -> int:
         """Stamp of the frame whose first row's exposure begins at ``start_ns`` [ns]."""
-        return int(start_ns) + self._stamp_after_start_ns()
+        return int(start_ns) + self._stamp_after_start_ns
 
     def start(self, stamp_ns: int) -> int:
         """Beginning of the first row's exposure of the frame with this stamp [ns]."""
-        return int(stamp_ns) - self._stamp_after_start_ns()
+        return int(stamp_ns) - self._stamp_after_start_ns
 
     def end(self, stamp_ns: int) -> int:
         """Instant at which the last row's exposure ends: the earliest that the image can exist [ns]."""
