@@ -33,7 +33,7 @@ _COARSE = 1000.0  # steps in the whole swing: with more, errors are below 0.03 %
 _MIN_SAMPLES = 32  # samples whose differences tell noise
 _NEAR = 3.0  # standard deviations before the end, where noise may have been clipped
 
-_FORCES = ("N", "mN", "kN")
+_FORCE_UNITS = ("N", "mN", "kN")
 
 FitT = TypeVar("FitT")
 
@@ -195,7 +195,7 @@ def clipped_input_warnings(drives: Sequence[InputSignal]) -> list[str]:
         "the end of the sensor's range: what acted beyond it is missing, and gains, delays and modes make up for it. "
         "Take a wider range, or leave out these blows."
         for own in drives
-        if own.unit in _FORCES and own.hold != "zoh"
+        if own.unit in _FORCE_UNITS and own.hold != "zoh"
         for limit, _ in _limits(own.values)
         if limit != 0.0  # between blows
     ]

@@ -193,8 +193,9 @@ class OutputErrorProblem:
         The level of a record's noise is that of its residuals over the samples that the parameters leave
         free: those of the record, less its share of the trace of the projection onto the model's columns.
         """
+        is_by_itself = as_it_is and known is None and doubt is None
         shown = self._noise_shown(state)
-        if as_it_is and known is None and doubt is None and shown is not None:
+        if is_by_itself and shown is not None:
             problem = self.under(shown)
             problem.scale = state.scale
             return problem
@@ -221,14 +222,14 @@ class OutputErrorProblem:
                 power = float(own @ own) / max(n_free, 1.0)
                 sds[record] = math.sqrt(power + self.floor / len(left) + 1e-300)
         model = NoiseModel(noises, sds, self.rows)
-        if as_it_is:
+        if is_by_itself:
             self._shown = state.theta, model
         problem = self.under(model)
         problem.scale = state.scale
         return problem
 
     def _noise_shown(self, state: OutputErrorState) -> NoiseModel | None:
-        """Return the noise that a state's residuals were found to have, None where nobody looked."""
+        """Return the noise that a state's residuals show by themselves, None where nobody looked."""
         known = self._shown
         return known[1] if known is not None and np.array_equal(known[0], state.theta) else None
 
@@ -594,8 +595,10 @@ class OutputErrorProblem:
             if are_rounding(own.values, plain[part]):
                 continue
             seen = None if shown is None or shown.noises is None else shown.noises[k]
-            is_colour = seen is not None and seen.kept is None and not seen.follows
-            colour = seen.colour if seen is not None and is_colour else colour_of(left[part], own.times)
+            if seen is None or seen.kept is not None or seen.follows:
+                colour = colour_of(left[part], own.times)
+            else:
+                colour = seen.colour
             if colour.n_parameters:
                 if design is None:
                     design = np.concatenate([jacobian, self.weighed(state.matrix)], axis=1)
