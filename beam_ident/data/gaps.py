@@ -154,6 +154,7 @@ class Bridge:
         steps = np.diff(self._times)
         self._mean, self._spread = float(np.mean(known)), float(np.std(known))
         self._values = np.where(self._seen, values[low:high] - self._mean, 0.0)
+        self._sight = first - low, high - (first + n)  # samples to either side; no trial sees more
         rules: list[_Rule] = [self._straight]
         if np.ptp(steps) < _IRREGULAR * np.mean(steps):
             stride = max(1, n // _SAMPLES_PER_HOLE)
@@ -206,18 +207,23 @@ class Bridge:
             result = np.empty(n)
             for phase in range(min(stride, n)):
                 places = np.arange(first + phase, first + n, stride)
-                result[phase::stride] = self._most_likely(coefficients, places, stride)
+                line = self._line(first, n, phase, order, stride)
+                result[phase::stride] = self._most_likely(coefficients, places, line)
             return result
 
         return fill
 
-    def _most_likely(self, coefficients: FloatArray, places: IndexArray, stride: int) -> FloatArray:
-        """Return the samples at some places that make the squared prediction errors around them least."""
-        order = len(coefficients) - 1
-        low = places[0] - stride * min(order, places[0] // stride)
-        high = min(places[-1] + stride * order + 1, len(self._values))
-        line = np.arange(low, high, stride)
-        n = len(line)
+    def _line(self, first: int, n: int, phase: int, order: int, stride: int) -> IndexArray:
+        """Return every stride-th sample in a hole and beside it, as far as is seen from the true hole."""
+        left, right = self._sight
+        start = first + phase
+        low = max(first - left, 0)
+        high = min(first + n + right, first + n + stride * order, len(self._values))
+        return np.arange(start - stride * min(order, (start - low) // stride), high, stride)
+
+    def _most_likely(self, coefficients: FloatArray, places: IndexArray, line: IndexArray) -> FloatArray:
+        """Return the samples at some places of a line that make the squared prediction errors along it least."""
+        order, n = len(coefficients) - 1, len(line)
         unknown = ~self._seen[line] | np.isin(line, places)
         errors = np.zeros((max(n - order, 0), n))
         for row in range(len(errors)):

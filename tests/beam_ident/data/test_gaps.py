@@ -42,6 +42,24 @@ def test_a_hole_is_filled_as_well_as_is_said(length: int) -> None:
         assert np.max(missed) < 5e-6
 
 
+def test_a_hole_near_an_end_is_filled_as_well_as_is_said() -> None:
+    """There is less to see from it than from holes farther inside, by which the rules are judged."""
+    duration, start, end = 10.0, 1.0, 90.0
+    times = PERIOD_S * np.arange(round(duration / PERIOD_S))
+    growth = np.log(end / start) / duration
+    values = np.sin(2.0 * np.pi * start * np.expm1(growth * times) / growth) / np.exp(2.0 * growth * times)
+    worst = 0.0
+    for is_late in (False, True):
+        for first in range(80, 161, 10):
+            damaged = values.copy()
+            damaged[first : first + 440] = np.nan
+            ordered = slice(None, None, -1) if is_late else slice(None)
+            filled, (gap,) = bridged("hub", times, damaged[ordered])
+            missed = (filled[ordered] - values)[first : first + 440]
+            worst = max(worst, float(np.sqrt(np.mean(missed**2))) / gap.sigma)
+    assert worst < 5.0
+
+
 def test_noise_alone_is_not_foretold() -> None:
     values = np.random.default_rng(1).standard_normal(len(TIMES))
     damaged, _ = with_holes(values, 30)

@@ -25,6 +25,7 @@ from beam_ident import (
 )
 from beam_ident.modal_estimation import mode_search
 from beam_ident.modal_estimation.variable_projection import fit_modes
+from benchmarks.ident.gaps import Gaps
 from tests.beam_ident.truth import (
     OMEGAS,
     RESIDUAL_TERMS,
@@ -161,6 +162,14 @@ def test_an_input_that_lacks_three_hundred_samples_gives_the_same_model_as_a_who
     assert sum(gap.missing for gap in holed.gaps) == 300
     model = identify(TimeRecord((holed,), record.outputs), n_modes=3).model
     assert np.max(np.abs(z_scores(model))) < 4.0
+
+
+def test_a_long_hole_at_the_beginning_is_no_reason_to_take_outputs_for_late():
+    """Filled badly, it looks like a passage of the sweep, and what a mode answers to that like its answer."""
+    study = Gaps()
+    model = identify(study.record(25)).model
+    assert not model.own_clocks
+    np.testing.assert_allclose(model.natural_frequencies, study.truth[:3], rtol=1e-3)
 
 
 def test_a_band_limited_hold_makes_up_for_an_input_sampled_at_three_times_its_band():
