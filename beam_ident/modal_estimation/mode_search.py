@@ -223,7 +223,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         Raises
         ------
         EstimationError
-            No mode stands out of the noise.
+            No mode stands out of the noise, before it weighs or behind it.
         """
         limit = max_modes if n_modes is None else n_modes
         try:
@@ -256,11 +256,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 )
         alone = self.chosen if len(self.chosen.omegas) else self.body_alone()
         if alone is None:
-            raise EstimationError(
-                f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
-                f"noise ({self.entries[-1].refused_because or ended}). {self.remedy}, or ask for a number of "
-                "modes to see the best candidate"
-            )
+            raise self._nothing_found(self.entries[-1].refused_because or ended)
         self.chosen = alone
         if not is_weighed:
             return Weighed(self.chosen, self.problem, self.problem)
@@ -269,11 +265,24 @@ class ModeSearch(ABC, Generic[ProblemT]):
             weighed = self.weighed(self.chosen)
         except Stopped as stop:
             return self.ended_early(self.chosen, stop, "the weighing by the noise as it is")
+        if n_modes is not None:
+            return weighed
         try:
-            return weighed if n_modes is not None else self._confirmed(weighed)
+            weighed = self._confirmed(weighed)
         except Stopped as stop:
             missing = "a second look at modes that only the input's noise may have feigned"
             return self.unfinished(weighed, stop, missing)
+        modes = range(len(weighed.fit.omegas))
+        complaints = [mode_complaint(weighed.fit, weighed.problem, mode, self.band) for mode in modes]
+        if complaints and all(complaints):
+            raise self._nothing_found(f"weighed by it as it is, {complaints[0]}")
+        return weighed
+
+    def _nothing_found(self, reason: str) -> EstimationError:
+        return EstimationError(
+            f"no mode between {self.band.low_hz:.3g} and {self.band.high_hz:.3g} Hz stands out of the "
+            f"noise ({reason}). {self.remedy}, or ask for a number of modes to see the best candidate"
+        )
 
     def _extend_anew(self, n_modes: int | None, limit: int, ended: str) -> str:
         """Search again from a clock far from the present one where that promises more, and keep the better end.
