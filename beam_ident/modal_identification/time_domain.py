@@ -33,7 +33,7 @@ from beam_ident.modal_identification.coarse_delays import coarse_delays
 from beam_ident.modal_identification.identification_task import IdentificationTask
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.blows import without_noise_between_blows
-from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import with_found_noise
 
@@ -136,6 +136,7 @@ def identify(
     records, noisy_blows = (
         without_noise_between_blows(records, input_names) if terms.is_test else (records, "")
     )
+    records, repeated = without_repeated(records, names)
     records, found = with_found_noise(records, input_names)
     latency = latency or (Prior() if terms.is_test else LATENCY_PRIOR)
     clock_rate = clock_rate or (Prior() if terms.is_test else CLOCK_RATE_PRIOR)
@@ -174,7 +175,7 @@ def identify(
             }
             task = replace(task, first_clocks={**found_there, **clocks})
     result, said = without_clipped(records, names, task.result, _prediction)
-    doubts = [text for text in (said, noisy_blows) if text]
+    doubts = [text for text in (*repeated, said, noisy_blows) if text]
     if latency.is_free and abs(result.model.latency) > _AT_THE_END * farthest:
         doubts.append(_TOO_LATE.format(result.model.latency, farthest))
     doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
-from beam_ident.data.records import InputSignal, OutputSignal
+from beam_ident.arrays import BoolArray, FloatArray, IndexArray
+from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.noise.rounding import quantum
 from beam_ident.sensing.quantisation import clipped_input_warnings
 
@@ -25,8 +26,13 @@ _BEFORE = 5  # samples before a channel is stuck, which show that it was moving
 _EXPOSED = 1.01  # of the time between samples
 _STEPS = 5.0  # of rounding, which a moving signal makes between samples
 _MOVES = 0.1  # of the usual difference between samples, the same
-_FEW, _SHARE = 5, 0.02  # repeated samples that are reported, and of all that move
+_FEW, _SHARE = 5, 0.02  # repeated samples that are told from chance, and of all that move
+_LONGEST = 5  # repeated samples in a row that tell: more may be a dead band
 _LATEST = 8  # samples by which a logger may echo an input
+_REPEATED = (
+    "{} samples repeat the one before, in the middle of a motion, too, as of a camera that shows a frame twice, or "
+    "of a sensor that is slower than its stamps"
+)
 
 
 def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
@@ -86,32 +92,87 @@ def _are_same(
 def _of_channel(name: str, times: FloatArray, values: FloatArray) -> list[str]:
     """Return what is wrong with one channel."""
     n = len(values)
-    if n < 2 * _STUCK:
+    if not _may_be_damaged(values):
         return []
-    steps = np.abs(np.diff(values))
-    still = steps == 0.0
-    if not np.any(still) or np.all(still):
-        return []
-    usual = float(np.sqrt(np.mean(np.square(steps))))
-    moves = steps > max(_STEPS * quantum(values), _MOVES * usual)
-    # Runs of equal samples: where they begin and end among the differences.
-    edges = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    starts, ends, moves = _still_runs(values)
+    n_still = int(np.sum(ends - starts))
     longest = int(np.argmax(ends - starts))
     start, end = int(starts[longest]), int(ends[longest])
     length = end - start
-    others = (np.count_nonzero(still) - length + 1.0) / (n - length)
+    others = (n_still - length + 1.0) / (n - length)
     was_moving = bool(np.any(moves[max(start - _BEFORE, 0) : start]))
     if length >= _STUCK and was_moving and length * math.log(min(others, 1.0)) < math.log(_BY_CHANCE):
         return [
             f"Output {name} is stuck at {values[start]:.4g} from {times[start]:.4g} s to {times[end]:.4g} s "
             f"({length + 1} samples), in the middle of a motion: set them to NaN (not seen), and check the sensor."
         ]
-    inner = np.flatnonzero(still[1:-1]) + 1
-    at_speed = inner[moves[inner - 1] & moves[inner + 1]]
-    if len(at_speed) >= _FEW and len(at_speed) > _SHARE * np.count_nonzero(moves):
-        return [
-            f"Output {name}: {len(at_speed)} samples repeat the one before in the middle of a motion, as of a camera "
-            "that shows a frame twice. Leave repeated samples out, or set them to NaN (not seen)."
-        ]
+    if len(places := _repeated(values)):
+        said = _REPEATED.format(len(places))
+        return [f"Output {name}: {said}. Leave repeated samples out, or set them to NaN (not seen)."]
     return []
+
+
+def without_repeated(
+    records: Sequence[TimeRecord], names: Sequence[str]
+) -> tuple[list[TimeRecord], tuple[str, ...]]:
+    """Return records without the samples of some outputs that repeat the one before, and what is to be said of them.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+    names : sequence of str -- of outputs
+    """
+    result, said = [], []
+    for record in records:
+        outputs = []
+        for output in record.outputs:
+            values = np.array(output.values)
+            seen = np.flatnonzero(output.is_valid)
+            if output.name in names and len(places := _repeated(values[seen])):
+                values[seen[places]] = np.nan
+                said.append(f"Output {output.name}: {_REPEATED.format(len(places))}. They are left out.")
+            outputs.append(replace(output, values=values))
+        result.append(replace(record, outputs=tuple(outputs)))
+    return (result, tuple(said)) if said else (list(records), ())
+
+
+def _repeated(values: FloatArray) -> IndexArray:
+    """Return which samples repeat the one before; none where that is chance, as of values that are rounded.
+
+    Notes
+    -----
+    In the middle of a motion it is told from chance. Of values that are not rounded it is none elsewhere, either.
+    """
+    none = np.empty(0, dtype=np.intp)
+    if not _may_be_damaged(values):
+        return none
+    starts, ends, moves = _still_runs(values)
+    is_repeated = ends - starts < _STUCK
+    for limit in (np.min(values), np.max(values)):
+        at_limit = values[starts] == limit
+        is_repeated &= ~at_limit | (np.count_nonzero(at_limit) == 1)  # else clipped
+    starts, ends = starts[is_repeated], ends[is_repeated]
+    is_telling = (starts > 0) & (ends < len(moves)) & (ends - starts < _LONGEST)
+    at_speed = is_telling & moves[starts - 1] & moves[np.minimum(ends, len(moves) - 1)]
+    n_at_speed = int(np.sum((ends - starts)[at_speed]))
+    if n_at_speed < _FEW or not n_at_speed > _SHARE * np.count_nonzero(moves):
+        return none
+    which = at_speed if quantum(values) else np.ones(len(starts), dtype=bool)
+    return np.concatenate(
+        [np.arange(start, end) + 1 for start, end in zip(starts[which], ends[which], strict=True)]
+    )
+
+
+def _may_be_damaged(values: FloatArray) -> bool:
+    """Return whether some samples of a channel that moves, but not all, are as the one before."""
+    n_still = int(np.count_nonzero(values[1:] == values[:-1]))
+    return len(values) >= 2 * _STUCK and 0 < n_still < len(values) - 1
+
+
+def _still_runs(values: FloatArray) -> tuple[IndexArray, IndexArray, BoolArray]:
+    """Return where runs of equal samples begin and end, and which differences are those of a motion."""
+    steps = np.abs(np.diff(values))
+    usual = float(np.sqrt(np.mean(np.square(steps))))
+    edges = np.diff(np.concatenate([[False], steps == 0.0, [False]]).astype(np.int8))
+    moves = steps > max(_STEPS * quantum(values), _MOVES * usual)
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), moves

@@ -36,7 +36,7 @@ from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.sensing.clock_rate import clocks_of_record
-from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.transfer_function.model import TransferFunctionModel
@@ -329,6 +329,7 @@ def estimate_common_poles(
         result = _result(seen, joint, minimum, n_integrators, iterations + more, several)
         return replace(result, warnings=(*motion.warnings, *result.warnings))
 
+    records, repeated = without_repeated(records, first.output_names)
     result, said = without_clipped(
         records, first.output_names, fit, lambda found, one, name: found.model(name).predict(one)
     )
@@ -341,7 +342,7 @@ def estimate_common_poles(
             damage += [
                 said for one in records for said in clocks_of_record(one.outputs, one.input(drives[0]))
             ]
-    told = (*gaps, *result.warnings, *((said,) if said else ()), *damage)
+    told = (*gaps, *result.warnings, *repeated, *((said,) if said else ()), *damage)
     return replace(result, warnings=told)
 
 

@@ -35,7 +35,7 @@ from beam_ident.noise.relation import innovation_criterion, is_related
 from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.clock_rate import clocks_of_record
-from beam_ident.sensing.damage import damage_warnings
+from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
@@ -559,8 +559,9 @@ def estimated(
         return replace(result, initial_motion=motion, warnings=(*motion.warnings, *result.warnings))
 
     records, gaps = split_at_gaps(records, 3 * (sum(poles) + 2))
+    records, repeated = without_repeated(records, [output_name])
     result, clipped = without_clipped(records, [output_name], fit, _prediction)
-    said = ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
+    said = repeated + ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
     for one in records:
         said += damage_warnings([one.output(output_name)], [one.input(name) for name in drives])
     if len(drives) == 1:

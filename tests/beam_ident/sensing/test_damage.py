@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
-from beam_ident import InputSignal, OutputSignal, RecordError
-from beam_ident.sensing.damage import damage_warnings
+from beam_ident import (
+    InputSignal,
+    OutputSignal,
+    RecordError,
+    TimeRecord,
+    estimate_common_poles,
+    estimate_transfer_function,
+    identify,
+)
+from beam_ident.sensing.damage import damage_warnings, without_repeated
 
 N = 800
 TIMES = 0.01 * np.arange(N)
 MOVING = np.sin(9.0 * TIMES) + 0.3 * np.sin(23.0 * TIMES + 1.0)
+DRIVE = InputSignal("u", "m", (0.0, 0.01), np.cos(TIMES), "linear")
 DECAY = np.exp(-1.5 * TIMES) * np.sin(20.0 * TIMES)
 
 
@@ -50,6 +60,45 @@ def test_frames_that_are_shown_twice_are_named():
     now_and_then = MOVING.copy()
     now_and_then[20::20] = now_and_then[19::20][: len(now_and_then[20::20])]
     assert "repeat the one before" in said_of(now_and_then)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_frames_that_are_shown_twice_are_left_out(share):
+    is_repeated = np.random.default_rng(3).random(N) < share
+    is_repeated[0] = False
+    shown = np.maximum.accumulate(np.where(is_repeated, 0, np.arange(N)))
+    record = TimeRecord((DRIVE,), tuple(OutputSignal(f"y{k}", "m", TIMES, MOVING[shown]) for k in range(2)))
+    ((cleaned,), said) = without_repeated([record], ["y1"])
+    np.testing.assert_array_equal(cleaned.output("y0").values, MOVING[shown])
+    np.testing.assert_array_equal(cleaned.output("y1").is_valid, ~is_repeated)
+    assert said == (
+        f"Output y1: {np.count_nonzero(is_repeated)} samples repeat the one before, in the middle of a motion, too, "
+        "as of a camera that shows a frame twice, or of a sensor that is slower than its stamps. They are left out.",
+    )
+
+
+def test_clipping_rounding_and_rest_are_no_repeated_frames():
+    for values in (np.clip(MOVING, -0.5, 0.5), np.round(MOVING * 50.0), np.where(TIMES < 4.0, 0.0, MOVING)):
+        record = TimeRecord((DRIVE,), (OutputSignal("y", "m", TIMES, values),))
+        assert without_repeated([record], ["y"]) == ([record], ())
+
+
+@pytest.mark.parametrize(
+    ("estimate", "structure"),
+    [(identify, ("receptance",)), (estimate_transfer_function, (2, 0)), (estimate_common_poles, (2, 0))],
+)
+def test_a_sensor_of_half_the_rate_of_its_stamps_is_as_good_as_its_own_samples(estimate, structure):
+    rng = np.random.default_rng(0)
+    force = np.repeat(rng.standard_normal(N // 10), 10)
+    numerator, denominator, _ = cont2discrete(([400.0], [1.0, 0.8, 400.0]), 0.01, "zoh")
+    moved = lfilter(np.squeeze(numerator), denominator, force) + 0.01 * rng.standard_normal(N)
+    drive = InputSignal("f", "N", (0.0, 0.01), force, "zoh")
+    found = []
+    for times, values in ((TIMES[::2], moved[::2]), (TIMES, np.repeat(moved[::2], 2))):
+        result = estimate(TimeRecord((drive,), (OutputSignal("y", "m", times, values),)), *structure)
+        assert any("repeat the one before" in said for said in result.warnings) == (len(times) == N)
+        found.append((result.models[0] if estimate is estimate_common_poles else result.model).poles)
+    np.testing.assert_allclose(*found, rtol=1e-6)
 
 
 def test_copies_of_a_channel_or_of_the_input_are_named():
