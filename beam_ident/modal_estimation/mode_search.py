@@ -272,10 +272,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
         except Stopped as stop:
             missing = "a second look at modes that only the input's noise may have feigned"
             return self.unfinished(weighed, stop, missing)
-        modes = range(len(weighed.fit.omegas))
-        complaints = [mode_complaint(weighed.fit, weighed.problem, mode, self.band) for mode in modes]
-        if complaints and all(complaints):
-            raise self._nothing_found(f"weighed by it as it is, {complaints[0]}")
+        doubts = self._doubts_of(weighed)
+        if doubts and len(doubts) == len(weighed.fit.omegas):
+            raise self._nothing_found(f"weighed by it as it is, {doubts[0]}")
         return weighed
 
     def _nothing_found(self, reason: str) -> EstimationError:
@@ -537,33 +536,41 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Return the fit without modes that only the weights of the search had mistaken for more than noise.
 
         Noise on the input reaches the outputs through the modes, and a mode beside a true one can pass for it
-        until every sample weighs by what the noise has left of it.
+        until every sample weighs by what the noise has left of it.  Of many doubtful modes half are left out at once.
         """
-        while len(weighed.fit.omegas) > 1:
-            fit, problem = weighed.fit, weighed.problem
-            modes = range(len(fit.omegas))
-            complaints = [mode_complaint(fit, problem, mode, self.band) for mode in modes]
-            if fit.converged and not any(complaints):
+        found = [(weighed, self.chosen_entry, self._doubts_of(weighed))]
+        while len((fit := weighed.fit).omegas) > 1:
+            doubtful = list(doubts := found[-1][2])
+            if fit.converged and not doubtful:
                 break
-            doubtful = [mode for mode in modes if complaints[mode]] or list(modes)
-            weakest = min(doubtful, key=lambda mode: mode_significance(fit, problem, mode, self.band)[0])
+            among = doubtful or range(len(fit.omegas))
+            by_weight = {mode: mode_significance(fit, weighed.problem, mode, self.band)[0] for mode in among}
+            weakest = sorted(by_weight, key=by_weight.__getitem__)[: max(len(doubtful) // 2, 1)]
             omegas, zetas = np.delete(fit.omegas, weakest), np.delete(fit.zetas, weakest)
             fewer = self.fit(omegas, zetas, fit.clock)
             following = self.weighed(fewer)
-            if not fewer.converged or not following.fit.converged:
-                break
-            beside = np.min(np.abs(np.log(omegas / fit.omegas[weakest])))
-            is_little = np.all(following.fit.sigmas < _HARDLY_MORE * fit.sigmas)
-            if not any(complaints) and not (beside < _BESIDE and is_little):
-                break
-            reason = complaints[weakest] or fit.reason
-            self.entries[self.chosen_entry] = dataclasses.replace(
-                self.entries[self.chosen_entry], refused_because=f"weighed by the noise, {reason}"
+            if not doubtful:
+                # It only does not settle: a mode is given up for one that does, where little is lost.
+                beside = np.min(np.abs(np.log(omegas / fit.omegas[weakest[0]])))
+                is_little = np.all(following.fit.sigmas < _HARDLY_MORE * fit.sigmas)
+                settles = fewer.converged and following.fit.converged
+                if not (settles and beside < _BESIDE and is_little):
+                    break
+            reason = doubts.get(weakest[0], fit.reason)
+            self.entries[found[-1][1]] = dataclasses.replace(
+                self.entries[found[-1][1]], refused_because=f"weighed by the noise, {reason}"
             )
             self.entries.append(self._entry(fewer, ""))
-            self.chosen_entry = len(self.entries) - 1
             weighed = following
+            found.append((weighed, len(self.entries) - 1, self._doubts_of(weighed)))
+        weighed, self.chosen_entry, _ = min(reversed(found), key=lambda own: len(own[2]))
         return weighed
+
+    def _doubts_of(self, weighed: Weighed[ProblemT]) -> dict[int, str]:
+        """Return why modes of a weighed fit cannot be trusted, by their numbers."""
+        modes = range(len(weighed.fit.omegas))
+        said = {mode: mode_complaint(weighed.fit, weighed.problem, mode, self.band) for mode in modes}
+        return {mode: complaint for mode, complaint in said.items() if complaint}
 
 
 def _is_same(one: ModalFit, other: ModalFit) -> bool:

@@ -5,10 +5,13 @@ them; and as it is in the columns too, modes that are not there can take some of
 most likely inputs under the model so far, whose noise is independent of what the outputs leave, and a Kalman filter
 of the disturbance (``input_disturbance``), for each output by itself, makes that white.  What outputs have in common
 of the noise is left to the last fit, so that every output keeps linear parameters of its own.
+
+The same filter turns the residuals of the last fit white, before causes of a misfit are looked for in them.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +25,9 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing
+from beam_ident.sensing.misfit_causes import Turn
+
+_LEAST_SHARE = 1e-4  # of an output's noise variance: it is never taken to have less of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +66,32 @@ class InputNoiseWeights:
         smoothing : Smoothing
         """
         likely, variances = WeightedFit(records, regression, fit, *priors, smoothing).on_likely_inputs()
-        n_shared = regression.n_shared(len(fit.omegas))
-        disturbances = [
-            [
-                InputDisturbance(
-                    regression.drives[record],
-                    regression.structure,
-                    fit.omegas,
-                    fit.zetas,
-                    found[None, :n_shared],
-                    np.array([records[record].output(name).exposure_s]),
-                    smoothing,
-                )
-                for record, _ in segments
-            ]
-            for name, segments, found in zip(
-                regression.output_names, regression.segments, fit.coefficients, strict=True
-            )
-        ]
+        disturbances = _by_output(records, regression, fit, smoothing)
         return InputNoiseWeights(likely, disturbances, variances, fit.clock.latency)
 
     def turned(self, regression: ModalRegression) -> ModalRegression:
         """Return the regression of the same outputs, at these or at fewer stamps, with rows that are white."""
         return regression.turned([self._turn(regression, j) for j in range(regression.n_outputs)])
+
+    @staticmethod
+    def of_residuals(
+        records: Sequence[TimeRecord], regression: ModalRegression, fit: ModalFit, smoothing: Smoothing
+    ) -> InputNoiseWeights:
+        """Return those of a fit that was weighed by that noise: records, regression and smoothing are its own."""
+        own_shares = np.maximum(1.0 - fit.input_noise_shares, _LEAST_SHARE)
+        variances = np.tile(np.square(fit.sigmas) * own_shares, (len(records), 1))
+        disturbances = _by_output(records, regression, fit, smoothing)
+        return InputNoiseWeights(list(records), disturbances, variances, fit.clock.latency)
+
+    def turns(self, regression: ModalRegression, output: int) -> list[Turn]:
+        """Return of every record of an output the map that makes its rows there white, each (n_rows, n_columns)."""
+        result: list[Turn] = []
+        for number, (record, part) in enumerate(regression.segments[output]):
+            rows = np.arange(part.stop - part.start)
+            seen = Observations.of([regression.times[output][part] - self.latency], [rows])
+            own = self.disturbances[output][number].filter(seen, self.variances[record, output : output + 1])
+            result.append(functools.partial(_whitened, own))
+        return result
 
     def _turn(self, regression: ModalRegression, output: int) -> Callable[[FloatArray], FloatArray]:
         """Return the map of an output's rows, of determinant one: costs before and after compare."""
@@ -106,3 +115,33 @@ class InputNoiseWeights:
             variance = self.variances[record, output : output + 1]
             found.append(self.disturbances[output][number].filter(seen, variance))
         return found
+
+
+def _by_output(
+    records: Sequence[TimeRecord], regression: ModalRegression, fit: ModalFit, smoothing: Smoothing
+) -> list[list[InputDisturbance]]:
+    """Return what the noise on the inputs does to every output by itself, in each of its segments."""
+    n_shared = regression.n_shared(len(fit.omegas))
+    return [
+        [
+            InputDisturbance(
+                regression.drives[record],
+                regression.structure,
+                fit.omegas,
+                fit.zetas,
+                found[None, :n_shared],
+                np.array([records[record].output(name).exposure_s]),
+                smoothing,
+            )
+            for record, _ in segments
+        ]
+        for name, segments, found in zip(
+            regression.output_names, regression.segments, fit.coefficients, strict=True
+        )
+    ]
+
+
+def _whitened(own: DisturbanceFilter, columns: FloatArray) -> FloatArray:
+    result = np.array(columns, order="C")
+    own.whiten([result])
+    return result

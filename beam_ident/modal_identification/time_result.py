@@ -34,13 +34,15 @@ from beam_ident.modal_identification.fit_tests import (
     no_body_alone,
     rate_warnings,
 )
+from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
 from beam_ident.modal_identification.signal_clocks import SignalClocks, clock_sentences, hold_warnings
+from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.outliers import outlier_warning
 from beam_ident.noise.record_fit import RecordFit, in_units_of_level, pooled_scores
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
-from beam_ident.sensing.misfit_causes import misfit_warnings
+from beam_ident.sensing.misfit_causes import Noise, misfit_warnings
 from beam_ident.sensing.quantisation import rounding_warning
-from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
+from beam_ident.sensing.still_noise import StillNoise, counted_input_warning, found_noise_warning
 
 _IDLE_LEVEL = 1e-3  # an input that is less likely to do nothing is not said to
 
@@ -202,6 +204,17 @@ class Findings:
             records=records,
         )
 
+    def _noises(
+        self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
+    ) -> list[list[Noise]]:
+        """Return what is known of the noise in every record of every output: where it is loud, or from the input."""
+        if not np.max(fit.input_noise_shares) > VISIBLE_SHARE or len(self.plain.pieces) > 1:
+            return [[Noise(own.spread) for own in output.records] for output in outputs]
+        weights = InputNoiseWeights.of_residuals(self.records, regression, fit, Smoothing(self.band.high_hz))
+        return [
+            [Noise(turn=turn) for turn in weights.turns(regression, j)] for j in range(regression.n_outputs)
+        ]
+
     def _warnings(
         self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
     ) -> list[str]:
@@ -228,12 +241,10 @@ class Findings:
             warnings.append(said)
         warnings += misfit_warnings(
             [
-                (
-                    output.name,
-                    [(own.times_s, own.modelled, own.residuals, own.spread) for own in output.records],
-                )
+                (output.name, [(own.times_s, own.modelled, own.residuals) for own in output.records])
                 for output in outputs
-            ]
+            ],
+            self._noises(fit, regression, outputs),
         )
         if regression.n_forced == 1 and self.band.is_excited:
             warnings += no_body_alone(self.found, regression, outputs, self.records)
@@ -247,6 +258,8 @@ class Findings:
                 "Inputs and outputs were weighed together as if sigma of the InputSignal had stated it."
             )
             warnings.append(found_noise_warning(regression.drives[index], self.found_noise[index], treatment))
+        if np.max(shares) > VISIBLE_SHARE or not fit.converged:
+            warnings += [said for drive in self.plain.drives if (said := counted_input_warning(drive))]
         if np.max(shares) > VISIBLE_SHARE:
             worst = int(np.argmax(shares))
             is_hidden = self.band.high_hz < self.band.unfolded_hz

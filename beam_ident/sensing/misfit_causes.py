@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -32,10 +32,6 @@ from beam_ident.noise.scores import ScoreTest, are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
-SpreadPart = tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray
-]  # and the noise of every sample over the record's
-
 _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
 _LIKE_COLOUR = ("line", "jump", "drift")  # which an autoregression would take for its own
 _CAREFUL = 100.0  # times rarer these must be: the colour without them is one that they chose
@@ -52,12 +48,31 @@ _FINER = 8  # steps between two lines
 _BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
 _MAINS_HZ = (50.0, 60.0)
 _AT_ONCE = 8192  # samples: what their columns need stays in the cache
-_EVEN = np.ones(1)  # spread of noise that is the same everywhere
 _BENT = "as if {} were not what acted: they hold the answer to its cube (a saturating actuator)"
 _NOTHING = 1e-10  # of a column's square: what remains of it then is rounding
 
 
 Column = Callable[[slice], FloatArray]  # what a cause leaves at some of the samples, shape (n,) or (k, n)
+Turn = Callable[
+    [FloatArray], FloatArray
+]  # of columns, shape (n, k), which makes noise of a known colour white
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What is known of the noise in one record of an output.
+
+    Attributes
+    ----------
+    spread : ndarray, shape (n,) or (1,) -- how loud it is at every sample, over the record's
+    turn : callable or None -- the map that makes it white, where its colour is known: that from a noisy input
+    """
+
+    spread: FloatArray = field(default_factory=lambda: np.ones(1))
+    turn: Turn | None = None
+
+
+_EVEN = Noise()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +86,21 @@ class _Cause:
     said: Callable[[FloatArray], str]  # of the coefficients
 
 
-def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part | SpreadPart]]]) -> list[str]:
+def misfit_warnings(
+    outputs: Sequence[tuple[str, Sequence[Part]]], noises: Sequence[Sequence[Noise]] | None = None
+) -> list[str]:
     """Return what the residuals of outputs look like, one sentence for each output that has more than noise.
 
     Parameters
     ----------
     outputs : sequence of (name, records)
-        Of every output, record by record: stamps [s], what the model says there and what it leaves, each (n,);
-        where noise differs from sample to sample, how loud it is there, too.
+        Of every output, record by record: stamps [s], what the model says there and what it leaves, each (n,).
+    noises : sequence of (sequence of Noise) or None -- of the same records, where something is known of it
     """
     warnings = []
-    for name, parts in outputs:
-        found = dict.fromkeys(said for part in parts for said in _causes(*part))
+    for (name, parts), own in zip(outputs, noises or [[_EVEN] * len(o[1]) for o in outputs], strict=True):
+        pairs = zip(parts, own, strict=True)
+        found = dict.fromkeys(said for part, noise in pairs for said in _causes(*part, noise))
         if found:
             warnings.append(
                 f"Misfit of {name}: the residuals look {'; and '.join(found)}. If that is so, poles are biased."
@@ -90,29 +108,29 @@ def misfit_warnings(outputs: Sequence[tuple[str, Sequence[Part | SpreadPart]]]) 
     return warnings
 
 
-def _causes(
-    times: FloatArray, modelled: FloatArray, residuals: FloatArray, spread: FloatArray = _EVEN
-) -> list[str]:
+def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray, noise: Noise) -> list[str]:
     """Return the causes in one record, the one that explains most first."""
     n, size = len(times), float(np.std(modelled))
     if n < _MIN_SAMPLES or not size > 0.0 or are_rounding(modelled + residuals, residuals):
         return []
-    left = residuals / spread
+    left = residuals / noise.spread
     left[outliers(left)] = 0.0  # they are named by themselves
     columns = _columns(times, (modelled - np.mean(modelled)) / size, float(np.std(residuals)) / size)
-    if len(spread) == n:
-        columns = {name: functools.partial(_weighed, own, 1.0 / spread) for name, own in columns.items()}
+    if len(noise.spread) == n:
+        columns = {
+            name: functools.partial(_weighed, own, 1.0 / noise.spread) for name, own in columns.items()
+        }
     found: list[str] = []
     kinds: set[str] = set()
     for _ in range(_MOST_CAUSES):
-        whitened = _Whitened.of(left)
+        whitened = _Whitened.of(left, turn=noise.turn)
         causes = [c for c in _candidates(times, columns, left, whitened, size) if c.kind not in kinds]
         # White residuals have no colour that could have taken up a line or a step.
         apart = [c for c in causes if len(whitened.colour) > 1 and c.kind in _LIKE_COLOUR]
         together = [c for c in causes if c not in apart]
         gains = list(zip(together, whitened.gains(columns, together), strict=True))
         for cause in apart:
-            without = _without(cause, columns, left)
+            without = _without(cause, columns, left, noise.turn)
             slowness = without.slowness() if cause.kind == "drift" else 1.0
             gains.append((cause, without.gains(columns, [cause], slowness)[0]))
         best, best_gain = None, 0.0
@@ -123,10 +141,17 @@ def _causes(
             break
         kinds.add(best.kind)
         design = _stacked(columns, (*best.columns, *best.beside), n)
-        coefficients = LinearSolution.of(design).coefficients(left)
+        coefficients = LinearSolution.of(_turned(design, noise.turn)).coefficients(
+            _turned(left[:, None], noise.turn)[:, 0]
+        )
         found.append(best.said(coefficients))
         left = left - design @ coefficients
     return found
+
+
+def _turned(columns: FloatArray, turn: Turn | None) -> FloatArray:
+    """Return columns, shape (n, k), where noise of a known colour is white."""
+    return columns if turn is None else turn(columns)
 
 
 def _stacked(columns: Mapping[str, Column], names: Sequence[str], n: int) -> FloatArray:
@@ -134,7 +159,7 @@ def _stacked(columns: Mapping[str, Column], names: Sequence[str], n: int) -> Flo
     return np.asarray(np.concatenate([np.atleast_2d(columns[name](slice(0, n))) for name in names]).T)
 
 
-def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> _Whitened:
+def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray, turn: Turn | None) -> _Whitened:
     """Return residuals whitened by the colour that they have without a cause.
 
     A line or a step is itself the limit of a colour, an autoregression with a pole on the unit circle, which would
@@ -143,7 +168,7 @@ def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> 
     own = _stacked(columns, cause.columns, len(left))
     size = np.linalg.norm(own, axis=0)
     basis = LinearSolution.of(own / np.where(size > 0.0, size, 1.0)).basis
-    return _Whitened.of(left, left - basis @ (basis.T @ left))
+    return _Whitened.of(left, left - basis @ (basis.T @ left), turn)
 
 
 def _stands_without_weights(
@@ -161,7 +186,7 @@ def _stands_without_weights(
 
 @dataclass(frozen=True)
 class _Whitened:
-    """Residuals as their autoregression leaves them.
+    """Residuals as their autoregression leaves them, behind what is known of their colour.
 
     With the colour of the residuals with everything in them, what columns explain beyond it is the score of a
     Lagrange multiplier test, whose level holds for noise of any stationary colour.
@@ -169,17 +194,20 @@ class _Whitened:
 
     colour: FloatArray
     left: FloatArray
+    turn: Turn | None
 
     @staticmethod
-    def of(left: FloatArray, noise: FloatArray | None = None) -> _Whitened:
+    def of(left: FloatArray, noise: FloatArray | None = None, turn: Turn | None = None) -> _Whitened:
         """Whiten residuals by the colour of their own, or of what is known to be noise."""
-        colour = autoregression(left if noise is None else noise)
-        return _Whitened(
-            colour, left if len(colour) == 1 else lfilter(colour, [1.0], left)[len(colour) - 1 :]
-        )
+        known = left if noise is None else noise
+        left, known = _turned(np.stack([left, known], axis=1), turn).T
+        colour = autoregression(known)
+        white = left if len(colour) == 1 else lfilter(colour, [1.0], left)[len(colour) - 1 :]
+        return _Whitened(colour, white, turn)
 
     def column(self, column: FloatArray) -> FloatArray:
         """Whiten a column, shape (n,)."""
+        column = _turned(column[:, None], self.turn)[:, 0]
         if len(self.colour) == 1:
             return column
         return np.asarray(lfilter(self.colour, [1.0], column)[len(self.colour) - 1 :])
@@ -187,15 +215,18 @@ class _Whitened:
     def products(self, parts: Sequence[Column]) -> tuple[FloatArray, FloatArray, list[int]]:
         """Return the inner products of whitened columns with each other and with residuals, and their numbers.
 
-        They are taken block by block: of a long record no column is kept.
+        They are taken block by block: of a long record no column is kept, but where noise of a known colour is
+        turned white.
         """
         n_before, n = len(self.colour) - 1, len(self.left)
         squares, products, widths = np.zeros((0, 0)), np.zeros(0), [0] * len(parts)
-        for first in range(0, n, _AT_ONCE):
-            last = min(first + _AT_ONCE, n)
+        at_once = _AT_ONCE if self.turn is None else n
+        for first in range(0, n, at_once):
+            last = min(first + at_once, n)
             here = slice(first, last + n_before)  # a filter looks back by its order
             columns = [np.atleast_2d(part(here)) for part in parts]
             widths, rows = [len(own) for own in columns], np.concatenate(columns)
+            rows = _turned(rows.T, self.turn).T
             if n_before:
                 rows = lfilter(self.colour, [1.0], rows)[:, n_before:]
             if not first:
@@ -417,7 +448,7 @@ def _candidates(
         looks = n * (_CAREFUL if kind in _LIKE_COLOUR else 1.0)
         beside = tuple(dict.fromkeys((*own, name)))
         causes.append(_Cause(kind, (kind,), beside, looks, functools.partial(said, at=at)))
-    line = _line(times, left, own)
+    line = _line(times, _turned(left[:, None], whitened.turn)[:, 0], own)
     if line is not None:
         cause, columns["line"] = line
         causes.append(cause)
@@ -552,7 +583,7 @@ def input_misfit_warnings(
 
     # What the input does later is freed of what it did before, whatever the colour of the residuals.
     n_lately, n_around = _BEFORE + 1, len(lags)
-    plain, _, _ = _Whitened(np.ones(1), left).products([around])
+    plain, _, _ = _Whitened(np.ones(1), left, None).products([around])
     known = LinearSolution.of(plain[:n_lately, :n_lately]).coefficients(plain[:n_lately, n_lately:])
     whitened = _Whitened.of(left)
     columns: list[Column] = [around, lambda here: bent[here], lambda here: own[:, here]]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.noise.rounding import quantum
 
@@ -29,6 +29,8 @@ _FLAT = (
 )
 _STEADY = 3.0  # of the floor's power in all segments but a tenth on each side
 _SMALL = 0.01  # of the input's own deviation: more is no noise of a sensor, but the signal
+_FEW_STEPS = 4.0  # of a counter within a window: an amplitude of two errs by up to 13 %
+_DITHERED = 0.25  # of a step: what is seen in rest of noise that was there before the rounding
 _SMALL_IN_REST = 0.05  # the same where nothing else was there to see
 
 
@@ -56,29 +58,38 @@ class StillNoise:
     @staticmethod
     def _in_rest(drive: InputSignal) -> StillNoise:
         values = drive.values
-        n_windows = len(values) // _WINDOW
-        if n_windows * _WINDOW < _MIN_REST:
+        if len(values) < _MIN_REST:
             return StillNoise()
-        windows = values[: n_windows * _WINDOW].reshape(n_windows, _WINDOW)
-        # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 = 70 times its variance.
-        level = np.mean(np.square(np.diff(windows, 4, axis=1)), axis=1) / 70.0
-        line = np.linalg.qr(np.stack([np.ones(_WINDOW), np.arange(_WINDOW)], axis=1))[0]
-        about = np.sum(np.square(windows - windows @ line @ line.T), axis=1) / (_WINDOW - 2)
-        is_white = about <= _AS_WHITE * level + (1e-13 * float(np.max(np.abs(values)))) ** 2
+        level, is_white = _scatter(_in_windows(values))
         if not np.any(is_white):
             return StillNoise()
         # A signal that is itself as rough as noise is louder than rest: the quietest stretches decide.
         quiet = float(np.median(np.sort(level[is_white])[: max(int(np.sum(is_white)) // 3, 1)]))
         still = is_white & (level <= _SPREAD * quiet)
         # An encoder that stands between two counts shows nothing of its rounding: that is known from its steps.
-        sigma = max(math.sqrt(float(np.mean(level[still]))), _counted(values) / math.sqrt(12.0))
+        sigma = max(math.sqrt(float(np.mean(level[still]))), counted_step(values) / math.sqrt(12.0))
         count = int(np.sum(still)) * _WINDOW
         if count < _MIN_REST or not _rounding(values) < sigma < _SMALL_IN_REST * float(np.std(values)):
             return StillNoise()
         return StillNoise(sigma, count * float(np.median(np.diff(drive.times_s))))
 
 
-def _counted(values: FloatArray) -> float:
+def _in_windows(values: FloatArray) -> FloatArray:
+    """Return values in rows of a window each, without what is left at the end."""
+    n_windows = len(values) // _WINDOW
+    return values[: n_windows * _WINDOW].reshape(n_windows, _WINDOW)
+
+
+def _scatter(windows: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the variance of white noise in every window, and whether there is nothing else about a line."""
+    # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 = 70 times its variance.
+    level = np.mean(np.square(np.diff(windows, 4, axis=1)), axis=1) / 70.0
+    line = np.linalg.qr(np.stack([np.ones(_WINDOW), np.arange(_WINDOW)], axis=1))[0]
+    about = np.sum(np.square(windows - windows @ line @ line.T), axis=1) / (_WINDOW - 2)
+    return level, about <= _AS_WHITE * level + (1e-13 * float(np.max(np.abs(windows)))) ** 2
+
+
+def counted_step(values: FloatArray) -> float:
     """Return the step in which a motion was counted, 0 where there is none, or where the steps are the input's own.
 
     Notes
@@ -94,6 +105,32 @@ def _counted(values: FloatArray) -> float:
     jumps = np.abs(moves[1:-1]) > 1
     alone = jumps & (moves[:-2] == 0) & (moves[2:] == 0)
     return 0.0 if 2 * np.count_nonzero(alone) > np.count_nonzero(jumps) else step
+
+
+def counted_input_warning(drive: InputSignal) -> str:
+    """Return that a measured input moves by few of the steps in which it is counted, or an empty string.
+
+    Notes
+    -----
+    Of a sine of amplitude A that is rounded to steps of q, the first harmonic errs by up to ``0.37 (q / A)^1.5``.
+    What passes many steps, or has noise before it is rounded, has errors like noise, and the rest has not.
+    """
+    step = counted_step(drive.values) if drive.hold != "zoh" else 0.0
+    windows = _in_windows(drive.values)
+    if not step or not len(windows):
+        return ""
+    swings = np.ptp(windows, axis=1) / step
+    level, is_still = _scatter(windows)
+    few = (swings > 0.5) & (swings < _FEW_STEPS) & ~is_still
+    is_dithered = np.any(is_still) and float(np.median(level[is_still])) > (_DITHERED * step) ** 2
+    if is_dithered or not np.any(few):
+        return ""
+    lasted = np.count_nonzero(few) * _WINDOW * float(np.median(np.diff(drive.times_s)))
+    return (
+        f"Rounding: {drive.name} is counted in steps of {step:.3g} {drive.unit}, and for {lasted:.3g} s it moves by "
+        f"less than {_FEW_STEPS:.0f} of them at a time. There its errors follow the motion, and are no noise that "
+        "sigma could state. Count more finely, move further where it is fast, or give the commanded motion as input."
+    )
 
 
 def _floor(values: FloatArray) -> float:

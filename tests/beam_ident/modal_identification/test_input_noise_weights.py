@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from beam_ident import identify
+from beam_ident import TimeRecord, identify
 from benchmarks.ident.rig import Rig
 from tests.beam_ident.modal_estimation.test_weighted_fit import with_encoder_noise
-from tests.beam_ident.truth import OMEGAS, ZETAS
+from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
 
 @pytest.mark.parametrize("stated", [20e-6, 0.0])
@@ -37,3 +39,27 @@ def test_residues_are_not_bent_by_noise_that_passes_at_once():
         errors = (np.asarray(model.residues) - np.asarray(rig.full.residues)[:, :2]) / model.residue_sd
         scores.append(errors[1:, 1])
     assert np.max(np.abs(scores)) < 3.3
+
+
+def noisy_hub(seed: int, hum: float = 0.0) -> TimeRecord:
+    """Return the beam behind 4 um of declared noise on its hub, with a line of 37.3 Hz at one output."""
+    record = beam_record(seed, encoder=0.0)
+    (drive,) = record.inputs
+    values = drive.values + 4e-6 * np.random.default_rng([seed, 7]).standard_normal(len(drive.values))
+    outputs = [
+        dataclasses.replace(o, values=o.values + hum * np.sin(2.0 * np.pi * 37.3 * o.times_s))
+        if o.name == "z225"
+        else o
+        for o in record.outputs
+    ]
+    return TimeRecord((dataclasses.replace(drive, values=values, sigma=4e-6),), tuple(outputs))
+
+
+@pytest.mark.parametrize("seed", [4, 6, 9])
+def test_noise_of_the_hub_that_rings_a_mode_is_no_line(seed):
+    assert not any(said.startswith("Misfit") for said in identify(noisy_hub(seed), n_modes=2).warnings)
+
+
+def test_hum_is_named_behind_the_noise_of_the_hub():
+    said = " ".join(identify(noisy_hub(4, hum=6e-6), n_modes=2).warnings)
+    assert "Misfit of z225: the residuals look like a line at 37.3 Hz" in said

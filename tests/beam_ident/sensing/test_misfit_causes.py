@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from beam_ident import InputSignal, estimate_transfer_function
-from beam_ident.sensing.misfit_causes import input_misfit_warnings, misfit_warnings
+from beam_ident.sensing.misfit_causes import Noise, input_misfit_warnings, misfit_warnings
 from tests.beam_ident.result_cases import PERIOD_S, PLANT, record
 
 N = 1500
@@ -113,6 +113,8 @@ def test_noise_that_is_known_to_grow_with_the_speed_is_no_misfit():
     draws = [0.02 * spread * rng.standard_normal(len(TIMES)) for _ in range(100)]
     # One of a hundred is a chance of one in ten, three one in 6000; taken for noise of one level six are said.
     assert sum(bool(misfit_warnings([("y", [(TIMES, CLEAN, noise)])])) for noise in draws) > 3
-    assert sum(bool(misfit_warnings([("y", [(TIMES, CLEAN, noise, spread)])])) for noise in draws) < 3
+    assert (
+        sum(bool(misfit_warnings([("y", [(TIMES, CLEAN, noise)])], [[Noise(spread)]])) for noise in draws) < 3
+    )
     late = draws[1] - 0.01 * speed / np.std(speed)
-    assert "stamps were" in " ".join(misfit_warnings([("y", [(TIMES, CLEAN, late, spread)])]))
+    assert "stamps were" in " ".join(misfit_warnings([("y", [(TIMES, CLEAN, late)])], [[Noise(spread)]]))

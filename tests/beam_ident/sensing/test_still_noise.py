@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 from beam_ident import InputSignal, LogChirp, TimeRecord, estimate_transfer_function, identify
-from beam_ident.sensing.still_noise import StillNoise
+from beam_ident.sensing.still_noise import StillNoise, counted_input_warning
 from benchmarks.ident.rig import Rig
+from tests.beam_ident.truth import OMEGAS, beam_record
 
 CHIRP = LogChirp(duration=10.0, still=3.0).sample(1e-3)
 
@@ -115,3 +117,31 @@ def test_an_estimator_that_does_not_weigh_it_says_so():
     record = undeclared(Rig().record(2, encoder_sd=2e-6)).select(["z285"])
     found = estimate_transfer_function(record, 4, 4, n_starts=1)
     assert any("that nobody declared: 2e-06 m" in said and "identify()" in said for said in found.warnings)
+
+
+def test_a_motion_by_few_counts_is_named():
+    said = counted_input_warning(measured(0.0, 5e-6))
+    assert re.match(
+        r"Rounding: hub is counted in steps of 5e-06 m, and for [12]\.\d+ s it moves by less than 4", said
+    )
+
+
+def test_counts_that_no_motion_follows_or_that_noise_dithers_are_not():
+    dithered, fine = measured(2.5e-6, 5e-6), measured(0.0, 1e-9)
+    command = dataclasses.replace(measured(0.0, 5e-6), hold="zoh")
+    at_rest = dataclasses.replace(fine, values=np.where(np.arange(len(fine.values)) > 500, 5e-6, 0.0))
+    for drive in (dithered, command, measured(5e-7), at_rest):
+        assert not counted_input_warning(drive)
+
+
+def test_a_hub_of_coarse_steps_is_named_and_feigns_no_mode():
+    """The third mode is passed in a step and a half: modes that take its place are in doubt once the noise weighs."""
+    record = beam_record(3, LogChirp(), encoder=0.0)
+    (drive,) = record.inputs
+    counted = dataclasses.replace(drive, values=1e-5 * np.round(drive.values / 1e-5))
+    found = identify(dataclasses.replace(record, inputs=(counted,)))
+    assert found.converged
+    assert found.doubts == ("", "")
+    errors = found.model.natural_frequencies / OMEGAS[:2] - 1.0
+    assert np.max(np.abs(errors) / found.model.natural_frequency_sd * found.model.natural_frequencies) < 4.0
+    assert any(said.startswith("Rounding: hub is counted") for said in found.warnings)
