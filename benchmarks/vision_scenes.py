@@ -30,6 +30,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,23 @@ ROW_PX = 15.0
 """A detector that knows no time may look so far from a marker's row [px]."""
 
 
+@dataclass(frozen=True)
+class Ghost:
+    """A reflection of the whole picture that lies over it.
+
+    Attributes
+    ----------
+    du, dv : float -- how far aside it lies [px]
+    strength : float -- its light over the picture's own
+    is_mirrored : bool -- left and right are exchanged about the middle column, before it is moved aside
+    """
+
+    du: float
+    dv: float
+    strength: float
+    is_mirrored: bool
+
+
 @dataclass
 class Frame:
     """One frame before the sensor sees it.
@@ -68,6 +86,7 @@ class Frame:
     Attributes
     ----------
     u, v : ndarray, shape (n_markers,) -- mean positions over the exposure [px]
+    older_share : float -- so much of the light is that of the frame before
     in_sight : ndarray of bool, shape (n_markers,) -- nothing touches the marker
     """
 
@@ -77,6 +96,8 @@ class Frame:
     gain: float = 1.0
     is_dropped: bool = False
     tear_row: int = 0
+    ghost: Ghost | None = None
+    older_share: float = 0.0
     in_sight: np.ndarray = field(default_factory=lambda: np.ones(N_MARKERS, dtype=bool))
     specks: list[tuple[float, float, float, float]] = field(default_factory=list)
     threads: list[tuple[float, float, float, float, float]] = field(default_factory=list)
@@ -422,6 +443,33 @@ def leaving(rng: np.random.Generator) -> Scene:
     return scene
 
 
+def ghost(rng: np.random.Generator) -> Scene:
+    """A reflection of the whole picture beside itself, or mirrored: it moves with the markers, or against them."""
+    scene = plain(rng, contrast=120.0)
+    du, strength = rng.uniform(2.0, 7.0) * rng.choice([-1, 1]), rng.uniform(0.2, 0.5)
+    dv = float(rng.choice([0.0, rng.uniform(-1.0, 1.0) * du]))
+    over = Ghost(du, dv, strength, is_mirrored=bool(rng.random() < 0.5))
+    middle, near = scene.camera.width - 1, scene.camera.marker_diameter_px + 14
+    for frame in disturbed(scene):
+        frame.ghost = over
+        u = mean_columns(scene, frame)
+        aside = middle - 2 * u + du if over.is_mirrored else np.full_like(u, du)
+        frame.in_sight &= np.abs(aside) > near
+    return scene
+
+
+def doubled(rng: np.random.Generator) -> Scene:
+    """Frames into which a decoder blends the frame before."""
+    scene = plain(rng, amplitude_px=rng.uniform(5, 40))
+    share = rng.uniform(0.2, 0.5)
+    frames = disturbed(scene)
+    for before, frame in pairwise(frames):
+        if rng.random() < 0.2:
+            frame.older_share = share
+            frame.in_sight &= np.abs(mean_columns(scene, frame) - mean_columns(scene, before)) < 0.3
+    return scene
+
+
 CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
     kind.__name__: kind
     for kind in (
@@ -451,6 +499,8 @@ CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
         shot_noise,
         gaps,
         leaving,
+        ghost,
+        doubled,
     )
 }
 
@@ -483,10 +533,18 @@ def _drawn(picture: np.ndarray, frame: Frame) -> None:
         picture += grey * _soft(thick / 2 - away)
 
 
+def _with_ghost(picture: np.ndarray, ghost: Ghost, background: float) -> np.ndarray:
+    """Add a reflection of a picture to it."""
+    light = picture[:, ::-1] if ghost.is_mirrored else picture
+    aside = np.array([[1.0, 0.0, ghost.du], [0.0, 1.0, ghost.dv]])
+    moved = cv2.warpAffine(light, aside, light.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(picture + np.float32(ghost.strength) * (moved - np.float32(background)))
+
+
 def pictures(
     scene: Scene, rng: np.random.Generator
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Stamp, picture, true columns of what it shows (2, n_markers; two where it is torn), and what is in sight."""
+    """Stamp, picture, true columns (2, n_markers; two where it is torn or doubled), and what is in sight."""
     camera = scene.camera
     renderer = _renderer(camera)
     height, width = camera.height, camera.width
@@ -512,7 +570,12 @@ def pictures(
             shown = clean.copy()
             shown[frame.tear_row :] = before[0][frame.tear_row :]
             older = before[1]
+        if before is not None and frame.older_share:
+            shown = clean + np.float32(frame.older_share) * (before[0] - clean)
+            older = before[1]
         before = clean, truth
+        if frame.ghost is not None:
+            shown = _with_ghost(shown, frame.ghost, camera.background)
         light = shown * (even * np.float32(frame.gain * scene.saturation))
         noise = np.sqrt(np.float32(scene.noise**2) + np.float32(scene.shot) * np.clip(light, 0, 255))
         light = light + noise * rng.standard_normal(light.shape, dtype=np.float32)
