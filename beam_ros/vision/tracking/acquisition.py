@@ -190,6 +190,7 @@ class Acquisition:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
         disc, before = one_disc(spot, light, self._parameters), marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
+        marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
         things = beside if disc.reason == "ok" else [*beside, spot.u]
         marker.note_clutter(things, self._frame)

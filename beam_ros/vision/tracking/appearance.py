@@ -109,6 +109,8 @@ class Appearance:
     row : float -- v [px]
     frames : int -- frames averaged
     level : float -- height of the subtracted level above the background, as a fraction of the contrast
+    excess : float -- second moment along u beyond that along v, without smear [px^2]
+    tilt : float -- twice the second moment along u and v [px^2]
     radius, edge : float -- of the disc, and the standard deviation of its rim's blur [px]
     disc : tuple of int -- the two, as the apertures are tabulated
     model : DiscModel -- what is fitted to it, and learns its noise
@@ -122,6 +124,8 @@ class Appearance:
     row: float
     frames: int = 1
     level: float = 0.0
+    excess: float = 0.0
+    tilt: float = 0.0
     radius: float = field(init=False)
     edge: float = field(init=False)
     disc: tuple[int, int] = field(init=False)

@@ -110,14 +110,15 @@ class DiscTable(NamedTuple):
     ----------
     left, top, width, height : int -- the pixels of the fit, relative to the whole pixel of the point [px]
     weights : ndarray of float32, shape (13, height * width) -- A du, A dv, A, B; the slopes along u of the background
-        and of the disc; A times the bend, the modes of the rim, and what the smear is longer than tabulated
+        and of the disc; A times the bend, the modes of the rim, and what the smear is longer than tabulated (its
+        second moment where none is)
     columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
     inverse : ndarray, shape (11, 11) -- of X' W X of all these
     gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
         [1/px]
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
     bent : tuple of 2 float -- change of A times the bend with the slopes
-    variances : two lists of 13 float -- of the sums for alpha = 1 and for beta = 1
+    variances : list of 13 (float, float) -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
     behind : ndarray of float32, shape (height, width) -- A du, the slopes taken off, by what the disc does not hide
@@ -133,7 +134,7 @@ class DiscTable(NamedTuple):
     gain: tuple[float, float, float]
     pull: tuple[float, float, float]
     bent: tuple[float, float]
-    variances: tuple[list[float], list[float]]
+    variances: list[tuple[float, float]]
     noise: FloatArray
     beyond: Float32Array
     behind: Float32Array
@@ -165,11 +166,13 @@ def _tabulated(
 
     disc = seen(cumulative_normal(depth))
     model = [along, across, depth, depth, slope, -slope * depth, instants * along]
-    own = np.stack([seen(column) for column in (model if smear_steps else model[:-1])])
+    turned = slope * (depth / edge * dx * dx + y * y / distance) / (distance * distance)
+    if not smear_steps:
+        model[6] = -0.5 * turned  # d^2 T/du^2 / 2: a short motion shows by its second moment only
+    own = np.stack([seen(column) for column in model])
     own[2], own[3] = disc, 1.0
     weight = 1.0 / (1.0 + _LIGHT_STEPS[light] * disc)
     solution = np.linalg.inv((own * weight) @ own.T) @ (own * weight)
-    turned = slope * (depth / edge * dx * dx + y * y / distance) / (distance * distance)
     changes = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
     gain = [float(solution[0] @ seen(change)) for change in changes]
     angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
@@ -194,7 +197,7 @@ def _tabulated(
     inside_weights, (inside_pull,) = beside(inside[None, :], np.vstack([own, outside]))
     taken = np.vstack([own, bent]) if bend_pull else own
     rows = [outside_weights, *inside_weights, bend_weights, *beside(np.stack(modes), taken)[0]]
-    rows.append(solution[6] if smear_steps else np.zeros_like(disc))
+    rows.append(solution[6])
     weights = np.vstack([solution[:4], rows])
     columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
     inverse = np.linalg.inv((columns * weight) @ columns.T)
@@ -212,7 +215,7 @@ def _tabulated(
         (gain[0], gain[1], gain[2]),
         (outside_pull, inside_pull, bend_pull),
         (float(bend_weights @ outside), float(bend_weights @ inside)),
-        (squared.sum(axis=1).tolist(), (squared @ disc).tolist()),
+        list(zip(squared.sum(axis=1).tolist(), (squared @ disc).tolist(), strict=True)),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
         np.where(disc > _OUTSIDE, math.inf, 0.0).astype(np.float32),
         ((1.0 - disc) * (weights[0] - [outside_pull, inside_pull] @ weights[4:6]))
@@ -231,6 +234,8 @@ class DiscFit(NamedTuple):
     contrast : float -- height of the disc above its background [grey levels]
     wave : float -- by how much the rim is out of its usual round in this frame, beyond its noise; 0 where it is not
         [px]
+    excess, tilt : float -- second moment along u beyond that of the disc at rest, and twice that along u and v [px^2]
+    sigma_excess : float -- standard deviation of either [px^2]
     """
 
     u: float
@@ -238,6 +243,9 @@ class DiscFit(NamedTuple):
     sigma_u: float
     contrast: float
     wave: float
+    excess: float
+    tilt: float
+    sigma_excess: float
 
 
 class Habit:
@@ -314,7 +322,7 @@ class DiscModel:
         self._bend = Habit(_BENT, 0.0)
         self._modes: list[float] = []
         self._last = math.nan
-        self._roughness = [1.0, 1.0]
+        self._roughness = 1.0, 1.0
         self._beside = self._behind = 0.0
         self._textures = 0
 
@@ -372,7 +380,7 @@ class DiscModel:
             gain = table.gain
             gains = 1.0 + gain[0] * (self._radius - disc[0] * RADIUS_STEP_PX)
             gains += gain[1] * (self._edge - disc[1] * EDGE_STEP_PX)
-            longer = sums[_LENGTH] / contrast
+            longer = sums[_LENGTH] / contrast if smear_steps else 0.0
             gains += gain[2] * longer
             step_u, step_v = sums[0] / (contrast * gains), sums[1] / contrast
             u, v = at_u / _PHASES + step_u, at_v / _PHASES + step_v
@@ -390,7 +398,7 @@ class DiscModel:
             self._look_beside(table, image, left, top, ground, contrast)
         # Of the sums, each over the contrast.
         alpha, beta = self.alpha / (contrast * contrast), self.beta / (contrast * contrast)
-        noise = [alpha * unit + beta * lit for unit, lit in zip(*table.variances, strict=True)]
+        noise = [alpha * unit + beta * lit for unit, lit in table.variances]
         # Of the background's scatter, alpha includes what rests; so much of alpha changes with the frames as the rim
         # shows, and the remainder pulls as it lies there.
         fresh = min(self.rim, 1.0)
@@ -407,7 +415,14 @@ class DiscModel:
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
         wave = self._learn_rim([mode / contrast for mode in sums[_MODES]], noise[_MODES])
-        return DiscFit(u, v, max(math.sqrt(variance), wave), contrast, wave)
+        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(fresh * noise[_LENGTH])
+        if smear_steps:
+            # A motion of length s has the second moment s^2 / 12.
+            length = smear_steps * _SMEAR_STEP_PX
+            excess, sigma_excess = (length + longer) ** 2 / 12, length / 6 * sigma_excess
+        # Two waves around the rim, a high, add R a to twice the moment.
+        tilt = self._radius * sums[_MODES.start] / contrast
+        return DiscFit(u, v, max(math.sqrt(variance), wave), contrast, wave, excess, tilt, sigma_excess)
 
     def _look_closely(self, table: DiscTable, grey: Float32Array, light: int) -> None:
         """Take alpha and beta from the residuals, and radius and blur from the whole fit."""
@@ -499,8 +514,10 @@ class DiscModel:
             # About a mean of few frames they vary more than about the true one.
             pace = max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES)
             likely = [min(square, most) for square in squares] if max(squares) > most else squares
-            short = sum(likely[_LONG_MODES:]) / (len(modes) - _LONG_MODES)
-            for k, mean in enumerate((sum(likely[:_LONG_MODES]) / _LONG_MODES, short)):
-                self._roughness[k] += pace * (mean - self._roughness[k])
-            self.rim = max(self._roughness)
+            of_long = sum(likely[:_LONG_MODES])
+            of_short = sum(likely) - of_long
+            long, short = self._roughness
+            long += pace * (of_long / _LONG_MODES - long)
+            short += pace * (of_short / (len(modes) - _LONG_MODES) - short)
+            self._roughness, self.rim = (long, short), max(long, short)
         return math.sqrt(sum(away * away for away in aways) / (len(modes) - 2)) if is_disturbed else 0.0

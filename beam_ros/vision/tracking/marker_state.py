@@ -19,6 +19,8 @@ from beam_ros.vision.tracking.spots import Gates, Spot
 
 TOGETHER_FRAMES = 5
 """Markers that were lost within so many frames of each other may have been lost for the same reason."""
+_RECENT_FRAMES = 4
+"""Where a marker was before it was lost for so many frames does not tell its speed."""
 NEVER = -(10**9)
 """Number of the frame in which a marker was lost that never was."""
 LONELY_FRAMES = 25
@@ -52,7 +54,8 @@ class MarkerState:
     known_row : float or None -- row in which the marker is looked for before it is acquired [px]
     light, appearance, gates : Light, Appearance, Gates or None -- what it looks like; None before it is acquired
     u, v : float -- where it was last seen [px]
-    velocity : float -- its last step [px per frame]
+    velocity : float -- its last step [px per frame]; in the frame that acquires it, the one since its sighting before
+    acceleration : float -- by how much that step was longer than the one before [px per frame^2]
     hold_error, linear_error : float -- how well it is predicted by staying, and by its velocity [px]
     lost_frames : int -- frames in a row in which it was not valid
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
@@ -66,6 +69,7 @@ class MarkerState:
     is_blind : bool -- since they met, nothing of the two was to be seen for a while
     lost_at : int -- number of the frame in which it last was not where it should have been
     company_u, company_v : tuple of float -- where all markers had been seen before that [px]
+    is_pulled : bool -- in the last frame that showed it, a second image of it may have lain over it
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
     company_contrast : tuple of float -- the same of all markers in the frame before that [grey levels]
     is_doubtful : bool -- since that frame a spot in its row may be another one
@@ -82,6 +86,7 @@ class MarkerState:
     u: float = math.nan
     v: float = math.nan
     velocity: float = 0.0
+    acceleration: float = 0.0
     hold_error: float = 1.0
     linear_error: float = 1.0
     lost_frames: int = 0
@@ -99,6 +104,7 @@ class MarkerState:
     lost_at: int = NEVER
     company_u: tuple[float, ...] = ()
     company_v: tuple[float, ...] = ()
+    is_pulled: bool = False
     shown: float = math.nan
     company_contrast: tuple[float, ...] = ()
     is_doubtful: bool = False
@@ -117,10 +123,30 @@ class MarkerState:
         """Column where it should be in the frame after that in which it was last seen [px]."""
         return self.u + (self.velocity if self.linear_error < self.hold_error else 0.0)
 
+    def fastest(self, u: float, frame: int) -> float:
+        """How fast the marker may move in a frame that shows it in a column, at most [px per frame].
+
+        Notes
+        -----
+        The derivative of the polynomial through this place and the last three, by backward differences D,
+
+            u' = D u + D^2 u / 2 + D^3 u / 3
+
+        and as much beside it as the last term is. Zero where it has not been seen of late.
+        """
+        if self.acquired_at == frame:
+            return 2.0 * abs(self.velocity)
+        step = u - self.u
+        if self.lost_frames > 0:
+            return 2.0 * abs(step) / (self.lost_frames + 1) if self.lost_frames < _RECENT_FRAMES else 0.0
+        change = step - self.velocity
+        last = (change - self.acceleration) / 3
+        return abs(step + change / 2 + last) + abs(last)
+
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
         if is_fresh:
-            self.velocity = 0.0
+            self.velocity = self.acceleration = 0.0
             self.hold_error = self.linear_error = 1.0
             self.lost_frames = self.alone_frames = 0
             self.is_mixed = self.is_joined = self.is_blind = False
@@ -128,6 +154,7 @@ class MarkerState:
             step = u - self.u
             self.hold_error += 0.2 * (abs(step) - self.hold_error)
             self.linear_error += 0.2 * (abs(step - self.velocity) - self.linear_error)
+            self.acceleration = step - self.velocity
             self.velocity = step
         self.u, self.v = u, v
         self.centre += 0.01 * (u - self.centre)
@@ -143,7 +170,7 @@ class MarkerState:
         self.light, self.appearance, self.gates = light, appearance, gates
         self.acquired_at, self.shown = frame, light.contrast
         self.u, self.v, self.centre, self.row = spot.u, spot.v, spot.u, spot.v
-        self.velocity = self.swing = self.row_swing = 0.0
+        self.swing = self.row_swing = 0.0
         self.way = []
         self.hold_error = self.linear_error = 1.0
         self.lost_frames = self.alone_frames = 0

@@ -51,8 +51,8 @@ Reason = Literal[
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
 spot where the marker should be; ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry,
 brightness: the spot differs from the marker as acquired (covered, merged with another spot, glare, out of
-focus); smear: longer than its speed explains, before the marker is acquired; jump: too far from the prediction or
-from the marker's row; border: cut by the edge of the image.
+focus); smear: longer than its speed explains, as of a second image over it; jump: too far from the prediction
+or from the marker's row; border: cut by the edge of the image.
 """
 
 _REASONS: tuple[Reason, ...] = "ok", "hidden", "border"
@@ -73,6 +73,16 @@ their rim, counts as no more than that to the disc model."""
 _ALIKE = 9.0
 """Either side shows the same noise and texture where its variance is no more than so many times the other one's: a
 coarse texture has few grains in so few columns."""
+_LONGER = 1.2
+"""A smear is so many times as long as the part of it that stands above the subtracted level."""
+_LEAST = 2.0
+"""The least of the values over which an appearance is averaged lies so many standard deviations below them all."""
+_STRIKING = 4.0
+"""A smear is longer than what explains it beyond so many standard deviations, once in 30000 frames by chance, ..."""
+DOUBTED = 1.0
+"""... or so many where it was so in the frame before, ..."""
+_PULLED_PX = 0.35
+"""... and not believed where a second image of the marker that makes it so could pull the centre by more [px]."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -102,6 +112,16 @@ class Spot(NamedTuple):
     skew_v: float
     plateau: float
     region: tuple[int, int, int, int]
+
+
+class Motion(NamedTuple):
+    """What a marker's speed makes of its image, at most: length of the smear [px], and shift of every row [px/px]."""
+
+    smear: float
+    shear: float
+
+
+AT_REST = Motion(0.0, 0.0)
 
 
 class Sides(NamedTuple):
@@ -136,6 +156,14 @@ class Gates(NamedTuple):
     skew_v: Bounds
     unsmeared: float
     submersion: float
+
+
+def _scatter(light: Light, area: float) -> float:
+    """Relative scatter of a disc by white noise.
+
+    The standard deviations of area, second moments and asymmetry are this number times 1, 1.6 and 2.2.
+    """
+    return light.noise / (max(light.contrast - light.above, 1.0) * math.sqrt(area))
 
 
 class SpotMeter:
@@ -236,14 +264,12 @@ class SpotMeter:
         excess = min(spot.variance_u - appearance.variance_v, self.smear_variance)
         return math.sqrt(12.0 * max(excess, 0.0))
 
-    def centre(
-        self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
-    ) -> tuple[float, float, float] | Reason:
+    def centre(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
         """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
 
         Returns
         -------
-        u, v, sigma_u : float -- [px]; or "border" where the edge of the image cuts the aperture, "hidden" where it is
+        DiscFit; or "border" where the edge of the image cuts the aperture, "hidden" where it is
             empty
         """
         smear = self._smear(spot, appearance)
@@ -260,25 +286,26 @@ class SpotMeter:
         mass -= base * sum_w
         if (-mass if self._is_dark else mass) < self._least_area * light.contrast:
             return "hidden"
-        floor = self.parameters.sigma_floor_px
-        return (
+        return DiscFit(
             u + (first_u - base * sum_u) / (mass * aperture.gain_u),
             v + (first_v - base * sum_v) / (mass * aperture.gain_v),
-            math.hypot(light.noise * aperture.noise / mass, floor),
+            light.noise * aperture.noise / mass,
+            light.contrast,
+            0.0,
+            spot.variance_u - spot.variance_v,
+            2.0 * spot.covariance,
+            math.sqrt(2.0) * 1.6 * _scatter(light, appearance.area) * appearance.variance_v,
         )
 
-    def refine(
-        self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance
-    ) -> tuple[float, float, float] | Reason:
+    def refine(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
 
         Returns
         -------
-        u, v, sigma_u : float -- those of ``centre`` where the refinement fails [px]; or a reason as there, or "shape"
-            where the rim is disturbed by more than the tolerance of the shape
+        DiscFit -- that of ``centre`` where the refinement fails; or a reason as there, or "shape" where the rim is
+            disturbed by more than the tolerance of the shape
         """
-        smear = self._smear(spot, appearance)
-        floor = self.parameters.sigma_floor_px
+        smear = _LONGER * self._smear(spot, appearance)
         least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
         found = appearance.model.fit(
             image,
@@ -296,7 +323,7 @@ class SpotMeter:
             return "shape"
         if self.parameters.refinement == "radial_symmetry":
             found = self._crossing(image, spot, light, appearance.model, smear, found)
-        return found.u, found.v, math.hypot(found.sigma_u, floor)
+        return found
 
     def _crossing(
         self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float, found: DiscFit
@@ -323,9 +350,8 @@ class SpotMeter:
         parameters = self.parameters
         contrast, noise = light.contrast, light.noise
         height = max(contrast - light.above, 1.0)
-        # Standard deviations of area, second moments and asymmetry of a disc by white noise: this number
-        # times 1, 1.6 and 2.2; specks add to the asymmetry with the region's size.
-        scatter = noise / (height * math.sqrt(appearance.area))
+        # Specks add to the asymmetry with the region's size.
+        scatter = _scatter(light, appearance.area)
         area = parameters.area_tolerance + _SIGNIFICANT * (scatter + 0.4 * noise / contrast)
         shape = parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter
         asymmetry = parameters.shape_tolerance + _SIGNIFICANT * 2.2 * scatter
@@ -384,14 +410,58 @@ class SpotMeter:
             return "asymmetry"
         return "ok"
 
-    def settle(self, spot: Spot, light: Light, appearance: Appearance) -> None:
-        """Average a marker's appearance over the first frames that show it."""
+    @staticmethod
+    def pull(found: DiscFit, motion: Motion, appearance: Appearance, striking: float = _STRIKING) -> float:
+        """How far a second image may pull the centre of a marker that moved by so much at most [px].
+
+        Zero where its own shape, motion and noise, by so many standard deviations, explain what is seen; infinity
+        where it is not to be believed.
+
+        Notes
+        -----
+        A second image of the marker with the share q of the light, no more than one half, that lies d aside pulls the
+        centre by q d and adds q (1 - q) d d' to the second moments: along u at least the square of the pull. Of what
+        it adds, the difference of the moments along u and v, and twice the one along both, are known:
+
+            E = m (cos^2 - sin^2)    C = 2 m cos sin    m cos^2 = (sqrt(E^2 + C^2) + E) / 2
+        """
+        excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
+        if motion is not AT_REST:
+            excess = max(excess, 0.0) - motion.smear**2 / 12
+            tilt = max(tilt - 2 * appearance.variance_v * motion.shear, 0.0)
+        beyond = (math.sqrt(excess * excess + tilt * tilt) + excess) / 2
+        if beyond <= striking * found.sigma_excess:
+            return 0.0
+        return math.sqrt(beyond) if beyond <= _PULLED_PX**2 + _SIGNIFICANT * found.sigma_excess else math.inf
+
+    def begin(self, found: DiscFit, appearance: Appearance) -> None:
+        """Take a marker's own excess and tilt from the first frame."""
+        appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
+
+    def _own(self, appearance: Appearance, excess: float, tilt: float) -> tuple[float, float]:
+        """Excess and tilt, as far as markers are out of round."""
+        aspect, tolerance = self.parameters.aspect, self.parameters.shape_tolerance * appearance.variance_v
+        flat = appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
+        return (
+            min(max(excess, min(flat, 0.0) - tolerance), max(flat, 0.0) + tolerance),
+            min(max(tilt, -tolerance), tolerance),
+        )
+
+    def settle(
+        self, spot: Spot, light: Light, appearance: Appearance, found: DiscFit, motion: Motion
+    ) -> None:
+        """Average a marker's appearance over the first frames that show it, moved by so much at most."""
         appearance.frames += 1
         share = 1.0 / appearance.frames
         area = self._whole_area(spot, appearance.variance_u, self._submersion(light))
         appearance.area += share * (area - appearance.area)
         appearance.variance_v += share * (spot.variance_v - appearance.variance_v)
         appearance.variance_u = min(appearance.variance_u, spot.variance_u)
+        tilt = appearance.tilt + share * (found.tilt - appearance.tilt)
+        excess = min(appearance.excess, found.excess + _LEAST * found.sigma_excess)
+        if motion.smear**2 / 12 <= found.sigma_excess:
+            excess = appearance.excess + share * (found.excess - appearance.excess)
+        appearance.excess, appearance.tilt = self._own(appearance, excess, tilt)
         appearance.skew_u += share * (spot.skew_u - appearance.skew_u)
         appearance.skew_v += share * (spot.skew_v - appearance.skew_v)
         appearance.row += share * (spot.v - appearance.row)

@@ -33,12 +33,14 @@ from beam_ros.vision.tracking.rivals import (
     recent,
 )
 from beam_ros.vision.tracking.spot_search import RowSpots
-from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spots import APART_PX, AT_REST, DOUBTED, Motion, Reason, Spot, SpotMeter
 
 _PROBATION_FRAMES = 10
 """A marker acquired for the first time is doubted anew where something appears in its row within so many frames."""
 _KNOWN_FRAMES = 3
 """A marker that is lost before it was seen in so many frames is acquired anew: something may have touched it then."""
+_NOWHERE = (math.nan,) * 3
+"""Place and standard deviation of what is not valid."""
 _CHORES_EVERY_FRAMES = 8
 """Noise and levels are measured anew, and rivals looked for, once in so many frames."""
 
@@ -114,7 +116,15 @@ class MarkerTracker:
         self._markers: list[MarkerState] = []
         self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
         self._shape: tuple[int, int] | None = None
+        # Without a camera's times a marker may move during the whole of a period.
+        self._period_s, self._row_delay_s = 1.0, 0.0
+        self._exposed_s = 1.0
+        if timing is not None:
+            camera = timing.camera
+            self._period_s, self._exposed_s = camera.period_s, camera.exposure_s
+            self._row_delay_s = camera.readout_s / (camera.height - 1)
         self._frame = self._stamp_ns = 0
+        self._since_s = self._period_s
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -180,6 +190,8 @@ class MarkerTracker:
             self._shape = (int(image.shape[0]), int(image.shape[1]))
         self._frame += 1
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
+        # Stamps may come late, and frames be missing: of period and elapsed time it is the less.
+        self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
         reasons: dict[int, Reason] = {}
         if not self.is_acquired:
             reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
@@ -209,9 +221,7 @@ class MarkerTracker:
         marker.shown = math.nan
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
         contrast = math.nan if marker.light is None else marker.light.contrast
-        return MarkerMeasurement(
-            math.nan, math.nan, math.nan, False, reason, self._stamp(stamp_ns, row), contrast, area
-        )
+        return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
 
     def _beside(self, marker: MarkerState) -> list[float]:
         """Columns in which a marker's rivals should be [px]."""
@@ -257,7 +267,7 @@ class MarkerTracker:
             if appearance is not None and appearance.frames < _KNOWN_FRAMES:
                 marker.forget()
             return invalid
-        is_fresh = marker.lost_frames > 0 or marker.lost_at == self._frame
+        is_fresh = marker.lost_frames > 0 or self._frame in (marker.lost_at, marker.acquired_at)
         is_new = self._frame - marker.acquired_at < _PROBATION_FRAMES
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
         is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
@@ -273,22 +283,33 @@ class MarkerTracker:
                 others = [other for other, _ in row.alike]
                 marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
         refined = meter.centre if self.parameters.refinement == "none" else meter.refine
-        centre = refined(image, spot, light, appearance)
-        if isinstance(centre, str):
+        found = refined(image, spot, light, appearance)
+        if isinstance(found, str):
             self._recovery.note_loss(k, self._frame)
-            return self._invalid(marker, centre, stamp_ns, spot.area)
+            return self._invalid(marker, found, stamp_ns, spot.area)
+        if appearance.frames == 1:
+            meter.begin(found, appearance)
+        motion, pull = AT_REST, meter.pull(found, AT_REST, appearance)
+        if pull > 0.0 or marker.is_pulled or not appearance.is_settled:
+            speed = marker.fastest(spot.u, self._frame) / self._since_s
+            motion = Motion(self._exposed_s * speed, self._row_delay_s * speed)
+            pull = meter.pull(found, motion, appearance, *([DOUBTED] if marker.is_pulled else []))
+        is_believed, marker.is_pulled = pull < math.inf, pull > 0.0
         marker.remember(spot.u, spot.v, self._frame, is_fresh=is_fresh)
         appearance.row = spot.v
-        if not appearance.is_settled:
-            meter.settle(spot, light, appearance)
+        if is_believed and not appearance.is_settled:
+            meter.settle(spot, light, appearance, found, motion)
         if is_due and not is_accompanied:
             light.absorb(spot.plateau, *meter.sides(image, spot))
         if is_due or is_fresh or not appearance.is_settled:
             marker.gates = meter.gates(light, appearance)
         marker.shown = abs(spot.plateau - light.background)
-        return MarkerMeasurement(
-            *centre, True, "ok", self._stamp(stamp_ns, spot.v), light.contrast, spot.area
-        )
+        stamp_ns = self._stamp(stamp_ns, spot.v)
+        if not is_believed:
+            # It is followed all the same: what lies over it has not taken its place.
+            return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
+        sigma = math.hypot(max(found.sigma_u, pull), self.parameters.sigma_floor_px)
+        return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
     def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:
         """True when a row shows something that was not there when its marker was acquired."""

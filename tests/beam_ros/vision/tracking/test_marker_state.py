@@ -5,7 +5,7 @@ import pytest
 
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.tracking.marker_state import moved_together
+from beam_ros.vision.tracking.marker_state import MarkerState, moved_together
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -221,3 +221,18 @@ def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_th
         x[0] = np.nan
         result = tracker.process(renderer.render(x, rng, disturbances=twin), k)
         assert [marker.is_valid for marker in result.markers] == [False, True, True, True]
+
+
+def test_the_fastest_of_a_cubic_motion_is_its_slope_and_the_last_term_beside_it():
+    marker = MarkerState(None)
+
+    def way(k: int) -> float:
+        return 1.0 + 0.5 * k - 0.3 * k**2 + 0.1 * k**3
+
+    for k in range(5):
+        marker.remember(way(k), 0.0, k, is_fresh=k == 0)
+    # Third differences are 6 * 0.1, a third of which is the last term.
+    assert marker.fastest(way(5), 5) == pytest.approx(0.5 - 0.6 * 5 + 0.3 * 25 + 0.2)
+    for lost, share in ((1, 1.0), (3, 0.5), (4, 0.0)):
+        marker.lost_frames = lost
+        assert marker.fastest(way(4) - 3.0, 9) == pytest.approx(share * 3.0)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -626,3 +627,76 @@ def test_a_tiny_image_is_no_reason_to_fail():
 def test_rows_and_markers_must_agree_in_number():
     with pytest.raises(VisionParameterError, match="2 rows; expected 3"):
         MarkerTracker(packaged_tracker(expected_rows_px=(300.0, 100.0)), 3)
+
+
+NARROW = packaged_camera(width=200, origin_px=(100.0, 455.0), contrast=120.0, noise_grey=0.0)
+
+
+def seen_twice(picture: np.ndarray, du: float, dv: float, share: float) -> np.ndarray:
+    """A picture with a share of its light moved aside, along u and v [px]."""
+    aside = np.array([[1.0, 0.0, du], [0.0, 1.0, dv]])
+    moved = cv2.warpAffine(picture, aside, picture.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+    return (1 - share) * picture + share * moved
+
+
+def film_seen_twice(first: int, last: int, swing_px: float, noise: float, second: tuple[float, float, float]):
+    """Frames of which some show a second image of everything: the tracker's result of each, and the true columns."""
+    renderer = SceneRenderer(NARROW, HEIGHTS)
+    tracker = MarkerTracker(packaged_tracker(NARROW, HEIGHTS), 3, FrameTiming(NARROW))
+    rng = np.random.default_rng(41)
+    for k in range(60):
+        instants = k + NARROW.exposure_s * NARROW.rate_hz * np.linspace(-0.5, 0.5, 6)
+        x = swing_px / 1500 * np.sin(0.3 * instants)[:, None] * np.array([0.1, 0.8, 1.0])
+        picture = renderer.render(x, rng).astype(np.float32)
+        if first <= k < last:
+            picture = seen_twice(picture, *second)
+        picture += noise * rng.standard_normal(picture.shape, dtype=np.float32)
+        result = tracker.process(np.clip(np.rint(picture), 0, 255).astype(np.uint8), k * 10_000_000)
+        yield k, result, renderer.exposure_weights @ NARROW.columns(x)
+
+
+def is_wrong(result, truth: np.ndarray) -> bool:
+    """True where a valid marker is off by more than six standard deviations and 0.35 px."""
+    sigma = np.array([marker.sigma_px for marker in result.markers])
+    return bool(np.any(np.abs(columns(result) - truth) > np.fmax(6.0 * sigma, 0.35)))
+
+
+@pytest.mark.parametrize(("du", "dv"), [(3.0, 0.0), (-4.5, 0.0), (2.5, -2.0)])
+@pytest.mark.parametrize("strength", [0.2, 0.35, 0.5])
+@pytest.mark.parametrize(("first", "swing_px", "noise"), [(40, 0.0, 2.0), (40, 0.0, 5.0), (40, 10.0, 2.0)])
+def test_a_reflection_of_the_picture_over_itself_is_never_valid_but_wrong(
+    du, dv, strength, first, swing_px, noise
+):
+    second = du, dv, strength / (1 + strength)
+    for _, result, truth in film_seen_twice(first, 60, swing_px, noise, second):
+        assert not is_wrong(result, truth)
+
+
+@pytest.mark.parametrize("du", [3.0, -4.5])
+@pytest.mark.parametrize("strength", [0.35, 0.5])
+@pytest.mark.parametrize("swing_px", [0.0, 10.0])
+def test_a_reflection_from_the_first_frame_on_is_never_valid_but_wrong(du, strength, swing_px):
+    second = du, 0.0, strength / (1 + strength)
+    for _, result, truth in film_seen_twice(0, 60, swing_px, 2.0, second):
+        assert not is_wrong(result, truth)
+
+
+@pytest.mark.parametrize(("du", "dv", "share"), [(3.0, 0.0, 0.4), (-3.0, 0.0, 0.5), (2.0, 1.0, 0.3)])
+@pytest.mark.parametrize("swing_px", [0.0, 10.0])
+def test_a_doubled_frame_is_refused_and_the_next_one_is_not(swing_px, du, dv, share):
+    for k, result, truth in film_seen_twice(45, 46, swing_px, 2.0, (du, dv, share)):
+        reasons = {marker.reason for marker in result.markers}
+        if k == 45:
+            assert reasons <= {"smear", "shape", "asymmetry", "area"}
+        elif k > 2:
+            assert reasons == {"ok"}
+            assert columns(result) == pytest.approx(truth, abs=0.1)
+
+
+def test_what_lies_over_a_marker_is_named_and_the_marker_is_followed_under_it():
+    reasons = [
+        [marker.reason for marker in result.markers]
+        for _, result, _ in film_seen_twice(40, 50, 10.0, 2.0, (3.0, 0.0, 0.3))
+    ]
+    assert reasons[40:50] == [["smear"] * 3] * 10
+    assert reasons[50:] == [["ok"] * 3] * 10
