@@ -27,7 +27,7 @@ from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.sensing.misfit_causes import Turn
 
-_LEAST_SHARE = 1e-4  # of an output's noise variance: it is never taken to have less of its own
+_MIN_SHARE = 1e-4  # of an output's noise variance: it is never taken to have less of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class InputNoiseWeights:
         records: Sequence[TimeRecord], regression: ModalRegression, fit: ModalFit, smoothing: Smoothing
     ) -> InputNoiseWeights:
         """Return those of a fit that was weighed by that noise: records, regression and smoothing are its own."""
-        own_shares = np.maximum(1.0 - fit.input_noise_shares, _LEAST_SHARE)
+        own_shares = np.maximum(1.0 - fit.input_noise_shares, _MIN_SHARE)
         variances = np.tile(np.square(fit.sigmas) * own_shares, (len(records), 1))
         disturbances = _by_output(records, regression, fit, smoothing)
         return InputNoiseWeights(list(records), disturbances, variances, fit.clock.latency)

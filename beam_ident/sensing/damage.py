@@ -27,7 +27,7 @@ _EXPOSED = 1.01  # of the time between samples
 _STEPS = 5.0  # of rounding, which a moving signal makes between samples
 _MOVES = 0.1  # of the usual difference between samples, the same
 _FEW, _SHARE = 5, 0.02  # repeated samples that are told from chance, and of all that move
-_LONGEST = 5  # repeated samples in a row that tell: more may be a dead band
+_MAX_REPEATED = 5  # repeated samples in a row that tell: more may be a dead band
 _LATEST = 8  # samples by which a logger may echo an input
 _REPEATED = (
     "{} samples repeat the one before, in the middle of a motion, too, as of a camera that shows a frame twice, or "
@@ -152,7 +152,7 @@ def _repeated(values: FloatArray) -> IndexArray:
         at_limit = values[starts] == limit
         is_repeated &= ~at_limit | (np.count_nonzero(at_limit) == 1)  # else clipped
     starts, ends = starts[is_repeated], ends[is_repeated]
-    is_telling = (starts > 0) & (ends < len(moves)) & (ends - starts < _LONGEST)
+    is_telling = (starts > 0) & (ends < len(moves)) & (ends - starts < _MAX_REPEATED)
     at_speed = is_telling & moves[starts - 1] & moves[np.minimum(ends, len(moves) - 1)]
     n_at_speed = int(np.sum((ends - starts)[at_speed]))
     if n_at_speed < _FEW or not n_at_speed > _SHARE * np.count_nonzero(moves):

@@ -75,7 +75,7 @@ _ALIKE = 9.0
 coarse texture has few grains in so few columns."""
 _LONGER = 1.2
 """A smear is so many times as long as the part of it that stands above the subtracted level."""
-_LEAST = 2.0
+_BELOW = 2.0
 """The least of the values over which an appearance is averaged lies so many standard deviations below them all."""
 _STRIKING = 4.0
 """A smear is longer than what explains it beyond so many standard deviations, once in 30000 frames by chance, ..."""
@@ -458,7 +458,7 @@ class SpotMeter:
         appearance.variance_v += share * (spot.variance_v - appearance.variance_v)
         appearance.variance_u = min(appearance.variance_u, spot.variance_u)
         tilt = appearance.tilt + share * (found.tilt - appearance.tilt)
-        excess = min(appearance.excess, found.excess + _LEAST * found.sigma_excess)
+        excess = min(appearance.excess, found.excess + _BELOW * found.sigma_excess)
         if motion.smear**2 / 12 <= found.sigma_excess:
             excess = appearance.excess + share * (found.excess - appearance.excess)
         appearance.excess, appearance.tilt = self._own(appearance, excess, tilt)
