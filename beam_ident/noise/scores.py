@@ -167,6 +167,9 @@ class InputCorrelation:
         return InputCorrelation(np.array(lags), values, band, is_independent, verdict)
 
 
+Tested = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # as of ``ScoreTest.of``
+
+
 @dataclass(frozen=True)
 class ScoreTest:
     """What columns that were left out would explain, of independent outputs together.
@@ -193,7 +196,7 @@ class ScoreTest:
         return float(chi_squared_sf(self.freedom, self.statistic)) if self.freedom else 1.0
 
     @staticmethod
-    def of(outputs: Iterable[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]) -> ScoreTest:
+    def of(outputs: Iterable[Tested]) -> ScoreTest:
         """Test what was left out at every output.
 
         Parameters

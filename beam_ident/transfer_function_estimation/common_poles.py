@@ -32,7 +32,7 @@ from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
-from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.noise.scores import Scores, Tested, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.sensing.clock_rate import clocks_of_record
@@ -45,7 +45,6 @@ from beam_ident.transfer_function.structure_gates import (
     transfer_function_warnings,
 )
 from beam_ident.transfer_function_estimation.estimation import (
-    Tested,
     one_each,
     physical_model,
     pooled_level,

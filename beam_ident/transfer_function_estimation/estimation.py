@@ -32,7 +32,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.input_noise import input_noise_share, noise_grid
 from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, pooled_scores
 from beam_ident.noise.relation import innovation_criterion, is_related
-from beam_ident.noise.scores import Scores, ScoreTest, Whiteness, are_rounding
+from beam_ident.noise.scores import Scores, ScoreTest, Tested, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings, without_repeated
@@ -634,7 +634,6 @@ def _input_misfits(
 
 
 Fit = TypeVar("Fit")
-Tested = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # as of ``ScoreTest.of``
 
 
 def with_initial_motion(

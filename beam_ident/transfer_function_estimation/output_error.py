@@ -22,13 +22,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.prior import Prior
 from beam_ident.errors import EstimationError
 from beam_ident.noise.noise_model import NoiseModel, RecordNoise, Whitening, colour_of
 from beam_ident.noise.record_fit import in_units_of_level
-from beam_ident.noise.scores import are_rounding
+from beam_ident.noise.scores import Tested, are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.rational_response import RationalResponse, full_roots, upper_roots
 from beam_ident.transfer_function_estimation.record_share import (
@@ -44,6 +45,7 @@ _NOISE_FLOOR = 1e-11
 _MAX_POLE = 1e4  # of the Nyquist frequency
 _MIN_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
 _MAX_ADVANCE = 1.0  # sampling periods: an estimated delay may come out this much below zero
+_LAGS = 25  # samples for which an input is looked for in residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -522,10 +524,29 @@ class OutputErrorProblem:
             direction[place] += (prior.mean - state.theta[place]) / prior.sd**2
         return self._information(state, jacobian, variance), direction
 
-    def initial_motion(
-        self, state: OutputErrorState
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def initial_motion(self, state: OutputErrorState) -> Tested:
         """Return what ``ScoreTest.of`` needs of a state without free motion, to find whether there is some."""
+        motions = []
+        for own in self.experiments:
+            free = [own.free(upper, state.scale, slopes=False) for upper in state.uppers]
+            motions.append(np.concatenate([one.combined(np.eye(one.order)) for one in free], axis=1))
+        return self._tested(state, block_diag(*motions))
+
+    def followed_inputs(self, state: OutputErrorState) -> Tested:
+        """Return what ``ScoreTest.of`` needs to find whether what a state leaves still follows the inputs."""
+        lags = self.period * np.arange(_LAGS)
+        lagged = [
+            [
+                path.seen(own.times, own.exposure, delay + lag)
+                for path, delay in zip(own.paths, self.delays(state.theta), strict=True)
+                for lag in lags
+            ]
+            for own in self.experiments
+        ]
+        return self._tested(state, np.concatenate([np.stack(own, axis=1) for own in lagged]))
+
+    def _tested(self, state: OutputErrorState, left_out: FloatArray) -> Tested:
+        """Return what ``ScoreTest.of`` needs of a state, and of columns that it may lack."""
         plain = self.under(None)
         plain.scale = state.scale
         if not state.responses or not state.responses[0].has_squares:
@@ -533,13 +554,6 @@ class OutputErrorProblem:
         if not state.responses:  # the point is not allowed: there is nothing to test
             nothing = np.zeros((len(self.values), 0))
             return nothing, nothing, self.values, self.values
-        left_out = np.zeros((len(self.values), len(self.experiments) * self.n_a))
-        place = 0
-        for own, part in zip(self.experiments, self.rows, strict=True):
-            for upper in state.uppers:
-                free = own.free(upper, state.scale, slopes=False)
-                left_out[part, place : place + free.order] = free.combined(np.eye(free.order))
-                place += free.order
         present = np.concatenate([plain.jacobian(state), state.matrix], axis=1)
         return left_out, present, self.unweighed_residuals(state), self.values
 

@@ -95,10 +95,17 @@ class Path:
         squares: bool,
     ) -> RationalResponse:
         """Return the responses of a denominator to this input at output stamps."""
+        instants = self._instants(times, exposure_s, delay)
+        return RationalResponse(upper, scale, self.signal, self.integral, instants, squares)
+
+    def seen(self, times: FloatArray, exposure_s: float, delay: float) -> FloatArray:
+        """Return the input itself, late, at output stamps."""
+        return self._instants(times, exposure_s, delay).mean(self.signal)[0]
+
+    def _instants(self, times: FloatArray, exposure_s: float, delay: float) -> Instants:
         # Before the first knot nothing has happened, however far back a long delay looks.
         shifted = np.maximum(times - delay, self.signal.knots[0] + 0.5 * exposure_s)
-        instants = Instants.on(self.signal, shifted, exposure_s)
-        return RationalResponse(upper, scale, self.signal, self.integral, instants, squares)
+        return Instants.on(self.signal, shifted, exposure_s)
 
     def delayed(self, delay: float) -> PiecewisePolynomial:
         """Return the input after the known integrators, late."""

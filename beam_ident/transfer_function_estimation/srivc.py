@@ -6,7 +6,8 @@ variables behind the best of them (IVSVF); then the simplified refined instrumen
 (SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt on the output error with the same exact
 gradients to finish.  Residuals that look like anything but noise may mean a local optimum:
 then the other starts have their turn, and the lowest cost wins.  A structure that holds another must not end in a
-worse optimum: where it has not converged, or a pole is hardly known, the structures inside it are estimated, too.
+worse optimum: where it has not converged, a pole is hardly known, or the input is still seen in the residuals, the
+structures inside it are estimated, too.
 
 Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
 that SRIVC's fixed point is the stationary point of the output-error cost; the
@@ -28,7 +29,7 @@ from scipy.optimize import minimize_scalar
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import EstimationError
-from beam_ident.noise.scores import Whiteness
+from beam_ident.noise.scores import ScoreTest, Whiteness
 from beam_ident.numerics.levenberg_marquardt import minimise
 from beam_ident.numerics.rational_response import full_roots, upper_roots
 from beam_ident.numerics.root_uncertainty import root_covariances
@@ -56,7 +57,8 @@ WHITE = 0.01  # level of the whiteness test below which residuals do not look li
 _SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
 _MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
-_MOST_INSIDE = 30  # structures inside one, at most: a bound on time
+_MOST_INSIDE = 100  # structures inside one, at most
+_MOST_SAMPLES_INSIDE = 200_000  # in all of them together: a bound on time
 _EXTRA_POLES = 9  # places tried for a pole that a smaller denominator lacks
 _BESIDE = 1.3  # from one such pole to the next
 _BEYOND = 100.0  # of the Nyquist frequency: there a pole hardly shows
@@ -232,7 +234,7 @@ def srivc(problem: OutputErrorProblem, start: OutputErrorState) -> Optimum:
 
 
 def are_known(problem: OutputErrorProblem, theta: FloatArray, information: FloatArray) -> bool:
-    """Return whether all poles of a problem of one denominator are known well enough to mean something.
+    """Return whether all poles of a problem of one denominator are known well enough to mean something, and to decay.
 
     Parameters
     ----------
@@ -244,7 +246,8 @@ def are_known(problem: OutputErrorProblem, theta: FloatArray, information: Float
     spread = np.asarray(np.linalg.pinv(information, rcond=1e-15, hermitian=True)[:n, :n], dtype=np.float64)
     poles, scatter = root_covariances(problem.polynomial(theta), spread)
     sd = np.sqrt(np.maximum(np.trace(scatter, axis1=1, axis2=2), 0.0))
-    return bool(np.all(sd < _MAX_POLE_SD * np.abs(poles)))
+    decay_sd = np.sqrt(np.maximum(scatter[:, 0, 0], 0.0))
+    return bool(np.all((sd < _MAX_POLE_SD * np.abs(poles)) & (decay_sd < -poles.real)))
 
 
 def widened(problem: OutputErrorProblem, state: Inside) -> list[FloatArray]:
@@ -310,22 +313,35 @@ class _Chain:
     ) -> Optimum:
         """Return an optimum, or a better one from where structures inside this one end by the same chain.
 
-        They are estimated where the optimum may not be the best: it has not converged, or some pole is hardly known.
+        They are estimated where the optimum may not be the best: it has not converged, some pole is hardly known, or
+        the input is still seen in what it leaves. The one without delays always is: a fit that has found a delay may
+        have found the wrong one of many.
         """
         problem = self.problem
         problem.scale = found.state.scale
-        if found.converged and are_known(problem, found.state.theta, problem.slope(found.state)[0]):
-            return found
-        for smaller in problem.inside().values():
-            if smaller.degrees not in known and len(known) < _MOST_INSIDE:
+        is_sure = found.converged and not self._is_doubtful(found)
+        most = min(_MOST_INSIDE, _MOST_SAMPLES_INSIDE // len(problem.values))
+        for name, smaller in problem.inside().items():
+            if is_sure and name != "delay":
+                continue
+            if smaller.degrees not in known and len(known) < most:
                 known[smaller.degrees] = None
                 delays = self.delays if smaller.free_delays else [np.empty(0)]
                 chain = _Chain(smaller, self.method, self.cutoffs, delays, self.n_finalists)
                 with contextlib.suppress(EstimationError):
-                    known[smaller.degrees] = chain.beyond_smaller(chain.run(), known).state
+                    end = chain.run()
+                    known[smaller.degrees] = (end if is_sure else chain.beyond_smaller(end, known)).state
             state = known.get(smaller.degrees)
             found = self.beyond(found, [state] if state is not None else [])
         return found
+
+    def _is_doubtful(self, found: Optimum) -> bool:
+        """Return whether an optimum has poles that are hardly known, or leaves what follows the inputs."""
+        problem, state = self.problem, found.state
+        problem.scale = state.scale
+        if not are_known(problem, state.theta, problem.slope(state)[0]):
+            return True
+        return not self.is_noise(found) and ScoreTest.of([problem.followed_inputs(state)]).p_value < WHITE
 
     def beyond(self, found: Optimum, inside: Iterable[Inside]) -> Optimum:
         """Return an optimum, or a better one from where a structure inside this one ended better than it.

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from beam_ident import (
     EstimationError,
@@ -9,11 +10,13 @@ from beam_ident import (
     OutputSignal,
     Prior,
     TimeRecord,
+    TransferFunctionModel,
     estimate_transfer_function,
 )
+from beam_ident.noise.scores import ScoreTest
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
-from beam_ident.transfer_function_estimation.srivc import Optimum, _Chain, widened
+from beam_ident.transfer_function_estimation.srivc import Optimum, _Chain, are_known, widened
 from beam_ident.transfer_function_estimation.state_variable_filter import stable_coefficients
 from benchmarks.ident.supersets import hard_record
 
@@ -21,6 +24,16 @@ RNG = np.random.default_rng(3)
 DRIVES = (
     InputSignal("held", "", (0.0, 0.05), RNG.standard_normal(200), "zoh"),
     InputSignal("joined", "", np.sort(RNG.uniform(-1.0, 11.0, 90)), RNG.standard_normal(90), "cubic"),
+)
+FIRST, SECOND = [1.0, 0.6, 36.0], [1.0, 1.2, 400.0]
+RESONANCES = TransferFunctionModel(
+    np.polyadd(36.0 * np.array(SECOND), 400.0 * np.array(FIRST)),
+    np.polymul(FIRST, SECOND),
+    0.0,
+    np.zeros((8, 8)),
+    1.0,
+    "u",
+    "y",
 )
 STAMPS = np.sort(RNG.uniform(0.4, 9.6, 150))
 
@@ -141,21 +154,55 @@ def test_unstable_roots_are_mirrored_and_stable_ones_left_as_they_are():
     np.testing.assert_allclose(stable_coefficients(np.array([1.0, -2.0])), [3.0, 2.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize(("seed", "small", "large"), [(8, (1, 0), (2, 0)), (0, (2, 0), (3, 1))])
-def test_a_structure_never_ends_in_a_worse_optimum_than_one_inside_it(seed, small, large):
-    record, offset = hard_record(seed), bool(seed // 2 % 2)
+WORSE_WITHOUT = {  # of seed, degrees and terms: what the larger structure had more of -2 log-likelihood once
+    "pole hardly known": (8, (1, 0), (2, 0), {}),
+    "zero": (0, (2, 0), (3, 1), {}),
+    "wrong resonance": (26, (1, 0), (2, 0), {"has_offset": True}),  # 98
+    "wrong delay": (49, (2, 0), (2, 0), {"has_offset": True}, {"delay": "estimate"}),  # 365
+    "delay of a finite prior": (49, (2, 0), (2, 0), {"has_offset": True}, {"delay": Prior(0.0, 1.0)}),
+}
+
+
+@pytest.mark.parametrize("case", WORSE_WITHOUT)
+def test_a_structure_never_ends_in_a_worse_optimum_than_one_inside_it(case):
+    seed, small, large, terms, *more = WORSE_WITHOUT[case]
+    record = hard_record(seed)
+    asked = {"method": "white", "has_free_response": False, **terms}
     squares = [
-        np.sum(
-            np.square(
-                estimate_transfer_function(
-                    record, *degrees, method="white", has_offset=offset, has_free_response=False
-                ).residuals
-            )
-        )
-        for degrees in (small, large)
+        np.sum(np.square(estimate_transfer_function(record, *degrees, **{**asked, **terms}).residuals))
+        for degrees, terms in ((small, {}), (large, more[0] if more else {}))
     ]
-    # These ended 3e-4 and 0.16 higher without a start from the smaller one.
     assert squares[1] <= squares[0] * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(("n_poles", "is_whole"), [(4, True), (2, False)])
+def test_what_follows_the_input_in_residuals_is_told_from_noise_of_a_colour(n_poles, is_whole):
+    p_values = []
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 3])
+        times = 0.02 * np.arange(500)
+        drive = InputSignal("u", "N", times, np.sign(rng.standard_normal(50)).repeat(10), "zoh")
+        colour = lfilter([1.0], [1.0, -0.9], rng.standard_normal(1000))[500:]
+        true = RESONANCES.simulate(drive, times)
+        record = TimeRecord((drive,), (OutputSignal("y", "m", times, true + 0.1 * np.std(true) * colour),))
+        share = RecordShare.of(record, "y", ["u"], [2], [0], [Prior(0.0)], 0, False)
+        problem = OutputErrorProblem([share], (n_poles,), Nuisances())
+        problem.scale = 10.0
+        poles = np.sort_complex(RESONANCES.poles)[-n_poles:]
+        theta = np.real(np.poly(poles / problem.scale))[1:]
+        p_values.append(ScoreTest.of([problem.followed_inputs(problem.state(theta))]).p_value)
+    if is_whole:
+        assert np.sum(np.array(p_values) < 0.01) <= 2, p_values
+        assert np.mean(p_values) == pytest.approx(0.5, abs=0.15)
+    else:
+        assert max(p_values) < 1e-3
+
+
+@pytest.mark.parametrize(("zeta", "is_enough"), [(1e-4, False), (1e-2, True)])
+def test_a_pole_that_may_not_decay_is_hardly_known(zeta, is_enough):
+    case = problem(own_poles=False)
+    theta = np.polymul([1.0, 2.0 * zeta, 1.0], [1.0, 1.0])[1:]
+    assert are_known(case, theta, np.eye(3) / 1e-3**2) == is_enough
 
 
 def test_every_structure_inside_another_does_nothing_that_the_other_cannot():
