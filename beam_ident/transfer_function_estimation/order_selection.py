@@ -45,7 +45,20 @@ _VISIBLE = 1.0  # of -2 log-likelihood
 _NEAR = 2  # parameters
 _TERMS = ("n_integrators", "has_offset", "has_ramp")
 _FAR = 10.0  # difference of BIC: very strong evidence (Kass and Raftery 1995)
+_VISIBLE_FIT = 1.0  # percent: a model that simulates worse by more than that lacks something
 _STARTS = 2  # of a structure that may have ended in a local optimum: a subspace, and the best filter
+
+_NEEDED = (
+    "{0.n_poles}/{0.n_zeros} was chosen although {0.refused_because}: do not rely on that pole. Without it the data "
+    "are explained far worse: the best structure with poles that are all known is {1.n_poles}/{1.n_zeros}, FIT "
+    "{1.fit_percent:.1f} % against {0.fit_percent:.1f} %. Excite more, record longer, or name what is known, such as "
+    "n_integrators."
+)
+_LEFT_BEHIND = (
+    "{0.n_poles}/{0.n_zeros} explains the data far better than the chosen structure (R_T^2 {0.r_squared:.5f} against "
+    "{1.r_squared:.5f}), but was refused: {0.refused_because}. What is chosen lacks something: try other degrees, "
+    "n_integrators=1 or has_offset=True, or record longer."
+)
 
 Degrees = tuple[int, int | tuple[int, ...]]  # of the denominator, and of the numerators
 Outcome = TransferFunctionResult | MultiInputResult | str  # why there is no result
@@ -224,10 +237,18 @@ def select_transfer_function(
             f"none of {len(entries)} structures passes the gates ({reasons}). Excite more, or record longer"
         )
     best = min(passed, key=lambda k: entries[k].bic)
+    needed = _needed(entries, results, best)
+    said = ""
+    if needed is not None:
+        said = _NEEDED.format(entries[needed], entries[best])
+        best = needed
+        entries[best] = replace(entries[best], refused_because="")
+    elif _is_far_better(refused := min(entries, key=_bic_of_converged), entries[best]):
+        said = _LEFT_BEHIND.format(refused, entries[best])
     entries[best] = replace(entries[best], is_chosen=True)
     chosen = results[best]
     assert not isinstance(chosen, str)
-    if said := _better_but_refused(entries, best):
+    if said:
         chosen = replace(chosen, warnings=(said, *chosen.warnings))
     if offered and (said := _terms(entries[best], options)):
         chosen = replace(chosen, warnings=(f"Chosen with {said}, which BIC prefers.", *chosen.warnings))
@@ -280,16 +301,40 @@ def _figure_of_merit(structure: Degrees, outcome: Outcome, options: dict[str, An
     return math.inf if entry.refused_because else entry.bic
 
 
-def _better_but_refused(entries: Sequence[StructureEntry], chosen: int) -> str:
-    """Return a warning where a structure that was refused leaves the chosen one far behind, else nothing."""
-    best = min(entries, key=lambda entry: entry.bic if entry.converged else math.inf)
-    if not best.refused_because or not best.bic < entries[chosen].bic - _FAR:
-        return ""
-    return (
-        f"{best.n_poles}/{best.n_zeros} explains the data far better than the chosen structure (R_T^2 "
-        f"{best.r_squared:.5f} against {entries[chosen].r_squared:.5f}), but was refused: {best.refused_because}. "
-        "What is chosen lacks something: try other degrees, n_integrators=1 or has_offset=True, or record longer."
-    )
+def _bic_of_converged(entry: StructureEntry) -> float:
+    return entry.bic if entry.converged else math.inf
+
+
+def _is_far_better(refused: StructureEntry, chosen: StructureEntry) -> bool:
+    """Return whether a structure that was refused leaves the chosen one far behind."""
+    return bool(refused.refused_because) and refused.bic < chosen.bic - _FAR
+
+
+def _needed(entries: Sequence[StructureEntry], results: Sequence[Outcome], passed: int) -> int | None:
+    """Return which structure is to be chosen although its poles are doubtful, if there is one.
+
+    A pole that is hardly known, or meets a zero, is to be left out where the data can be explained without. Where the
+    best structure that passes all gates simulates them visibly worse, they cannot.
+    """
+    found = [
+        k
+        for k, outcome in enumerate(results)
+        if not (isinstance(outcome, str) or _failure(outcome))
+        and _is_far_better(entries[k], entries[passed])
+        and entries[k].fit_percent > entries[passed].fit_percent + _VISIBLE_FIT
+    ]
+    return min(found, key=lambda k: entries[k].bic, default=None)
+
+
+def _failure(outcome: TransferFunctionResult | MultiInputResult) -> str:
+    """Return why an estimate is none, whatever its poles are, or an empty string."""
+    if not outcome.converged:
+        return outcome.reason
+    if UNRELATED in outcome.warnings:
+        return "it explains no more than noise of any colour would"
+    if outcome.scores.fit_percent < 0.0:
+        return "its simulation is further from the output than the output's mean is"
+    return ""
 
 
 def _with_offers(
@@ -505,11 +550,6 @@ def _entry(n: int, m: int | tuple[int, ...], outcome: Outcome, options: dict[str
         return StructureEntry(n, m, nan, nan, nan, nan, nan, nan, False, outcome, **terms)
     n_samples = len(outcome.measured)
     n_parameters = n + sum(own + 1 for own in _each(m))
-    refusal = "" if outcome.converged else outcome.reason
-    if not refusal and UNRELATED in outcome.warnings:
-        refusal = "it explains no more than noise of any colour would"
-    if not refusal and outcome.scores.fit_percent < 0.0:
-        refusal = "its simulation is further from the output than the output's mean is"
     return StructureEntry(
         n,
         m,
@@ -520,7 +560,7 @@ def _entry(n: int, m: int | tuple[int, ...], outcome: Outcome, options: dict[str
         outcome.bic,
         outcome.condition,
         outcome.converged,
-        refusal
+        _failure(outcome)
         or next((said for path in paths_of(outcome.model) if (said := structure_complaint(path))), ""),
         **terms,
     )
