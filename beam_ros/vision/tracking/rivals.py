@@ -173,12 +173,19 @@ def recent(tracks: list[Track], frame: int) -> list[Track]:
 
 
 def present(tracks: list[Track], frame: int, left: float, right: float, reach: float) -> list[Track]:
-    """Tracks but those that have left the columns looked at, or have not been seen for long."""
+    """Tracks but those that have left the columns looked at, or have not been seen for long.
+
+    One has left where these columns end in the first frame that does not show it. What vanishes elsewhere is hidden,
+    and remains so wherever the beam swings meanwhile, and the columns with it.
+    """
     return [
         track
         for track in tracks
         if track.frame == frame
-        or (left + reach < track.u < right - reach and frame - track.frame <= FORGET_AFTER_FRAMES)
+        or (
+            frame - track.frame <= FORGET_AFTER_FRAMES
+            and (track.frame < frame - 1 or left + reach < track.u < right - reach)
+        )
     ]
 
 

@@ -92,6 +92,12 @@ def test_a_rival_last_seen_inside_is_remembered_for_a_hundred_frames():
     assert present([track], 104, 0.0, 200.0, REACH) == []
 
 
+@pytest.mark.parametrize("u", [5.0, 195.0])
+def test_a_rival_that_vanished_inside_stays_hidden_where_the_columns_looked_at_move_on_past_it(u):
+    track = Track(u, 0.0, 3)
+    assert present([track], 5, 0.0, 200.0, REACH) == [track]
+
+
 def test_a_hidden_rival_is_continued_by_the_one_spot_that_only_it_can_be():
     hidden, other, mine = Track(100.0, -4.0, 3), spot(95.0), spot(108.0)
     assert unseen([hidden, Track(50.0, 0.0, 9)], 10) == [hidden]
@@ -191,6 +197,17 @@ def followed(
 def test_a_twin_beside_which_the_marker_is_found_is_not_taken_for_it_once_that_is_covered():
     # The two rest beside each other for forty frames, and nobody can tell which is the marker: then one is covered.
     errors = followed(lambda k: 0.0, lambda k: 21.7, lambda k: (-70.0, -6.2 + 0.5 * max(0, k - 40)), 70)
+    assert errors == []
+
+
+def test_a_twin_is_not_taken_for_the_marker_that_was_covered_beside_it_and_swings_past_it():
+    # Where the marker vanished is soon farther from the others than the beam bends, and the twin comes out first.
+    errors = followed(
+        lambda k: min(max(-39.0, 5.0 * (k - 16) - 39.0), 30.0),
+        lambda k: 0.0,
+        lambda k: None if k < 12 else (-60.0, 20.0 + 2.0 * (k - 12)) if k < 34 else (10.0, 64.0),
+        42,
+    )
     assert errors == []
 
 

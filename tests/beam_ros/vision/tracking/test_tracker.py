@@ -483,6 +483,7 @@ def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
         ("cover", 4000009, 3),  # a dim bar was taken for a twin
         ("cover", 7000016, 5),  # on a spot so weak that no level is above its noise the tracker stopped
         ("cover_and_twin", 4000003, 3),  # a twin was found for a covered marker
+        ("cover_and_twin", 7039, 3),  # the same, while the beam swung away from where the marker had vanished
         ("leaving", 4000003, 25),  # a twin that went on its way was taken for the marker that had left
         ("leaving", 9000013, 3),  # a twin in another row was taken for a marker that had just left
         (
