@@ -77,7 +77,7 @@ class FrameTiming:
         """
         camera = self.camera
         delay = camera.readout_s * row_px / (camera.height - 1) + camera.exposure_s / 2
-        return self.start(stamp_ns) + round(delay * _NS)
+        return int(stamp_ns) - self._stamp_after_start_ns + round(delay * _NS)
 
     def exposure_instants(self, stamp_ns: int, marker_heights: npt.ArrayLike, count: int = 6) -> StampArray:
         """Instants at which positions are needed to render a frame.

@@ -402,7 +402,10 @@ class DiscModel:
         # Of the background's scatter, alpha includes what rests; so much of alpha changes with the frames as the rim
         # shows, and the remainder pulls as it lies there.
         fresh = min(self.rim, 1.0)
-        variance = max(self.rim * noise[0], fresh * (noise[0] - self._behind * alpha) + self._beside)
+        behind = fresh * (noise[0] - self._behind * alpha) + self._beside
+        variance = max(self.rim * noise[0], behind)
+        # A texture adds to the second moments as to the place; waves of the rim may be a second image's own.
+        rough = max(fresh, behind / noise[0])
         bend = sums[_BEND] / contrast
         for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
             slope, slope_variance = habit.expect(sums[k] / contrast, noise[k])
@@ -415,7 +418,7 @@ class DiscModel:
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
         wave = self._learn_rim([mode / contrast for mode in sums[_MODES]], noise[_MODES])
-        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(fresh * noise[_LENGTH])
+        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(rough * noise[_LENGTH])
         if smear_steps:
             # A motion of length s has the second moment s^2 / 12.
             length = smear_steps * _SMEAR_STEP_PX
@@ -502,8 +505,8 @@ class DiscModel:
         share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
         aways = [mode - mean for mode, mean in zip(modes, self._modes, strict=True)]
         squares = [(1.0 - share) * a * a / variance for a, variance in zip(aways, variances, strict=True)]
-        most = _UNLIKELY * self.rim
-        is_disturbed = sum(squares) > most * len(modes)
+        most, total = _UNLIKELY * self.rim, sum(squares)
+        is_disturbed = total > most * len(modes)
         if not is_disturbed:
             self._modes = [mean + share * away for mean, away in zip(self._modes, aways, strict=True)]
         # A frame that was seen before has no noise of its own.
@@ -513,9 +516,11 @@ class DiscModel:
         if seen > 0 and not is_seen:
             # About a mean of few frames they vary more than about the true one.
             pace = max(1.0 / (seen + _PRIOR_FRAMES), 1.0 / _SLOW_FRAMES)
-            likely = [min(square, most) for square in squares] if max(squares) > most else squares
-            of_long = sum(likely[:_LONG_MODES])
-            of_short = sum(likely) - of_long
+            if max(squares) > most:
+                squares = [min(square, most) for square in squares]
+                total = sum(squares)
+            of_long = sum(squares[:_LONG_MODES])
+            of_short = total - of_long
             long, short = self._roughness
             long += pace * (of_long / _LONG_MODES - long)
             short += pace * (of_short / (len(modes) - _LONG_MODES) - short)

@@ -56,6 +56,7 @@ class MarkerState:
     u, v : float -- where it was last seen [px]
     velocity : float -- its last step [px per frame]; in the frame that acquires it, the one since its sighting before
     acceleration : float -- by how much that step was longer than the one before [px per frame^2]
+    steps : int -- how many it made since it was found
     hold_error, linear_error : float -- how well it is predicted by staying, and by its velocity [px]
     lost_frames : int -- frames in a row in which it was not valid
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
@@ -87,6 +88,7 @@ class MarkerState:
     v: float = math.nan
     velocity: float = 0.0
     acceleration: float = 0.0
+    steps: int = 0
     hold_error: float = 1.0
     linear_error: float = 1.0
     lost_frames: int = 0
@@ -123,8 +125,8 @@ class MarkerState:
         """Column where it should be in the frame after that in which it was last seen [px]."""
         return self.u + (self.velocity if self.linear_error < self.hold_error else 0.0)
 
-    def fastest(self, u: float, frame: int) -> float:
-        """How fast the marker may move in a frame that shows it in a column, at most [px per frame].
+    def speed(self, u: float, frame: int) -> tuple[float, float]:
+        """How fast it moves in a frame that shows it in a column, and how far that may be wrong [px per frame].
 
         Notes
         -----
@@ -132,21 +134,26 @@ class MarkerState:
 
             u' = D u + D^2 u / 2 + D^3 u / 3
 
-        and as much beside it as the last term is. Zero where it has not been seen of late.
+        is uncertain by as much as the larger one of its last two terms: of a motion that turns within few frames, one
+        of them is large. Of fewer places since it was found, less is known; nothing where it was not seen of late.
         """
         if self.acquired_at == frame:
-            return 2.0 * abs(self.velocity)
+            return self.velocity, abs(self.velocity)
         step = u - self.u
-        if self.lost_frames > 0:
-            return 2.0 * abs(step) / (self.lost_frames + 1) if self.lost_frames < _RECENT_FRAMES else 0.0
+        if self.lost_frames > 0 or self.steps == 0:
+            mean = step / (self.lost_frames + 1) if self.lost_frames < _RECENT_FRAMES else 0.0
+            return mean, abs(mean)
         change = step - self.velocity
+        if self.steps == 1:
+            return step + change / 2, abs(change)
         last = (change - self.acceleration) / 3
-        return abs(step + change / 2 + last) + abs(last)
+        return step + change / 2 + last, max(abs(change) / 2, abs(last))
 
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
         if is_fresh:
             self.velocity = self.acceleration = 0.0
+            self.steps = 0
             self.hold_error = self.linear_error = 1.0
             self.lost_frames = self.alone_frames = 0
             self.is_mixed = self.is_joined = self.is_blind = False
@@ -156,6 +163,7 @@ class MarkerState:
             self.linear_error += 0.2 * (abs(step - self.velocity) - self.linear_error)
             self.acceleration = step - self.velocity
             self.velocity = step
+            self.steps += 1
         self.u, self.v = u, v
         self.centre += 0.01 * (u - self.centre)
         self.swing = max(0.99 * self.swing, abs(u - self.centre))

@@ -31,6 +31,7 @@ from beam_ros.vision.tracking.moments import (
     spot_numbers,
 )
 from beam_ros.vision.tracking.radial_symmetry import radial_symmetry_centre
+from beam_ros.vision.tracking.second_image import Motion
 
 Reason = Literal[
     "ok",
@@ -77,12 +78,6 @@ _LONGER = 1.2
 """A smear is so many times as long as the part of it that stands above the subtracted level."""
 _BELOW = 2.0
 """The least of the values over which an appearance is averaged lies so many standard deviations below them all."""
-_STRIKING = 4.0
-"""A smear is longer than what explains it beyond so many standard deviations, once in 30000 frames by chance, ..."""
-DOUBTED = 1.0
-"""... or so many where it was so in the frame before, ..."""
-_PULLED_PX = 0.35
-"""... and not believed where a second image of the marker that makes it so could pull the centre by more [px]."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -112,16 +107,6 @@ class Spot(NamedTuple):
     skew_v: float
     plateau: float
     region: tuple[int, int, int, int]
-
-
-class Motion(NamedTuple):
-    """What a marker's speed makes of its image, at most: length of the smear [px], and shift of every row [px/px]."""
-
-    smear: float
-    shear: float
-
-
-AT_REST = Motion(0.0, 0.0)
 
 
 class Sides(NamedTuple):
@@ -410,38 +395,18 @@ class SpotMeter:
             return "asymmetry"
         return "ok"
 
-    @staticmethod
-    def pull(found: DiscFit, motion: Motion, appearance: Appearance, striking: float = _STRIKING) -> float:
-        """How far a second image may pull the centre of a marker that moved by so much at most [px].
-
-        Zero where its own shape, motion and noise, by so many standard deviations, explain what is seen; infinity
-        where it is not to be believed.
-
-        Notes
-        -----
-        A second image of the marker with the share q of the light, no more than one half, that lies d aside pulls the
-        centre by q d and adds q (1 - q) d d' to the second moments: along u at least the square of the pull. Of what
-        it adds, the difference of the moments along u and v, and twice the one along both, are known:
-
-            E = m (cos^2 - sin^2)    C = 2 m cos sin    m cos^2 = (sqrt(E^2 + C^2) + E) / 2
-        """
-        excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
-        if motion is not AT_REST:
-            excess = max(excess, 0.0) - motion.smear**2 / 12
-            tilt = max(tilt - 2 * appearance.variance_v * motion.shear, 0.0)
-        beyond = (math.sqrt(excess * excess + tilt * tilt) + excess) / 2
-        if beyond <= striking * found.sigma_excess:
-            return 0.0
-        return math.sqrt(beyond) if beyond <= _PULLED_PX**2 + _SIGNIFICANT * found.sigma_excess else math.inf
-
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
         """Take a marker's own excess and tilt from the first frame."""
         appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
 
+    def flatness(self, appearance: Appearance) -> float:
+        """Excess of a disc that is turned about the beam as the rig says [px^2]."""
+        aspect = self.parameters.aspect
+        return appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
+
     def _own(self, appearance: Appearance, excess: float, tilt: float) -> tuple[float, float]:
         """Excess and tilt, as far as markers are out of round."""
-        aspect, tolerance = self.parameters.aspect, self.parameters.shape_tolerance * appearance.variance_v
-        flat = appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
+        tolerance, flat = self.parameters.shape_tolerance * appearance.variance_v, self.flatness(appearance)
         return (
             min(max(excess, min(flat, 0.0) - tolerance), max(flat, 0.0) + tolerance),
             min(max(tilt, -tolerance), tolerance),

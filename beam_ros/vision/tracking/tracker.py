@@ -12,6 +12,8 @@ frame (``vision.tracking.recovery``). Other spots of its kind in its row (rivals
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +23,8 @@ from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
-from beam_ros.vision.tracking.appearance import Light
+from beam_ros.vision.tracking.appearance import Appearance, Light
+from beam_ros.vision.tracking.disc_model import DiscFit
 from beam_ros.vision.tracking.marker_state import (
     SAME_PLACE_PX,
     MarkerState,
@@ -32,8 +35,9 @@ from beam_ros.vision.tracking.rivals import (
     continued,
     recent,
 )
+from beam_ros.vision.tracking.second_image import NO_PULL, Pull, SecondImages, Sighting, is_explained
 from beam_ros.vision.tracking.spot_search import RowSpots
-from beam_ros.vision.tracking.spots import APART_PX, AT_REST, DOUBTED, Motion, Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter
 
 _PROBATION_FRAMES = 10
 """A marker acquired for the first time is doubted anew where something appears in its row within so many frames."""
@@ -87,6 +91,12 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
+Sight = tuple[MarkerState, Light, Appearance, Spot, DiscFit, bool, bool, bool, bool]
+"""A marker that was found in a frame, before the frame as a whole is judged: its state and look as they were before,
+what is seen of it, and whether it was not seen in the frame before, its light and its gates are to be measured anew,
+and its mean speed explains what is seen."""
+
+
 class MarkerTracker:
     """Follows the markers of one beam.
 
@@ -135,6 +145,7 @@ class MarkerTracker:
         self._markers = [MarkerState(None if rows is None else rows[k]) for k in range(self.n_markers)]
         self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
+        self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
         self._shape = None
         self._frame = 0
 
@@ -206,7 +217,20 @@ class MarkerTracker:
         lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
         if lost:
             self._recovery.find(image, self._frame, lost, spots, reasons)
-        results = [self._result(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
+        found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
+        sights = [sight for sight in found if not isinstance(sight, MarkerMeasurement)]
+        pulls: Iterator[Pull] = repeat(NO_PULL)
+        if self._seconds.is_usual or not all(sight[-1] for sight in sights):
+            is_seen = "smear" in reasons.values()
+            pulls = iter(
+                self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
+            )
+        results = [
+            sight
+            if isinstance(sight, MarkerMeasurement)
+            else self._result(image, sight, next(pulls), stamp_ns)
+            for sight in found
+        ]
         self._recovery.before = image
         return FrameResult(stamp_ns, tuple(results))
 
@@ -256,10 +280,10 @@ class MarkerTracker:
             marker.rivals.append(Track(marker.u, 0.0, self._frame - 1, v=marker.v))
         return reason
 
-    def _result(
+    def _found(
         self, image: ImageArray, k: int, spot: Spot | None, reason: Reason, stamp_ns: int
-    ) -> MarkerMeasurement:
-        """State where a marker's spot is centred, and carry it into what is known of the marker."""
+    ) -> Sight | MarkerMeasurement:
+        """Find where a marker's spot is centred; what is not valid is a measurement already."""
         marker, meter = self._markers[k], self._meter
         light, appearance = marker.light, marker.appearance
         if spot is None or reason != "ok" or light is None or appearance is None:
@@ -289,17 +313,34 @@ class MarkerTracker:
             return self._invalid(marker, found, stamp_ns, spot.area)
         if appearance.frames == 1:
             meter.begin(found, appearance)
-        motion, pull = AT_REST, meter.pull(found, AT_REST, appearance)
-        if pull > 0.0 or marker.is_pulled or not appearance.is_settled:
-            speed = marker.fastest(spot.u, self._frame) / self._since_s
-            motion = Motion(self._exposed_s * speed, self._row_delay_s * speed)
-            pull = meter.pull(found, motion, appearance, *([DOUBTED] if marker.is_pulled else []))
-        is_believed, marker.is_pulled = pull < math.inf, pull > 0.0
+        is_plain = appearance.is_settled and not marker.is_pulled
+        if is_plain:
+            step = spot.u - marker.u if marker.lost_frames == 0 else 0.0
+            is_plain = is_explained(found, appearance, step * self._exposed_s / self._since_s)
+        is_lit = is_due and not is_accompanied
+        return marker, light, appearance, spot, found, is_fresh, is_lit, is_due, is_plain
+
+    def _sighting(self, sight: Sight) -> Sighting:
+        """What a marker shows of a second image."""
+        marker, _, appearance, spot, found, *_ = sight
+        is_known = marker.lost_frames == 0 and marker.acquired_at < self._frame
+        step = spot.u - marker.u if is_known else math.nan
+        if abs(step) > self.parameters.marker_diameter_px:
+            step = 0.0  # an image of the marker so far away does not touch it
+        speed, doubt = marker.speed(spot.u, self._frame)
+        flatness = self._meter.flatness(appearance)
+        return Sighting(found, appearance, flatness, step, abs(speed), doubt, marker.is_pulled)
+
+    def _result(self, image: ImageArray, sight: Sight, pull: Pull, stamp_ns: int) -> MarkerMeasurement:
+        """State where a marker is, and carry it into what is known of it."""
+        marker, light, appearance, spot, found, is_fresh, is_lit, is_due, _ = sight
+        meter, (motion, pull_px, marker.is_pulled) = self._meter, pull
+        is_believed = pull_px < math.inf
         marker.remember(spot.u, spot.v, self._frame, is_fresh=is_fresh)
         appearance.row = spot.v
         if is_believed and not appearance.is_settled:
             meter.settle(spot, light, appearance, found, motion)
-        if is_due and not is_accompanied:
+        if is_lit:
             light.absorb(spot.plateau, *meter.sides(image, spot))
         if is_due or is_fresh or not appearance.is_settled:
             marker.gates = meter.gates(light, appearance)
@@ -308,7 +349,7 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
-        sigma = math.hypot(max(found.sigma_u, pull), self.parameters.sigma_floor_px)
+        sigma = math.hypot(max(found.sigma_u, pull_px), self.parameters.sigma_floor_px)
         return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
     def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:

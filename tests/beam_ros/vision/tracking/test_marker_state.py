@@ -223,16 +223,34 @@ def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_th
         assert [marker.is_valid for marker in result.markers] == [False, True, True, True]
 
 
-def test_the_fastest_of_a_cubic_motion_is_its_slope_and_the_last_term_beside_it():
+def cubic(k: int) -> float:
+    return 1.0 + 0.5 * k - 0.3 * k**2 + 0.1 * k**3
+
+
+def cubic_motion(n_places: int) -> MarkerState:
+    """Return a marker that was seen in so many frames of a cubic motion, from frame 0 on."""
     marker = MarkerState(None)
+    for k in range(n_places):
+        marker.remember(cubic(k), 0.0, k, is_fresh=k == 0)
+    return marker
 
-    def way(k: int) -> float:
-        return 1.0 + 0.5 * k - 0.3 * k**2 + 0.1 * k**3
 
-    for k in range(5):
-        marker.remember(way(k), 0.0, k, is_fresh=k == 0)
-    # Third differences are 6 * 0.1, a third of which is the last term.
-    assert marker.fastest(way(5), 5) == pytest.approx(0.5 - 0.6 * 5 + 0.3 * 25 + 0.2)
-    for lost, share in ((1, 1.0), (3, 0.5), (4, 0.0)):
+def test_the_speed_of_a_cubic_motion_is_its_slope():
+    speed, doubt = cubic_motion(5).speed(cubic(5), 5)
+    assert speed == pytest.approx(0.5 - 0.6 * 5 + 0.3 * 25)
+    # Second differences, -0.6 + 0.6 (k - 1), are 1.8; third ones 0.6. Half of one is more than a third of the other.
+    assert doubt == pytest.approx(0.9)
+
+
+def test_the_speed_of_a_marker_is_as_uncertain_as_it_has_been_seen_in_few_frames():
+    first, second = cubic(1) - cubic(0), cubic(2) - cubic(1)
+    assert cubic_motion(1).speed(cubic(1), 1) == pytest.approx((first, abs(first)))
+    change = second - first
+    assert cubic_motion(2).speed(cubic(2), 2) == pytest.approx((second + change / 2, abs(change)))
+
+
+def test_the_speed_of_a_marker_that_was_lost_is_that_of_its_way_until_it_was_lost_too_long():
+    marker = cubic_motion(5)
+    for lost, share in ((1, 0.5), (3, 0.25), (4, 0.0)):
         marker.lost_frames = lost
-        assert marker.fastest(way(4) - 3.0, 9) == pytest.approx(share * 3.0)
+        assert marker.speed(cubic(4) - 3.0, 9) == pytest.approx((-3.0 * share, 3.0 * share))

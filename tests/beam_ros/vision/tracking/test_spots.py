@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.disc_model import DiscFit
-from beam_ros.vision.tracking.spots import AT_REST, Motion, SpotMeter
+from beam_ros.vision.tracking.spots import SpotMeter
 from tests.beam_ros.vision.packaged_rig import packaged_tracker
 
 LEVEL, SPECK, DISC = 30, 1, 100
@@ -130,29 +129,3 @@ def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_the
         if is_alone:
             assert all(abs(u - own) < meter.radius for u, _, _ in meter.centres(image, background, 90.0))
     assert 40 < n_alone < 360
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.4, -0.7, 1.2])
-def test_the_pull_of_a_second_image_is_its_second_moment_along_u(angle):
-    appearance = Appearance(100.0, 9.0, 9.0, 0.0, 0.0, 50.0, excess=0.02, tilt=-0.03)
-    cos, sin, moment = np.cos(angle), np.sin(angle), 0.1
-
-    def pull(moment: float, motion: Motion = AT_REST, sigma: float = 1e-6) -> float:
-        excess, tilt = moment * (cos**2 - sin**2) + 0.02, 2 * moment * cos * sin - 0.03
-        return SpotMeter.pull(DiscFit(0, 0, 0, 100, 0, excess, tilt, sigma), motion, appearance)
-
-    along_u = moment * cos**2
-    assert pull(moment) == pytest.approx(np.sqrt(along_u))
-    # Noise explains four standard deviations; beyond 0.35 px and five of them nothing is believed.
-    assert pull(moment, sigma=along_u / 3.9) == 0.0
-    assert pull(moment, sigma=along_u / 4.1) > 0.0
-    assert pull(0.1225 / cos**2 * 0.99) < np.inf
-    assert pull(0.1225 / cos**2 * 1.01) == np.inf
-    assert pull(moment, Motion(np.sqrt(12.0), 1.0)) == 0.0
-
-
-def test_a_rolling_shutter_tilts_a_disc_by_its_height():
-    appearance = Appearance(100.0, 9.0, 9.0, 0.0, 0.0, 50.0)
-    found = DiscFit(0, 0, 0, 100, 0, 0.0, 0.6, 1e-6)
-    assert SpotMeter.pull(found, Motion(0.0, 0.6 / 18 * 1.001), appearance) == 0.0
-    assert SpotMeter.pull(found, Motion(0.0, 0.0), appearance) == np.inf

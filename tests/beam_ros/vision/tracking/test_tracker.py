@@ -491,6 +491,15 @@ def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
             9000002,
             3,
         ),  # a twin in another row was not told from the marker that it had touched
+        (
+            "doubled",
+            7004,
+            3,
+        ),  # a marker that turned was blended with the frame before, which its speed might explain
+        ("doubled", 51011, 3),  # so was one that had been lost, whose step nobody knew
+        ("ghost", 7003, 3),  # a reflection crept over a marker while its look was learned
+        ("ghost", 7009, 3),  # one aside and above added more to the covariance than to the width
+        ("ghost", 7031, 3),  # of a marker that one lay over from the first frame on, any speed explained it
         ("twin_resting", 9000000, 13),  # of two spots the one that swings with the beam was not acquired
     ],
 )

@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beam_ros.vision.tracking.appearance import Appearance
+from beam_ros.vision.tracking.disc_model import DiscFit
+from beam_ros.vision.tracking.second_image import (
+    AT_REST,
+    Disc,
+    Motion,
+    SecondImages,
+    Sighting,
+    is_explained,
+    pull,
+)
+
+SIGMA = 0.02
+"""Standard deviation of a second moment [px^2]: that of a disc of 12 px at a noise of 2 grey levels."""
+EXPOSED = 0.5
+"""Exposure over the time between two frames."""
+
+
+def disc(excess: float, tilt: float = 0.0, sigma: float = SIGMA) -> DiscFit:
+    return DiscFit(0, 0, 0, 100, 0, excess, tilt, sigma)
+
+
+def settled(excess: float = 0.0, tilt: float = 0.0) -> Appearance:
+    return Appearance(100.0, 9.0, 9.0, 0.0, 0.0, 50.0, frames=32, excess=excess, tilt=tilt)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, -0.7, 1.2])
+def test_the_pull_of_a_second_image_is_its_second_moment_along_u(angle):
+    cos, sin, moment = np.cos(angle), np.sin(angle), 0.1
+
+    def of(moment: float, motion: Motion = AT_REST, sigma: float = 1e-6) -> float:
+        excess, tilt = moment * (cos**2 - sin**2) + 0.02, 2 * moment * cos * sin - 0.03
+        return pull(disc(excess, tilt, sigma), motion, settled(0.02, -0.03))
+
+    assert of(moment) == pytest.approx(np.sqrt(moment) * abs(cos))
+    # The standard deviation of the moment along u is sigma |cos|; noise explains four of it.
+    assert of(moment, sigma=moment * abs(cos) / 3.9) == 0.0
+    assert of(moment, sigma=moment * abs(cos) / 4.1) > 0.0
+    assert of(moment, Motion(np.sqrt(12.0), 1.0)) == 0.0
+
+
+def test_a_rolling_shutter_tilts_a_disc_by_its_height():
+    found = disc(0.0, 0.6, 1e-6)
+    assert pull(found, Motion(0.0, 0.6 / 18 * 1.001), settled()) == 0.0
+    assert pull(found, Motion(0.0, 0.0), settled()) == pytest.approx(np.sqrt(0.3))
+
+
+def test_what_a_smear_explains_is_never_a_second_image():
+    rng = np.random.default_rng(3)
+    n_explained = 0
+    for excess, tilt, smear in rng.normal(size=(2000, 3)) * [0.1, 0.1, 2.0]:
+        if is_explained(disc(excess, tilt), settled(), smear):
+            n_explained += 1
+            assert pull(disc(excess, tilt), Motion(smear, 0.0), settled()) == 0.0
+    assert n_explained > 500
+
+
+def sighting(
+    step: float, share: float, rng: np.random.Generator, speed: float | None = None, doubt: float = 0.0
+) -> Sighting:
+    """A marker in a frame that holds so much of the frame before; step and speed are the true ones [px per frame]."""
+    speed = step if speed is None else speed
+    excess = share * (1 - share) * step**2 + (EXPOSED * speed) ** 2 / 12 + SIGMA * rng.standard_normal()
+    return Sighting(disc(excess), settled(), 0.0, (1 - share) * step, abs(speed), doubt, False)
+
+
+def judged(seconds: SecondImages, sightings: list[Sighting], *, is_seen: bool = False) -> list[float]:
+    return [each.centre_px for each in seconds.pulls(sightings, 1.0, is_seen=is_seen)]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.5])
+def test_a_blended_frame_is_told_by_all_markers_and_stated_for_each(share):
+    rng = np.random.default_rng(1)
+    # The one in the middle shows the frame before; of the others neither does by itself.
+    steps = (0.3, 1.6, -0.5)
+    pulled = np.array(
+        [judged(SecondImages(EXPOSED, 0.0), [sighting(d, share, rng) for d in steps]) for _ in range(100)]
+    )
+    for k, step in enumerate(steps):
+        stated = np.where(np.isfinite(pulled[:, k]), pulled[:, k], 0.35)
+        assert 0.6 * min(share * abs(step), 0.35) <= np.median(stated) <= 0.35
+
+
+def test_frames_that_are_not_blended_are_hardly_less_certain():
+    rng, seconds = np.random.default_rng(2), SecondImages(EXPOSED, 0.0)
+    pulled = [
+        judged(seconds, [sighting(d, 0.0, rng) for d in rng.normal(size=3) * [0.5, 2.0, 4.0]])
+        for _ in range(2000)
+    ]
+    assert np.mean(np.array(pulled) > 0.01) < 0.005
+    assert np.max(pulled) < 0.35
+    assert not seconds.is_usual
+
+
+def test_a_speed_that_is_not_known_explains_as_much_as_it_may():
+    rng = np.random.default_rng(4)
+    turning = [sighting(1.0, 0.0, rng, speed=6.0), sighting(0.1, 0.0, rng)]
+    assert max(judged(SecondImages(EXPOSED, 0.0), turning)) < 0.01
+    unknown = [turning[0]._replace(speed=1.0, doubt=5.0), turning[1]]
+    assert max(judged(SecondImages(EXPOSED, 0.0), unknown)) < 0.01
+    assert judged(SecondImages(EXPOSED, 0.0), [turning[0]._replace(speed=1.0), turning[1]])[0] == np.inf
+
+
+def test_where_frames_are_blended_now_and_then_a_frame_that_does_not_tell_is_stated_by_that():
+    rng, seconds = np.random.default_rng(5), SecondImages(EXPOSED, 0.0)
+    slow = [sighting(0.2, 0.0, rng)._replace(found=disc(0.0))]
+    assert judged(seconds, slow)[0] < 0.002
+    shares = [0.4 * (k % 5 == 0) for k in range(100)]
+    for share in shares:
+        seconds.pulls([sighting(2.0, share, rng)], 1.0, is_seen=False)
+    assert seconds.is_usual
+    # A fifth of the frames, and a share between none and all of a step that the moment does not exclude.
+    assert 0.02 < judged(seconds, slow)[0] < 0.2 * 0.6
+    # A marker whose step is not known is pulled by what its second moment allows, one that is far from there is not.
+    lost = Sighting(disc((EXPOSED * 4.5) ** 2 / 12), settled(), 0.0, np.nan, 4.5, 0.0, False)
+    assert judged(seconds, [sighting(2.0, 0.4, rng), lost])[1] == np.inf
+    assert judged(seconds, [sighting(2.0, 0.4, rng), lost._replace(step=0.0)])[1] == 0.0
+
+
+@pytest.mark.parametrize("is_among_them", [True, False])
+def test_a_second_image_of_one_marker_lies_over_all(is_among_them):
+    # This one was found with a second image over it, and moves as fast as that may be a smear.
+    found = Sighting(disc(0.4), settled(0.2), 0.0, 0.0, 1.0, 3.0, False)
+    assert judged(SecondImages(EXPOSED, 0.0), [found]) == [0.0]
+    shown = [found._replace(found=disc(0.6), speed=0.0, doubt=0.0)] if is_among_them else []
+    pulled = judged(SecondImages(EXPOSED, 0.0), [found, *shown], is_seen=not is_among_them)
+    assert pulled[0] == pytest.approx(np.sqrt(0.4))
+
+
+def test_a_marker_that_shows_a_second_image_far_aside_is_not_believed():
+    limit = 0.1225 + 5 * SIGMA
+    for moment, is_believed in ((0.99 * limit, True), (1.01 * limit, False)):
+        sight = Sighting(disc(moment), settled(), 0.0, np.nan, 0.0, 0.0, False)
+        assert np.isfinite(judged(SecondImages(EXPOSED, 0.0), [sight])[0]) == is_believed
+
+
+def test_a_disc_of_known_aspect_is_compared_with_that():
+    assert pull(disc(0.3), AT_REST, Disc(0.3, 0.0, 9.0)) == 0.0
