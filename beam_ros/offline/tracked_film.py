@@ -127,8 +127,7 @@ def track_video(
         tracked = follow_strip(video, camera, rig.beam.length, rig.markers, calibration, row_step, progress)
         notes = [f"the strip was followed at {len(tracked.names)} heights, every {row_step} rows"]
     else:
-        tracked, doubt = _track_markers(video, camera, rig, calibration, progress)
-        notes = [doubt] if doubt else []
+        tracked, notes = _track_markers(video, camera, rig, calibration, progress)
         if not tracked.reasons[0].get("ok"):
             raise VideoError(
                 f"{video.path}: the low marker {tracked.names[0]} is in none of {len(tracked.times_ns)} frames "
@@ -171,8 +170,8 @@ def _track_markers(
     rig: Rig,
     calibration: LinearCalibration | None,
     progress: Callable[[float], None],
-) -> tuple[FollowedPoints, str]:
-    """Track the markers; returns their record, and what the calibration does not say of the camera."""
+) -> tuple[FollowedPoints, list[str]]:
+    """Track the markers; returns their record, and what calibration or exposure do not say of the camera."""
     names, heights = rig.markers.names, rig.markers.heights
     chosen = calibration or LinearCalibration.from_camera(camera, len(names))
     chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen)
@@ -201,7 +200,7 @@ def _track_markers(
             np.array([frame.displacement.sigma_m for frame in measured]),
             reasons,
         ),
-        chain.calibration_doubt,
+        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt) if doubt],
     )
 
 

@@ -131,6 +131,8 @@ class Diagnosis:
             found.append(Complaint("ERROR", chain.calibration_fault))
         if chain.calibration_doubt:
             found.append(Complaint("WARN", chain.calibration_doubt))
+        if chain.exposure_doubt:
+            found.append(Complaint("WARN", chain.exposure_doubt))
         if chain.lens_fault:
             found.append(Complaint("WARN", chain.lens_fault))
         if not since["arrived"]:

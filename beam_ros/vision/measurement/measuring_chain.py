@@ -128,6 +128,18 @@ class MeasuringChain:
         return self._calibration.doubt(self._camera)
 
     @property
+    def exposure_doubt(self) -> str:
+        """What the markers' smears say against the stated exposure, or ""."""
+        stated, seen = self._camera.exposure_s, self.tracker.exposure_s
+        if seen <= stated:
+            return ""
+        return (
+            f"markers that move are smeared {seen / stated:.2g} times as long as camera.exposure, {stated:.4g} s, "
+            f"allows, and are not believed (smear): expected the camera's own exposure, likely some {seen:.2g} s; "
+            "set camera.exposure to it"
+        )
+
+    @property
     def lens_fault(self) -> str:
         """What is wrong between lens and calibration, or ""."""
         return self._lens_fault

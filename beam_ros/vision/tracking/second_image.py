@@ -9,7 +9,9 @@ markers of a frame (``SecondImages``), which it lies over together.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
+from statistics import quantiles
 from typing import NamedTuple
 
 from beam_ros.vision.tracking.appearance import Appearance
@@ -32,6 +34,14 @@ _NOTABLE = 0.01
 """Where a frame is blended with a greater probability, the farthest that it may pull a marker is ..."""
 _FARTHEST = 6.0
 """... no more than so many standard deviations that are stated for it."""
+_STEADY = 0.2
+"""A speed is known for a measure of the exposure where it is uncertain by no more than this share, ..."""
+_EXPOSURES = 32, 256
+"""... of so many smears at least, and the last so many at most, ..."""
+_AGREEING = 1.25
+"""... whose quartiles agree up to this ratio."""
+_LONGER = 1.1
+"""An exposure that is so many times the stated one is another one."""
 _EXCLUDED = 3.0
 """So many standard deviations below none a share of the frame before is excluded."""
 
@@ -157,6 +167,19 @@ class SecondImages:
         self._exposed_s = exposed_s
         self._row_delay_s = row_delay_s
         self._usual = _RARELY
+        self._smears_s: deque[float] = deque(maxlen=_EXPOSURES[1])
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure that smears show which are too long for the stated one [s]; that one where they do not agree.
+
+        A second image of any kind is longer than a smear by amounts that no one exposure explains.
+        """
+        if len(self._smears_s) < _EXPOSURES[0]:
+            return self._exposed_s
+        lower, middle, upper = quantiles(self._smears_s)
+        is_another = upper <= _AGREEING * lower and middle > _LONGER * self._exposed_s
+        return middle if is_another else self._exposed_s
 
     @property
     def is_usual(self) -> bool:
@@ -178,6 +201,10 @@ class SecondImages:
             px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
             is_too_far = px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
             pulls.append(Pull(motion, math.inf if is_too_far and px > 0.0 else px, px > 0.0))
+            if px > 0.0 and doubt < _STEADY * speed:
+                smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
+                if smear_s <= since_s:
+                    self._smears_s.append(smear_s)
         if is_seen or any(each.is_seen for each in pulls):
             for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
                 disc = Disc(flatness, 0.0, appearance.variance_v)

@@ -172,6 +172,11 @@ class MarkerTracker:
         """Frames in a row in which each marker was not valid."""
         return tuple(marker.lost_frames for marker in self._markers)
 
+    @property
+    def exposure_s(self) -> float:
+        """Exposure that the markers' smears show [s]; the stated one where they do not contradict it."""
+        return self._seconds.exposure_s
+
     # -- frames --------------------------------------------------------------------------------------------
 
     def process(self, image: ImageArray, stamp_ns: int) -> FrameResult:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from beam_ros.offline.video_into_bag import synchronise_with_hub  # noqa: E402
 from beam_ros.vision.calibration.linear import LinearCalibration  # noqa: E402
 from beam_ros.vision.calibration.storage import save_calibration  # noqa: E402
 from beam_ros.vision.camera.video import VideoFile  # noqa: E402
+from beam_ros.vision.rendering.frames import SceneRenderer  # noqa: E402
 from beam_ros.vision.timing import FrameTiming  # noqa: E402
 
 RECORDINGS = Path(__file__).parents[3] / "bags"
@@ -78,6 +80,24 @@ def test_the_committed_video_is_tracked_to_its_truth() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.0015
     assert np.abs(error.mean(axis=0)).max() < 0.0005
     assert np.abs(error).max() < 0.008
+
+
+def test_a_video_whose_markers_are_smeared_for_longer_than_the_rig_says_names_the_exposure(
+    tmp_path: Path,
+) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    camera, shares = rig.camera_parameters(), np.array([0.1, 0.8, 1.0])
+    renderer, rng = SceneRenderer(camera, rig.markers.heights), np.random.default_rng(4)
+    frames = []
+    for k in range(100):
+        instants = k + camera.exposure_s * camera.rate_hz * np.linspace(-0.5, 0.5, renderer.sub_instants)
+        x = 16.0 / camera.pixels_per_metre * np.sin(0.3 * instants)[:, None] * shares
+        frames.append(renderer.render(x, rng))
+    video = VideoFile(write_video(tmp_path / "swing.mkv", frames))
+    assert track_video(video, rig).notes == ()
+    stated = replace(rig, camera=replace(rig.camera, exposure=0.002))
+    (note,) = track_video(video, stated).notes
+    assert "times as long as camera.exposure, 0.002 s, allows" in note
 
 
 def test_the_video_finds_its_time_in_the_hubs() -> None:

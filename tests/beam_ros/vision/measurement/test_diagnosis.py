@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,10 +27,10 @@ MS = 1_000_000
 class _Day:
     """A chain, its diagnosis, and frames at will."""
 
-    def __init__(self, calibration: LinearCalibration | None = None, focus: str = "") -> None:
+    def __init__(self, calibration: LinearCalibration | None = None, **stated) -> None:
         given = calibration or LinearCalibration.from_camera(CAMERA, 3)
         tracker = packaged_tracker(CAMERA, HEIGHTS)
-        self.chain = MeasuringChain(replace(CAMERA, focus=focus), tracker, HEIGHTS, given)
+        self.chain = MeasuringChain(replace(CAMERA, **stated), tracker, HEIGHTS, given)
         self.lateness = LatenessWatch(100.0)
         self.diagnosis = Diagnosis(NAMES, self.chain, self.lateness)
         self.frame = SceneRenderer(CAMERA, HEIGHTS).render(np.zeros(3), np.random.default_rng(0))
@@ -142,6 +143,26 @@ def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_na
     report = day.diagnosis.report(0.1)
     assert report.level == "ERROR"
     assert "set camera.focus" in report.sentence
+
+
+@pytest.mark.parametrize("stated_s", [0.002, 0.005])
+def test_an_exposure_that_is_stated_too_short_is_a_warning_with_the_likely_one(stated_s) -> None:
+    day, renderer, rng = _Day(exposure_s=stated_s), SceneRenderer(CAMERA, HEIGHTS), np.random.default_rng(3)
+    shares = np.array([[0.1, 0.8, 1.0]])
+    for k in range(1, 101):
+        instants = k + CAMERA.exposure_s * CAMERA.rate_hz * np.linspace(-0.5, 0.5, renderer.sub_instants)
+        x = 20.0 / CAMERA.pixels_per_metre * np.sin(0.3 * instants)[:, None] * shares
+        day.film([k], frame=renderer.render(x, rng))
+    report = day.diagnosis.report(1.0)
+    if stated_s == CAMERA.exposure_s:
+        assert "camera.exposure" not in report.sentence
+    else:
+        assert report.level == "WARN"
+        assert "times as long as camera.exposure, 0.002 s, allows" in report.sentence
+        likely = re.search("likely some (.*) s; set camera.exposure to it", report.sentence)
+        # Second moments of what exceeds all other explanations show it to a fifth.
+        assert likely is not None
+        assert float(likely[1]) == pytest.approx(CAMERA.exposure_s, rel=0.2)
 
 
 def test_a_calibration_of_another_camera_is_an_error_though_markers_are_seen() -> None:
