@@ -34,7 +34,9 @@ from beam_ident.numerics.linear_least_squares import LinearSolution
 Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
 _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
 _LIKE_COLOUR = ("line", "jump", "drift")  # which an autoregression would take for its own
+_LARGE = (*_LIKE_COLOUR, "gain")  # which may be most of what is left: looked for in it as it is, too
 _CAREFUL = 100.0  # times rarer these must be: the colour without them is one that they chose
+_MOST = 0.8  # of the square of what is left
 _SLOW_BIAS = 15.0  # samples' worth
 _SLOW_DOUBT = (
     3.0  # standard deviations of an estimated pole near one: where noise may be slower than it looks
@@ -126,8 +128,11 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray, nois
         whitened = _Whitened.of(left, turn=noise.turn)
         causes = [c for c in _candidates(times, columns, left, whitened, size) if c.kind not in kinds]
         # White residuals have no colour that could have taken up a line or a step.
-        apart = [c for c in causes if len(whitened.colour) > 1 and c.kind in _LIKE_COLOUR]
+        is_coloured = len(whitened.colour) > 1
+        apart = [c for c in causes if is_coloured and c.kind in _LIKE_COLOUR]
         together = [c for c in causes if c not in apart]
+        # What a changed gain leaves has the colour of the model; noise of that colour follows the model in part only.
+        apart += [c for c in together if is_coloured and c.kind in _LARGE and _is_most(c, columns, left)]
         gains = list(zip(together, whitened.gains(columns, together), strict=True))
         for cause in apart:
             without = _without(cause, columns, left, noise.turn)
@@ -165,10 +170,21 @@ def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray, tur
     A line or a step is itself the limit of a colour, an autoregression with a pole on the unit circle, which would
     leave nothing of it.
     """
-    own = _stacked(columns, cause.columns, len(left))
+    names = cause.columns if cause.kind in _LIKE_COLOUR else (*cause.columns, *cause.beside)
+    own = _stacked(columns, names, len(left))
     size = np.linalg.norm(own, axis=0)
     basis = LinearSolution.of(own / np.where(size > 0.0, size, 1.0)).basis
     return _Whitened.of(left, left - basis @ (basis.T @ left), turn)
+
+
+def _is_most(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> bool:
+    """Return whether a cause explains most of what other values of the fit's own parameters leave."""
+    beside, whole = (
+        LinearSolution.of(_stacked(columns, names, len(left))).basis
+        for names in (cause.beside, (*cause.beside, *cause.columns))
+    )
+    without, with_it = (float(left @ left - np.sum(np.square(own.T @ left))) for own in (beside, whole))
+    return with_it < (1.0 - _MOST) * without
 
 
 def _stands_without_weights(
@@ -437,17 +453,18 @@ def _candidates(
         )),
     ]  # fmt: skip
     for kind, name, said in changes:
-        column = columns[name](slice(0, n))
-        if kind in _LIKE_COLOUR:
-            place = _change(column, left)
-        else:
+        column, places = columns[name](slice(0, n)), {}
+        if kind not in _LIKE_COLOUR:
             white = whitened.column(column)
-            place = n - len(white) + _change(white, whitened.left)
-        at = float(times[place])
-        columns[kind] = functools.partial(_after, columns[name], place)
+            places[kind] = n - len(white) + _change(white, whitened.left)
+        if kind in _LARGE:
+            places[f"large {kind}"] = _change(column, left)
         looks = n * (_CAREFUL if kind in _LIKE_COLOUR else 1.0)
         beside = tuple(dict.fromkeys((*own, name)))
-        causes.append(_Cause(kind, (kind,), beside, looks, functools.partial(said, at=at)))
+        for own_name, place in places.items():
+            columns[own_name] = functools.partial(_after, columns[name], place)
+            told = functools.partial(said, at=float(times[place]))
+            causes.append(_Cause(kind, (own_name,), beside, looks, told))
     line = _line(times, _turned(left[:, None], whitened.turn)[:, 0], own)
     if line is not None:
         cause, columns["line"] = line

@@ -60,6 +60,23 @@ def test_noise_of_any_colour_has_no_cause(numerator, denominator):
     assert alarms <= 1
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_channel_that_died_is_named_although_what_it_leaves_has_the_colour_of_a_mode(seed):
+    """Whitened by that colour, 1.5 Hz at 500 samples a second drowns in the noise of the sensor."""
+    rng = np.random.default_rng(seed)
+    n = 10_000
+    times = 0.002 * np.arange(n)
+    pole = np.exp((-0.01 + 1j) * 2.0 * np.pi * 1.5 * 0.002)
+    drive = np.sign(rng.standard_normal(n // 10)).repeat(10)
+    sound = lfilter([1.0], np.real(np.poly([pole, pole.conj()])), drive)
+    sound /= np.std(sound)
+    noise = 0.01 * rng.standard_normal(n)
+    dead = np.where(times < 12.0, sound, sound[6000]) + noise
+    (said,) = misfit_warnings([("y", [(times, 0.6 * sound, dead - 0.6 * sound)])])
+    assert re.search(r"gain changed by -1\d\d% at 1[12](\.\d+)? s", said), said
+    assert not misfit_warnings([("y", [(times, sound, noise)])])
+
+
 @pytest.mark.parametrize("pole", [0.99, 0.995, 0.998])
 def test_noise_as_slow_as_the_record_is_hardly_ever_a_drift(pole):
     alarms = 0
