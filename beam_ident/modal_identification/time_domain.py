@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,11 +32,12 @@ from beam_ident.modal_estimation.mode_search import (
 )
 from beam_ident.modal_identification.coarse_delays import coarse_delays
 from beam_ident.modal_identification.identification_task import IdentificationTask
+from beam_ident.modal_identification.unseen_noise import Leftover, unseen_noise
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.blows import without_noise_between_blows
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.quantisation import without_clipped
-from beam_ident.sensing.still_noise import with_found_noise
+from beam_ident.sensing.still_noise import StillNoise, with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
@@ -174,12 +176,45 @@ def identify(
                 name: found_there.get(name, OwnClock()).moved(own.delay, 0.0) for name, own in apart.items()
             }
             task = replace(task, first_clocks={**found_there, **clocks})
-    result, said = without_clipped(records, names, task.result, _prediction)
+    result, said = without_clipped(records, names, functools.partial(_with_unseen_noise, task), _prediction)
     doubts = [text for text in (*repeated, said, noisy_blows) if text]
     if latency.is_free and abs(result.model.latency) > _AT_THE_END * farthest:
         doubts.append(_TOO_LATE.format(result.model.latency, farthest))
     doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
     return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
+
+
+def _with_unseen_noise(task: IdentificationTask, records: list[TimeRecord]) -> IdentificationResult:
+    """Return what a task finds, weighed by noise of the input that only the outputs show, where they do."""
+    result = task.result(records)
+    if len(task.input_names) > 1 or not (result.converged and result.band.is_excited):
+        return result
+    drives = [one.input(task.input_names[0]) for one in records]
+    if any(drive.sigma > 0.0 for drive in drives) or all(own.whiteness.is_white for own in result.outputs):
+        return result
+    leftovers = []
+    for place, own in enumerate(result.outputs):
+        seen = [k for k, one in enumerate(records) if own.name in one.output_names]
+        if len(seen) != len(own.records):
+            return result
+        for k, part in zip(seen, own.records, strict=True):
+            exposure_s = records[k].output(own.name).exposure_s
+            leftovers.append(Leftover(place, part.times_s, part.residuals, exposure_s, drives[k]))
+    noise = StillNoise(unseen_noise(result.model, leftovers), is_behind=True)
+    if not noise.sigma > 0.0:
+        return result
+    noisy = [
+        replace(
+            one, inputs=tuple(replace(own, sigma=noise.sigma) if own is drive else own for own in one.inputs)
+        )
+        for one, drive in zip(records, drives, strict=True)
+    ]
+    found_noise = dict.fromkeys(range(len(records)), noise)
+    with contextlib.suppress(EstimationError):
+        weighed = replace(task, found_noise=found_noise).result(noisy)
+        if weighed.converged:
+            return weighed
+    return result
 
 
 def _jumps_into(structure: ModalStructure, record: TimeRecord, input_names: Sequence[str]) -> bool:

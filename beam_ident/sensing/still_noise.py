@@ -41,11 +41,13 @@ class StillNoise:
     Attributes
     ----------
     sigma : float -- standard deviation, in the input's unit; 0 where none was found
-    still_s : float -- how long the input stood still [s]; 0 where it is the floor of the spectrum
+    still_s : float -- how long the input stood still [s]; 0 where it did not
+    is_behind : bool -- whether it was seen in what it leaves at the outputs, else it is the floor of the spectrum
     """
 
     sigma: float = 0.0
     still_s: float = 0.0
+    is_behind: bool = False
 
     @staticmethod
     def of(drive: InputSignal) -> StillNoise:
@@ -188,9 +190,11 @@ def found_noise_warning(drive: InputSignal, noise: StillNoise, treatment: str) -
     noise : StillNoise
     treatment : str -- what was done about it
     """
-    where = (
-        f"seen while it stood still for {noise.still_s:.3g} s"
-        if noise.still_s > 0.0
-        else "seen as the flat end of its spectrum, for it never stood still"
-    )
+    where = "seen as the flat end of its spectrum, for it never stood still"
+    if noise.still_s > 0.0:
+        where = f"seen while it stood still for {noise.still_s:.3g} s"
+    elif noise.is_behind:
+        where = (
+            "seen in what it leaves at the outputs, as would be a disturbance that acts where the input does"
+        )
     return f"Input {drive.name} has noise that nobody declared: {noise.sigma:.2g} {drive.unit}, {where}. {treatment}"
