@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from statistics import NormalDist
 
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.aperture import disc_steps
+from beam_ros.vision.tracking.centres import disc_steps
 from beam_ros.vision.tracking.disc_model import DiscModel
 
 _NORMAL = NormalDist()

@@ -34,7 +34,7 @@ import cv2
 import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray
-from beam_ros.vision.tracking.aperture import (
+from beam_ros.vision.tracking.centres import (
     EDGE_STEP_PX,
     RADIUS_STEP_PX,
     clipped,

@@ -5,7 +5,7 @@ saturation, which silences the background without the error of a hard threshold.
 what remains give place, area, second moments and asymmetry: a spot that is partly covered, merged with another
 one or lit from beside changes them long before its centre has moved far. Tolerances are a floor for what real
 markers do plus five standard deviations of what the image noise does. Where a spot that passes is centred is
-then measured in an aperture (``vision.tracking.aperture``), which has no bias by the pixel grid and gives the mean
+then measured in an aperture (``vision.tracking.centres``), which has no bias by the pixel grid and gives the mean
 position over the exposure however far the marker moved.
 """
 
@@ -20,8 +20,13 @@ import numpy as np
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.aperture import aperture_at, clipped_sums, compiled_clipped_sums
 from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
+from beam_ros.vision.tracking.centres import (
+    aperture_at,
+    clipped_sums,
+    compiled_clipped_sums,
+    radial_symmetry_centre,
+)
 from beam_ros.vision.tracking.disc_model import DiscFit, DiscModel
 from beam_ros.vision.tracking.moments import (
     SEEN,
@@ -30,7 +35,6 @@ from beam_ros.vision.tracking.moments import (
     first_moments,
     spot_numbers,
 )
-from beam_ros.vision.tracking.radial_symmetry import radial_symmetry_centre
 from beam_ros.vision.tracking.second_image import Motion
 
 Reason = Literal[
