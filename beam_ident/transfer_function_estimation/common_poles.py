@@ -54,7 +54,12 @@ from beam_ident.transfer_function_estimation.estimation import (
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import LOOKS, MAX_TRAVEL
-from beam_ident.transfer_function_estimation.srivc import are_known, estimate_denominator, widened
+from beam_ident.transfer_function_estimation.srivc import (
+    are_known,
+    estimate_denominator,
+    follow_inputs,
+    widened,
+)
 
 _ITERATIONS = 50
 _TURNS = 25  # of poles and noise
@@ -376,7 +381,8 @@ def _beyond(found: _Found, known: dict[tuple[object, ...], OutputErrorState | No
     joint, minimum, iterations = found
     theta = minimum.state.theta
     joint.scale_to(minimum.state)
-    if minimum.converged and are_known(joint.problems[0], theta, joint.slope(minimum.state)[0]):
+    is_known = minimum.converged and are_known(joint.problems[0], theta, joint.slope(minimum.state)[0])
+    if is_known and not follow_inputs(joint.problems, minimum.state.states):
         return found
     insides = [problem.inside() for problem in joint.problems]
     for name in insides[0]:

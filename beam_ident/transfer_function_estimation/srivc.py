@@ -59,9 +59,9 @@ _MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
 _MOST_INSIDE = 100  # structures inside one, at most
 _MOST_SAMPLES_INSIDE = 200_000  # in all of them together: a bound on time
-_EXTRA_POLES = 9  # places tried for a pole that a smaller denominator lacks
+_EXTRA_POLES = 10  # places tried for a pole that a smaller denominator lacks
 _BESIDE = 1.3  # from one such pole to the next
-_BEYOND = 100.0  # of the Nyquist frequency: there a pole hardly shows
+_BEYOND = 1000.0  # of the Nyquist frequency: there a pole hardly shows
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
 _NO_START = (
@@ -250,6 +250,18 @@ def are_known(problem: OutputErrorProblem, theta: FloatArray, information: Float
     return bool(np.all((sd < _MAX_POLE_SD * np.abs(poles)) & (decay_sd < -poles.real)))
 
 
+def follow_inputs(problems: Sequence[OutputErrorProblem], states: Sequence[OutputErrorState]) -> bool:
+    """Return whether what states leave still follows the inputs, whatever the colour of the noise.
+
+    Parameters
+    ----------
+    problems : sequence of OutputErrorProblem -- of every output, in the unit of frequency of its state
+    states : sequence of OutputErrorState
+    """
+    pairs = zip(problems, states, strict=True)
+    return ScoreTest.of([problem.followed_inputs(state) for problem, state in pairs]).p_value < WHITE
+
+
 def widened(problem: OutputErrorProblem, state: Inside) -> list[FloatArray]:
     """Return what a structure inside a problem says as points of it, in the state's unit of frequency.
 
@@ -341,7 +353,7 @@ class _Chain:
         problem.scale = state.scale
         if not are_known(problem, state.theta, problem.slope(state)[0]):
             return True
-        return not self.is_noise(found) and ScoreTest.of([problem.followed_inputs(state)]).p_value < WHITE
+        return not self.is_noise(found) and follow_inputs([problem], [state])
 
     def beyond(self, found: Optimum, inside: Iterable[Inside]) -> Optimum:
         """Return an optimum, or a better one from where a structure inside this one ended better than it.
