@@ -197,9 +197,10 @@ def _with_unseen_noise(task: IdentificationTask, records: list[TimeRecord]) -> I
         seen = [k for k, one in enumerate(records) if own.name in one.output_names]
         if len(seen) != len(own.records):
             return result
+        late = result.model.latency + float(result.model.output_delays[place])
         for k, part in zip(seen, own.records, strict=True):
             exposure_s = records[k].output(own.name).exposure_s
-            leftovers.append(Leftover(place, part.times_s, part.residuals, exposure_s, drives[k]))
+            leftovers.append(Leftover(place, part.times_s - late, part.residuals, exposure_s, drives[k]))
     noise = StillNoise(unseen_noise(result.model, leftovers), is_behind=True)
     if not noise.sigma > 0.0:
         return result
