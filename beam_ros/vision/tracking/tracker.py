@@ -91,10 +91,27 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
-Sight = tuple[MarkerState, Light, Appearance, Spot, DiscFit, bool, bool, bool, bool]
-"""A marker that was found in a frame, before the frame as a whole is judged: its state and look as they were before,
-what is seen of it, and whether it was not seen in the frame before, its light and its gates are to be measured anew,
-and its mean speed explains what is seen."""
+class Sight(NamedTuple):
+    """A marker that was found in a frame, before the frame as a whole is judged.
+
+    Attributes
+    ----------
+    marker, light, appearance : MarkerState, Light, Appearance -- as they were before
+    spot, found : Spot, DiscFit -- what is seen of it
+    is_fresh : bool -- it was not seen in the frame before
+    is_lit, is_due : bool -- its light, and its gates, are to be measured anew
+    is_plain : bool -- its mean speed explains what is seen
+    """
+
+    marker: MarkerState
+    light: Light
+    appearance: Appearance
+    spot: Spot
+    found: DiscFit
+    is_fresh: bool
+    is_lit: bool
+    is_due: bool
+    is_plain: bool
 
 
 class MarkerTracker:
@@ -225,7 +242,7 @@ class MarkerTracker:
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
         sights = [sight for sight in found if not isinstance(sight, MarkerMeasurement)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
-        if self._seconds.is_usual or not all(sight[-1] for sight in sights):
+        if self._seconds.is_usual or not all(sight.is_plain for sight in sights):
             is_seen = "smear" in reasons.values()
             pulls = iter(
                 self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
@@ -323,7 +340,7 @@ class MarkerTracker:
             step = spot.u - marker.u if marker.lost_frames == 0 else 0.0
             is_plain = is_explained(found, appearance, step * self._exposed_s / self._since_s)
         is_lit = is_due and not is_accompanied
-        return marker, light, appearance, spot, found, is_fresh, is_lit, is_due, is_plain
+        return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due, is_plain)
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""
