@@ -20,7 +20,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.relation import innovation_criterion, without_drift
 from beam_ident.noise.scores import ScoreTest, are_rounding
-from beam_ident.sensing.misfit_causes import bent_input_warning, input_misfit_warnings
+from beam_ident.sensing.misfit_causes import bent_input_warning, cubed, input_misfit_warnings
 
 _BENT_INPUT_LEVEL = 1e-5  # chance to call a sound input bent; of two outputs with one noise 1e-3
 _LEFT_OUT_LEVEL = 1e-3  # how often motion at the beginning is warned of where there is none
@@ -109,8 +109,7 @@ def bent_input(
             (drive,) = regression.inputs[index]
             half = 0.5 * records[index].output(outputs[j].name).exposure_s
             first, last = drive.span_s
-            cube = (drive.values / max(float(np.std(drive.values)), 1e-300)) ** 3
-            bent = replace(drive, values=cube, sigma=0.0, gaps=())
+            bent = cubed(drive)
             # What a late clock sees beyond the input's ends stands there more than once.
             inside, rows = np.unique(
                 np.clip(instants[j][part], first + half, last - half), return_inverse=True

@@ -23,6 +23,7 @@ from beam_ident.data.records import InputSignal
 from beam_ident.modal.model import ModalModel
 from beam_ident.noise.outliers import outliers
 from beam_ident.noise.relation import innovation_criterion
+from beam_ident.sensing.misfit_causes import cubed
 
 _MIN_SAMPLES, _MAX_SAMPLES = 256, 2**16  # of the residuals, which are more than enough for so few numbers
 _EVEN = 0.1  # of a period: stamps that scatter by more show no lines
@@ -121,14 +122,10 @@ def _bent_share(model: ModalModel, own: Leftover, density: FloatArray) -> float:
     A saturating actuator leaves the colour of a noisy input. Noise is in the cube, too, but little of it: where it is
     5 % of the input, some 0.2 % go with the answer.
     """
-    first, last = (
-        end + sign * 0.5 * own.exposure_s for end, sign in zip(own.drive.span_s, (1.0, -1.0), strict=True)
-    )
-    cube = replace(own.drive, values=(own.drive.values / np.std(own.drive.values)) ** 3, sigma=0.0, gaps=())
-    instants, rows = np.unique(np.clip(own.times_s, first, last), return_inverse=True)
-    columns = [
-        model.simulate(drive, instants, own.exposure_s)[rows, own.output] for drive in (own.drive, cube)
-    ]
+    half, (first, last) = 0.5 * own.exposure_s, own.drive.span_s
+    instants, rows = np.unique(np.clip(own.times_s, first + half, last - half), return_inverse=True)
+    drives = own.drive, cubed(own.drive)
+    columns = [model.simulate(drive, instants, own.exposure_s)[rows, own.output] for drive in drives]
     scale = np.sqrt(density)
     faded = [_lines(tukey(len(column), _FADED) * (column - np.mean(column))) / scale for column in columns]
     left = _lines(own.residuals) / scale

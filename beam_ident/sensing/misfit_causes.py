@@ -592,7 +592,7 @@ def input_misfit_warnings(
     left = residuals.copy()
     left[outliers(left)] = 0.0
     own = np.stack([model, np.gradient(model, times)])
-    bent = respond(replace(drive, values=(drive.values / moves) ** 3, sigma=0.0, gaps=()))
+    bent = respond(cubed(drive))
     lags = float(np.median(np.diff(times))) * np.arange(-_BEFORE, _AFTER + 1)
 
     def around(here: slice) -> FloatArray:
@@ -623,6 +623,11 @@ def input_misfit_warnings(
     gains = dict(zip(looks, whitened.gains_of(squares, products, causes), strict=True))
     best = max(gains, key=lambda said: gains[said])
     return [f"Misfit of {name}: the residuals look {best}."] if gains[best] > 0.0 else []
+
+
+def cubed(drive: InputSignal) -> InputSignal:
+    """Return the cube of an input that moves, in units of its standard deviation."""
+    return replace(drive, values=(drive.values / float(np.std(drive.values))) ** 3, sigma=0.0, gaps=())
 
 
 def bent_input_warning(name: str, input_name: str) -> str:
