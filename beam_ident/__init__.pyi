@@ -17,6 +17,7 @@ from beam_ident.data.batches import map_records as map_records
 from beam_ident.data.frequency_record import FrequencyRecord as FrequencyRecord
 from beam_ident.data.prior import Prior as Prior
 from beam_ident.data.records import InputSignal as InputSignal
+from beam_ident.data.records import LowPass as LowPass
 from beam_ident.data.records import OutputSignal as OutputSignal
 from beam_ident.data.records import TimeRecord as TimeRecord
 from beam_ident.design.experiment import ExperimentDesign as ExperimentDesign

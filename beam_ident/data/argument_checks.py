@@ -26,18 +26,22 @@ def require_record(record: object) -> None:
         raise EstimationError(f"record is a {type(record).__name__}; expected one TimeRecord")
 
 
-def require_records(record: object, may_lack_outputs: bool = False) -> list[TimeRecord]:
+def require_records(
+    record: object, may_lack_outputs: bool = False, takes_low_passes: bool = False
+) -> list[TimeRecord]:
     """Return one time record or several of one system as a list.
 
     Parameters
     ----------
     record : TimeRecord or sequence of TimeRecord
     may_lack_outputs : bool -- whether a record may be without some output that others have
+    takes_low_passes : bool -- whether low-passes that outputs state are taken out
 
     Raises
     ------
     EstimationError
-        Anything else, no record at all, or records whose signals differ in name or unit.
+        Anything else, no record at all, records whose signals differ in name or unit, or a low-pass that would not
+        be taken out.
     """
     given = list(record) if isinstance(record, Sequence) and not isinstance(record, str) else [record]
     if not given:
@@ -48,6 +52,12 @@ def require_records(record: object, may_lack_outputs: bool = False) -> list[Time
             raise EstimationError(
                 f"record is a {type(one).__name__}; expected one TimeRecord, or a sequence of them"
             )
+    stated = [own.name for one in records for own in one.outputs if own.low_pass is not None]
+    if stated and not takes_low_passes:
+        raise EstimationError(
+            f"output {stated[0]!r} states a low_pass of its sensor, which is not taken out here; expected none: use "
+            "identify, or leave low_pass away and take what is found as what the sensor shows"
+        )
     _require_like("input", [(one.name, one.inputs) for one in records], may_lack=False)
     _require_like("output", [(one.name, one.outputs) for one in records], may_lack_outputs)
     return records

@@ -1,14 +1,14 @@
-"""Outputs with a clock of their own: a laser beside a camera, late by itself, or running at another rate."""
+"""Outputs with a clock or a low-pass of their own: a laser beside a camera, late by itself, or slow."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import LowPass, TimeRecord
 
 
 @dataclass(frozen=True)
@@ -65,3 +65,16 @@ def on_common_clock(record: TimeRecord, clocks: Mapping[str, OwnClock]) -> TimeR
         for own in record.outputs
     ]
     return TimeRecord(record.inputs, tuple(outputs), record.start_ns, record.name)
+
+
+def with_low_passes(records: Sequence[TimeRecord], low_passes: Mapping[str, LowPass]) -> list[TimeRecord]:
+    """Return records whose outputs state these low-passes, by name, whatever they stated."""
+
+    def stating(record: TimeRecord) -> TimeRecord:
+        outputs = [
+            replace(own, low_pass=low_passes[own.name]) if own.name in low_passes else own
+            for own in record.outputs
+        ]
+        return replace(record, outputs=tuple(outputs))
+
+    return [stating(one) if low_passes else one for one in records]

@@ -9,6 +9,7 @@ signal where it was really measured.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,8 +20,10 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.gaps import InputGap, bridged, on_every_stamp
 from beam_ident.errors import RecordError
-from beam_ident.numerics.piecewise import HOLDS, Hold, PiecewisePolynomial, regular_period
+from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
 
+_STEPS_A_LAG = 8.0  # of a low-pass: samples between which a spline is what it shows
+_MOST_STEPS = 16  # between two samples of an input
 TimesLike = Any  # an array of stamps [s], or the pair (start [s], period [s])
 
 
@@ -81,6 +84,87 @@ def _stamps(name: str, times_s: TimesLike, n_values: int) -> FloatArray:
             f"{first} ({times[first]:.9f} s); sort the samples and drop repeated stamps"
         )
     return times
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """A low-pass that a sensor has of its own: what it shows is ``1 / (1 + lag s + bend s^2)`` of what is there.
+
+    Attributes
+    ----------
+    lag_s : float -- how late it shows what changes slowly [s]
+    bend_s2 : float -- 0 of a low-pass of first order [s^2]
+
+    Raises
+    ------
+    RecordError
+        Numbers that no sensor at rest has: a lag that is not above 0, a bend below 0.
+    """
+
+    lag_s: float
+    bend_s2: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (
+            _is_number(self.lag_s) and self.lag_s > 0.0 and _is_number(self.bend_s2) and self.bend_s2 >= 0.0
+        ):
+            raise RecordError(
+                f"low-pass: lag_s is {self.lag_s!r} and bend_s2 {self.bend_s2!r}; expected a lag > 0 s and a bend "
+                ">= 0 s^2, as LowPass.of_order(1, cutoff_hz) gives them"
+            )
+
+    @staticmethod
+    def of_order(order: int, cutoff_hz: float) -> LowPass:
+        """Return the Butterworth low-pass of order 1 or 2 that shows 71 % of what is there at a frequency [Hz]."""
+        if order not in (1, 2) or not (_is_number(cutoff_hz) and cutoff_hz > 0.0):
+            raise RecordError(
+                f"low-pass: order is {order!r} and cutoff_hz {cutoff_hz!r}; expected an order of 1 or 2 and a "
+                "frequency > 0 Hz"
+            )
+        time = 0.5 / (math.pi * cutoff_hz)
+        return LowPass(time) if order == 1 else LowPass(math.sqrt(2.0) * time, time**2)
+
+    @property
+    def cutoff_hz(self) -> float:
+        """Where it shows 71 % of what is there [Hz]."""
+        # |1 + j lag w - bend w^2|^2 = 2
+        half = 0.5 * (self.lag_s**2 - 2.0 * self.bend_s2)
+        square = 1.0 / (half + math.hypot(half, self.bend_s2))
+        return math.sqrt(square) / (2.0 * math.pi)
+
+    def moved(self, lag_s: float, bend_s2: float) -> LowPass:
+        """Return the low-pass with more lag [s] and bend [s^2], as far as there can be less of them."""
+        return LowPass(max(self.lag_s + lag_s, 0.5 * self.lag_s), max(self.bend_s2 + bend_s2, 0.0))
+
+    def of(self, drive: InputSignal) -> InputSignal:
+        """Return what the sensor would show of an input, which was at rest where it begins.
+
+        Notes
+        -----
+        A linear sensor behind a linear system shows what the system does of that.  It is a cubic spline through the
+        input's samples, and through more where a held input has corners that the low-pass rounds.
+        """
+        from beam_ident.numerics.rational_response import (
+            RationalResponse,
+        )  # here: most records have no low-pass
+
+        bottom = [self.bend_s2, self.lag_s, 1.0][int(self.bend_s2 == 0.0) :]
+        roots = np.asarray(np.roots(bottom), dtype=np.complex128)
+        scale = float(np.max(np.abs(roots)))
+        times = drive.times_s
+        if drive.hold in ("zoh", "linear"):  # whose corners it rounds
+            steps = float(np.min(np.diff(times))) / self.lag_s * _STEPS_A_LAG
+            finer = np.arange(0.0, 1.0, 1.0 / min(max(math.ceil(steps), 1), _MOST_STEPS))
+            times = np.append((times[:-1, None] + np.diff(times)[:, None] * finer).ravel(), drive.span_s[1])
+        rest = float(drive.values[0])
+        signal = replace(drive, values=drive.values - rest).signal(from_rest=True)
+        integral, instants = signal.antiderivative(), Instants.on(signal, times, 0.0)
+        response = RationalResponse(
+            roots[roots.imag >= 0.0] / scale, scale, signal, integral, instants, False
+        )
+        shown = response.over(0) * (scale ** (1 - len(bottom)) / bottom[0])
+        hold: Hold = "band_limited" if drive.hold == "band_limited" else "cubic"
+        return replace(drive, times_s=times, values=rest + shown, hold=hold)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +282,9 @@ class OutputSignal:
     sigma : float or None
         Standard deviation of the noise where it is known; only a starting value,
         because the estimators measure it from the residuals.
+    low_pass : LowPass or None
+        That of the sensor, where it is known.  ``identify`` takes it out, and finds one that is not stated; where it
+        is not taken out it is refused.
 
     Raises
     ------
@@ -211,6 +298,7 @@ class OutputSignal:
     values: FloatArray
     exposure_s: float = 0.0
     sigma: float | None = None
+    low_pass: LowPass | None = None
 
     def __post_init__(self) -> None:
         values = _numbers(self.name, "values", self.values)
@@ -233,6 +321,11 @@ class OutputSignal:
         if self.sigma is not None and not (_is_number(self.sigma) and self.sigma > 0.0):
             raise RecordError(
                 f"output {self.name!r}: sigma is {self.sigma!r}; expected a number > 0, or None"
+            )
+        if not (self.low_pass is None or isinstance(self.low_pass, LowPass)):
+            raise RecordError(
+                f"output {self.name!r}: low_pass is {self.low_pass!r}; expected "
+                "LowPass.of_order(1, cutoff_hz), or None"
             )
         object.__setattr__(self, "times_s", _read_only(_stamps(self.name, self.times_s, len(values))))
         object.__setattr__(self, "values", _read_only(values))
@@ -257,9 +350,7 @@ class OutputSignal:
         keep = (self.times_s >= start_s) & (self.times_s <= end_s)
         if not np.any(keep):
             raise RecordError(f"output {self.name!r}: no sample between {start_s} s and {end_s} s")
-        return OutputSignal(
-            self.name, self.unit, self.times_s[keep], self.values[keep], self.exposure_s, self.sigma
-        )
+        return replace(self, times_s=self.times_s[keep], values=self.values[keep])
 
 
 @dataclass(frozen=True, eq=False)

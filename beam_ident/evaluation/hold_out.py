@@ -17,7 +17,7 @@ from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.argument_checks import require_input, require_output, require_records, split_at_gaps
-from beam_ident.data.own_clocks import on_common_clock
+from beam_ident.data.own_clocks import on_common_clock, with_low_passes
 from beam_ident.data.records import TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, possible_jumps, without_jumps
 from beam_ident.errors import EstimationError
@@ -120,7 +120,7 @@ def validate(
         The record lacks an input or every output of the model, has too few samples, or an output
         that is constant; records whose signals differ in name or unit.
     """
-    records = require_records(record, may_lack_outputs=True)
+    records = require_records(record, may_lack_outputs=True, takes_low_passes=isinstance(model, ModalModel))
     if not isinstance(model, ModalModel | TransferFunctionModel | MultiInputModel):
         raise EstimationError(
             f"model is a {type(model).__name__}; expected a ModalModel, a TransferFunctionModel or a MultiInputModel "
@@ -216,8 +216,8 @@ def _predict(
 
 def _predict_modal(model: ModalModel, record: TimeRecord) -> list[_Prediction]:
     structure = ModalStructure(model.structure)
-    common = on_common_clock(record, model.own_clocks)
-    regression = ModalRegression([common], structure, model.input_names)
+    common = with_low_passes([on_common_clock(record, model.own_clocks)], model.low_passes)
+    regression = ModalRegression(common, structure, model.input_names)
     blocks = regression.blocks(model.natural_frequencies, model.damping_ratios, model.clock, gradients=False)
     n_shared, parameters = regression.n_shared(model.n_modes), model.column_parameters()
     drive = record.input(model.input_name)

@@ -20,7 +20,7 @@ from scipy.special import chdtrc as chi_squared_tail
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import finite_row, require_input_signal, require_time
 from beam_ident.data.own_clocks import OwnClock
-from beam_ident.data.records import InputSignal
+from beam_ident.data.records import InputSignal, LowPass
 from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.modal.frequency_response import ModalFrequencyResponse
@@ -61,6 +61,9 @@ class ModalModel:
         outputs that share the clock.
     output_rates, output_rate_sd : ndarray, shape (n_outputs,)
         How much faster than ``clock_rate`` says the clock of each output runs, with its standard deviation.
+    output_low_passes, output_low_pass_sd : ndarray, shape (n_outputs, 2)
+        Lag [s] and bend [s^2] of the low-pass that was found at each output, with their standard deviations; 0 where
+        there is none (see ``LowPass``).
     covariance : ndarray, shape (n_parameters, n_parameters)
     parameter_names : tuple of str
         ``omega_i``, ``zeta_i``, ``latency``, ``clock_rate``, then for every output j
@@ -87,15 +90,20 @@ class ModalModel:
     output_delay_sd: FloatArray = field(default_factory=lambda: np.empty(0))
     output_rates: FloatArray = field(default_factory=lambda: np.empty(0))
     output_rate_sd: FloatArray = field(default_factory=lambda: np.empty(0))
+    output_low_passes: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    output_low_pass_sd: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     further_inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         of_own_clocks = ("output_delays", "output_delay_sd", "output_rates", "output_rate_sd")
-        for name in of_own_clocks:
+        of_low_passes = ("output_low_passes", "output_low_pass_sd")
+        for name in (*of_own_clocks, *of_low_passes):
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros(len(self.output_names)))
+                shape = (len(self.output_names), 2)[: 1 + (name in of_low_passes)]
+                object.__setattr__(self, name, np.zeros(shape))
         for name in (
             *of_own_clocks,
+            *of_low_passes,
             "natural_frequencies",
             "damping_ratios",
             "residues",
@@ -117,6 +125,7 @@ class ModalModel:
             "residual_terms": paths,
             "gains": paths,
             **dict.fromkeys(of_own_clocks, (m,)),
+            **dict.fromkeys(of_low_passes, (m, 2)),
             "noise_sd": (m,),
             "covariance": (len(names), len(names)),
         }
@@ -546,6 +555,9 @@ class ModalModel:
             "parameter_names": self.parameter_names,
             "covariance": self.covariance,
         }
+        if self.low_passes:
+            entries["output_low_passes"] = self.output_low_passes.tolist()
+            entries["output_low_pass_sd"] = self.output_low_pass_sd.tolist()
         if self.further_inputs:  # a file of one input stays as earlier versions read it
             entries["further_inputs"] = self.further_inputs
         return {name: plain(value) for name, value in entries.items()}
@@ -581,6 +593,8 @@ class ModalModel:
                 output_delay_sd=np.asarray(data.get("output_delay_sd_s", []), dtype=np.float64),
                 output_rates=np.asarray(data.get("output_rates", []), dtype=np.float64),
                 output_rate_sd=np.asarray(data.get("output_rate_sd", []), dtype=np.float64),
+                output_low_passes=np.asarray(data.get("output_low_passes", []), dtype=np.float64),
+                output_low_pass_sd=np.asarray(data.get("output_low_pass_sd", []), dtype=np.float64),
                 covariance=np.asarray(data["covariance"], dtype=np.float64),
                 noise_sd=np.asarray(data["noise_sd"], dtype=np.float64),
                 further_inputs=further,
@@ -594,6 +608,12 @@ class ModalModel:
             if delay or rate:
                 found[name] = OwnClock(float(delay), float(rate), bool(rate))
         return found
+
+    @property
+    def low_passes(self) -> dict[str, LowPass]:
+        """The low-passes that were found at outputs, by name."""
+        pairs = zip(self.output_names, self.output_low_passes.tolist(), strict=True)
+        return {name: LowPass(*own) for name, own in pairs if own[0]}
 
     @property
     def clock(self) -> ClockState:

@@ -13,6 +13,7 @@ Equation numbers are those of docs/identification.md.
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +23,7 @@ import numpy as np
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import chosen_inputs
 from beam_ident.data.gaps import InputGap
-from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.data.records import InputSignal, LowPass, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.restarts import RestartColumns, Restarts, restart_columns
 from beam_ident.modal.structure import ModalStructure
@@ -124,10 +125,11 @@ class ColumnBlock:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Distinct stamps and exposure of one record."""
+    """Distinct stamps, exposure and low-pass of one record."""
 
     times: FloatArray
     exposure_s: float
+    low_pass: LowPass | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,17 +243,20 @@ class _PreparedRecord:
         self.structure, self.restarts, self.n_drifts = structure, restarts, n_drifts
         spans = [drive.span_s for drive in drives]
         self.span = max(first for first, _ in spans), min(last for _, last in spans)
-        # In common with every choice of stamps.
-        self.drivings = [_Driving(drive, structure) for drive in drives]
+        # Of every low-pass, what its sensor sees of the inputs; in common with every choice of stamps.
+        self.drivings = {
+            own: [_Driving(drive if own is None else own.of(drive), structure) for drive in drives]
+            for own in {output.low_pass for output in record.outputs}
+        }
         self.grids: list[_Grid] = []
         self.grid_of: dict[str, int] = {}
         self.rows_of: dict[str, IndexArray] = {}
-        keys: dict[tuple[bytes, float], int] = {}
+        keys: dict[tuple[bytes, float, LowPass | None], int] = {}
         for output in record.outputs:
-            key = (output.times_s.tobytes(), output.exposure_s)
+            key = (output.times_s.tobytes(), output.exposure_s, output.low_pass)
             if key not in keys:
                 keys[key] = len(self.grids)
-                self.grids.append(_Grid(output.times_s, output.exposure_s))
+                self.grids.append(_Grid(output.times_s, *key[1:]))
             self.grid_of[output.name] = keys[key]
             usable = output.is_within(*self.span) & output.is_valid
             for gap, _ in restarts:
@@ -272,7 +277,7 @@ class _PreparedRecord:
         """Return the record with some stamps of every grid only; it keeps nothing that grows with their number."""
         result = copy.copy(self)
         result.grids = [
-            _Grid(grid.times[own], grid.exposure_s) for grid, own in zip(self.grids, rows, strict=True)
+            replace(grid, times=grid.times[own]) for grid, own in zip(self.grids, rows, strict=True)
         ]
         result._samplings = None
         return result
@@ -287,7 +292,7 @@ class _PreparedRecord:
         late = grid.times - clock.latency - self.middle
         times = self.middle + late * stretch
         seen, fixed = [], []
-        for driving in self.drivings:
+        for driving in self.drivings[grid.low_pass]:
             instants = Instants.on(driving.drive, times, grid.exposure_s)
             above, speed = instants.mean(driving.position)
             seen.append(_Seen(instants, (above + driving.rest, speed)))
@@ -314,7 +319,8 @@ class _PreparedRecord:
 
     def position_integrals_at(self, number: int, clock: ClockState) -> FloatArray:
         """Return the integral of the position that every input stands for, (n_stamps, n_inputs) [m s]."""
-        integrals = [own.position.shifted(own.rest).antiderivative() for own in self.drivings]
+        drivings = self.drivings[self.grids[number].low_pass]
+        integrals = [own.position.shifted(own.rest).antiderivative() for own in drivings]
         seen = self._sampling(number, clock).seen
         return np.stack([s.instants.mean(i)[0] for s, i in zip(seen, integrals, strict=True)], axis=1)
 
@@ -333,7 +339,7 @@ class _PreparedRecord:
         sampling = self._sampling(number, clock)
         by_input = [
             self._forced(driving, seen, omegas, zetas, gradients)
-            for driving, seen in zip(self.drivings, sampling.seen, strict=True)
+            for driving, seen in zip(self.drivings[grid.low_pass], sampling.seen, strict=True)
         ]
         forced = by_input[0]
         if len(by_input) > 1:
@@ -614,7 +620,7 @@ class ModalRegression:
     def release(self) -> None:
         """Let go of what the inputs do between their samples; it is made anew when it is asked for."""
         for prepared in self._prepared:
-            for driving in prepared.drivings:
+            for driving in itertools.chain(*prepared.drivings.values()):
                 driving.release()
 
     def _like(self) -> ModalRegression:

@@ -20,7 +20,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.argument_checks import chosen_inputs
 from beam_ident.data.bandwidth import Band
-from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
+from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.restarts import Restarts
@@ -321,14 +321,5 @@ def _thinned_record(record: TimeRecord, drives: tuple[InputSignal, ...], seed: i
         keep = chosen[key]
         if np.count_nonzero(output.is_valid[keep]) < 20:
             keep = np.flatnonzero(output.is_valid)[:most]
-        outputs.append(
-            OutputSignal(
-                output.name,
-                output.unit,
-                output.times_s[keep],
-                output.values[keep],
-                output.exposure_s,
-                output.sigma,
-            )
-        )
+        outputs.append(dataclasses.replace(output, times_s=output.times_s[keep], values=output.values[keep]))
     return TimeRecord(drives, tuple(outputs), record.start_ns, record.name)

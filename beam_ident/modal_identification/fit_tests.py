@@ -107,9 +107,10 @@ def bent_input(
         answers = []
         for index, part in regression.segments[j]:
             (drive,) = regression.inputs[index]
-            half = 0.5 * records[index].output(outputs[j].name).exposure_s
+            seen = records[index].output(outputs[j].name)
+            half = 0.5 * seen.exposure_s
             first, last = drive.span_s
-            bent = cubed(drive)
+            bent = cubed(drive) if seen.low_pass is None else seen.low_pass.of(cubed(drive))
             # What a late clock sees beyond the input's ends stands there more than once.
             inside, rows = np.unique(
                 np.clip(instants[j][part], first + half, last - half), return_inverse=True

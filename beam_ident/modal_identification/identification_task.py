@@ -5,6 +5,7 @@ or a blow looks like motion that was there before.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,11 +20,12 @@ from beam_ident.data.argument_checks import (
     require_output,
 )
 from beam_ident.data.batches import Progress
-from beam_ident.data.own_clocks import OwnClock, on_common_clock
+from beam_ident.data.own_clocks import OwnClock, on_common_clock, with_low_passes
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import LowPass, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, possible_jumps, without_jumps
 from beam_ident.errors import EstimationError, IdentificationError
+from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
@@ -287,13 +289,17 @@ class IdentificationTask:
         looks_inside = is_persistent = True
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
         before_idle, dropped = known, set[str]()
+        low_passes: dict[str, LowPass] = {}
+        start: ModalFit | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)
-        for turn in range(most):
-            shifted = [on_common_clock(one, clocks) for one in measured]
+        for turn in itertools.count():
+            shifted = with_low_passes([on_common_clock(one, clocks) for one in measured], low_passes)
             try:
                 regression = ModalRegression(shifted, self.terms, self.input_names)
                 _refuse_hopeless(regression, self.n_modes)
-                search = self._begun(shifted, regression, clocks=clocks, jumps=jumps)
+                search = self._begun(
+                    shifted, regression, clocks=clocks, jumps=jumps, low_passes=low_passes, start=start
+                )
                 search.is_in_doubt, search.looks_inside = has_asked, looks_inside
                 search.is_persistent = is_persistent
                 if turn == 0 and (result := self._untangled(regression, search)) is not None:
@@ -315,6 +321,12 @@ class IdentificationTask:
                 looks_inside, is_persistent = search.is_better_inside, search.is_worth_persisting
                 goes_on = search.stopped_by is None and turn + 1 < most
                 further = search.further_clocks(weighed) if goes_on else {}
+                better = search.better_low_passes(weighed) if goes_on else {}
+                new = (
+                    search.further_low_passes(weighed, measured)
+                    if goes_on and not (further or better)
+                    else {}
+                )
             except OwnClocks as own:
                 clocks, has_asked = own.clocks, True
                 continue
@@ -323,11 +335,23 @@ class IdentificationTask:
                     raise
                 search, weighed = known
                 missing = "a further look for clocks that outputs have of their own"
-                weighed, further = search.unfinished(weighed, stop, missing), {}
+                weighed, further, better, new = search.unfinished(weighed, stop, missing), {}, {}, {}
             if before_idle is not None and further and dropped.issuperset(further):
                 search, weighed = before_idle  # without them they are asked for again
                 break
-            if not further:
+            if new:
+                most += _CLOCK_TURNS * len(new)
+                better = {name: own.low_pass for name, own in new.items()}
+                clearest = min(new, key=lambda name: new[name].left)
+                start = new[clearest].modes
+                if clearest in clocks:
+                    start = replace(start, clock=weighed.fit.clock)
+                for name in new.keys() & clocks.keys():
+                    clocks[name] = OwnClock(new[name].modes.clock.latency - start.clock.latency)
+            elif better:
+                start = weighed.fit
+            low_passes |= better
+            if not (further or better):
                 idle = set(search.clocks.idle(weighed.fit)) - dropped if goes_on else set()
                 if not idle:
                     break
@@ -367,10 +391,12 @@ class IdentificationTask:
         highest_hz: float = math.inf,
         clocks: Mapping[str, OwnClock] = MappingProxyType({}),
         jumps: Sequence[ClockJump] = (),
+        low_passes: Mapping[str, LowPass] = MappingProxyType({}),
+        start: ModalFit | None = None,
     ) -> TimeSearch:
         is_long = max(len(times) for times in regression.times) > _MANY_STAMPS
         first = regression.thinned(THINNED) if is_long else regression
-        return TimeSearch(
+        search = TimeSearch(
             records,
             first,
             self.latency,
@@ -378,9 +404,13 @@ class IdentificationTask:
             self.input_names,
             self.progress,
             highest_hz,
-            SignalClocks.of(regression, clocks, jumps, (self.own_latencies, self.own_rates)),
+            SignalClocks.of(regression, clocks, jumps, (self.own_latencies, self.own_rates), low_passes),
+            start=start,
             found_noise=self.found_noise,
         )
+        if start is not None:
+            search.without_modes = search.fit(np.empty(0), np.empty(0), start.clock)
+        return search
 
     def _finished(
         self, search: TimeSearch, regression: ModalRegression

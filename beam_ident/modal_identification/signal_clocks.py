@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.own_clocks import OwnClock, middle_of
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import InputSignal, TimeRecord
+from beam_ident.data.records import InputSignal, LowPass, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, is_after
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.model import ModalModel
@@ -19,6 +19,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_identification.clock_search import (
     own_clock_columns,
 )
+from beam_ident.modal_identification.sensor_low_passes import low_pass_columns
 
 _MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
 _OF_A_SAMPLE = 0.02  # half a sample is met so closely
@@ -35,6 +36,7 @@ class SignalClocks:
     own : mapping -- clocks of outputs by name, as far as their stamps are corrected for them already
     jumps : tuple of ClockJump
     known : tuple of two mappings -- what is known of latencies and of rates of single outputs, by name
+    low_passes : mapping -- of outputs by name, as far as their records state them already
     """
 
     output_names: tuple[str, ...]
@@ -42,6 +44,7 @@ class SignalClocks:
     own: Mapping[str, OwnClock]
     jumps: tuple[ClockJump, ...]
     known: tuple[Mapping[str, Prior], Mapping[str, Prior]]
+    low_passes: Mapping[str, LowPass] = field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -49,13 +52,15 @@ class SignalClocks:
         own: Mapping[str, OwnClock] = MappingProxyType({}),
         jumps: Sequence[ClockJump] = (),
         known: tuple[Mapping[str, Prior], Mapping[str, Prior]] = ({}, {}),
+        low_passes: Mapping[str, LowPass] = MappingProxyType({}),
     ) -> SignalClocks:
         """Return those of the signals of a regression."""
-        return SignalClocks(regression.output_names, regression.input_names, own, tuple(jumps), known)
+        names = regression.output_names, regression.input_names
+        return SignalClocks(*names, own, tuple(jumps), known, low_passes)
 
     def __bool__(self) -> bool:
         """Return whether there is anything to be estimated."""
-        return bool(self.own or self.jumps)
+        return bool(self.own or self.jumps or self.low_passes)
 
     def estimated_in(
         self, regression: ModalRegression, fit: ModalFit, records: Sequence[TimeRecord]
@@ -64,6 +69,8 @@ class SignalClocks:
         slopes, columns = own_clock_columns(regression, fit), {}
         for j, (name, (by_delay, by_rate)) in enumerate(zip(regression.output_names, slopes, strict=True)):
             own = [by_delay, by_rate][: self._n_of_clock(name)]
+            if self._n_of_low_pass(name):
+                own += list(low_pass_columns(regression, records, fit, name).T)
             own += [by_delay * after for after in self._after_jumps(j, regression, records)]
             if own:
                 columns[j] = np.stack(own, axis=1)
@@ -72,6 +79,10 @@ class SignalClocks:
     def _n_of_clock(self, name: str) -> int:
         """Return how many parameters the own clock of an output has: none, a delay, or a delay and a rate."""
         return 1 + int(self.own[name].runs) if name in self.own else 0
+
+    def _n_of_low_pass(self, name: str) -> int:
+        """Return how many parameters the low-pass of an output has: none, a lag, or a lag and a bend."""
+        return 1 + int(self.low_passes[name].bend_s2 > 0.0) if name in self.low_passes else 0
 
     def _after_jumps(
         self, output: int, regression: ModalRegression, records: Sequence[TimeRecord]
@@ -96,19 +107,29 @@ class SignalClocks:
         return [jump for jump in self.jumps if seen.intersection(jump.signals)]
 
     def _own_places(self, output: int, fit: ModalFit) -> list[int]:
-        """Return where among all parameters those of an output's own clock are: delay, then jumps."""
+        """Return where among all parameters those of an output alone are: delay, rate, low-pass, then jumps."""
         name = self.output_names[output]
-        count = self._n_of_clock(name) + len(self._jumps_of(name))
+        count = self._n_of_clock(name) + self._n_of_low_pass(name) + len(self._jumps_of(name))
         end = fit.n_theta + sum(len(found) for found in fit.coefficients[: output + 1])
         return list(range(end - count, end))
 
     def beyond(self, output: int, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
         """Return what an output's own delay [s] and rate are beyond what its stamps were corrected by, and sd."""
+        return self._further(output, fit, 0, self._n_of_clock(self.output_names[output]))
+
+    def beyond_low_pass(self, output: int, fit: ModalFit) -> tuple[FloatArray, FloatArray]:
+        """Return what lag [s] and bend [s^2] of an output are beyond what its records state, and sd."""
+        name = self.output_names[output]
+        return self._further(output, fit, self._n_of_clock(name), self._n_of_low_pass(name))
+
+    def _further(self, output: int, fit: ModalFit, first: int, n: int) -> tuple[FloatArray, FloatArray]:
+        """Return two parameters of an output alone, of which ``n`` are there, and their standard deviations."""
         places = self._own_places(output, fit)
-        n = self._n_of_clock(self.output_names[output])
         values, sds = np.zeros(2), np.zeros(2)
-        values[:n] = fit.coefficients[output][-len(places) :][:n]
-        sds[:n] = np.sqrt(np.maximum(np.diag(fit.covariance)[places[:n]], 0.0))
+        values[:n] = fit.coefficients[output][len(fit.coefficients[output]) - len(places) :][
+            first : first + n
+        ]
+        sds[:n] = np.sqrt(np.maximum(np.diag(fit.covariance)[places[first : first + n]], 0.0))
         return values, sds
 
     def idle(self, fit: ModalFit) -> list[str]:
@@ -162,9 +183,15 @@ class SignalClocks:
         return tuple(found)
 
     def clocked(self, model: ModalModel, fit: ModalFit) -> ModalModel:
-        """Return the model with the clocks that outputs have of their own."""
-        values, sds = np.zeros((len(fit.coefficients), 2)), np.zeros((len(fit.coefficients), 2))
+        """Return the model with the clocks and low-passes that outputs have of their own."""
+        n_outputs = len(fit.coefficients)
+        values, sds = np.zeros((n_outputs, 2)), np.zeros((n_outputs, 2))
+        low_passes, low_pass_sd = np.zeros((n_outputs, 2)), np.zeros((n_outputs, 2))
         for j, name in enumerate(model.output_names):
+            if (low_pass := self.low_passes.get(name)) is not None:
+                further, low_pass_sd[j] = self.beyond_low_pass(j, fit)
+                better = low_pass.moved(*further)
+                low_passes[j] = better.lag_s, better.bend_s2
             if (own := self.own.get(name)) is not None:
                 further, sds[j] = self.beyond(j, fit)
                 values[j] = np.array([own.delay, own.rate]) + further
@@ -174,6 +201,8 @@ class SignalClocks:
             output_delay_sd=sds[:, 0],
             output_rates=values[:, 1],
             output_rate_sd=sds[:, 1],
+            output_low_passes=low_passes,
+            output_low_pass_sd=low_pass_sd,
         )
 
 
@@ -189,6 +218,14 @@ def clock_sentences(model: ModalModel) -> list[str]:
         whose, what = ("", "delay and rate were") if own.runs else (f" of {name}", "delay was")
         late = f"{1e3 * abs(own.delay):.4g} ms {'later' if own.delay >= 0.0 else 'earlier'}"
         found.append(f"{who} stamps{whose} are {late} than {others}: its own {what} estimated along.")
+    for j, (name, low_pass) in enumerate(zip(model.output_names, model.output_low_passes, strict=True)):
+        if low_pass[0] > 0.0:
+            behind, sd = LowPass(*low_pass), model.output_low_pass_sd[j, 0]
+            found.append(
+                f"{name} shows the motion through a low-pass, {1e3 * behind.lag_s:.4g} +- {1e3 * sd:.2g} ms late by "
+                f"itself and at 71 % near {behind.cutoff_hz:.3g} Hz, as of a sensor's filter, or of an exposure "
+                "that is not stated: it was estimated along. State low_pass, or exposure_s, where it is known."
+            )
     return found
 
 

@@ -102,7 +102,7 @@ def identify(
         A record from which nothing can be identified: too few samples for the order,
         a constant output, an input and outputs at rest, an impossible order, no such input, no such output.
     """
-    records = require_records(record, may_lack_outputs=True)
+    records = require_records(record, may_lack_outputs=True, takes_low_passes=True)
     drives = chosen_inputs(records[0], input_name)
     if structure is None:
         outputs = [output.unit for one in records for output in one.outputs]
@@ -199,8 +199,10 @@ def _with_unseen_noise(task: IdentificationTask, records: list[TimeRecord]) -> I
             return result
         late = result.model.latency + float(result.model.output_delays[place])
         for k, part in zip(seen, own.records, strict=True):
-            exposure_s = records[k].output(own.name).exposure_s
-            leftovers.append(Leftover(place, part.times_s - late, part.residuals, exposure_s, drives[k]))
+            output = records[k].output(own.name)
+            low_pass = result.model.low_passes.get(own.name, output.low_pass)
+            drive = drives[k] if low_pass is None else low_pass.of(drives[k])
+            leftovers.append(Leftover(place, part.times_s - late, part.residuals, output.exposure_s, drive))
     noise = StillNoise(unseen_noise(result.model, leftovers), is_behind=True)
     if not noise.sigma > 0.0:
         return result
@@ -259,7 +261,10 @@ def _own_priors(
 def _prediction(result: IdentificationResult, record: TimeRecord, name: str) -> FloatArray:
     """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
     model = result.model
-    drives, output = chosen_inputs(record, model.input_names), record.output(name)
+    drives, output = list(chosen_inputs(record, model.input_names)), record.output(name)
+    low_pass = model.low_passes.get(name, output.low_pass)
+    if low_pass is not None:
+        drives = [low_pass.of(drive) for drive in drives]
     first, last = max(drive.span_s[0] for drive in drives), min(drive.span_s[1] for drive in drives)
     late = model.latency + float(model.output_delays[model.output_names.index(name)])
     inside = output.is_within(first + max(late, 0.0), last + min(late, 0.0))

@@ -18,7 +18,7 @@ from beam_ident.data.bandwidth import Band, excited_band
 from beam_ident.data.batches import Progress
 from beam_ident.data.own_clocks import OwnClock, on_common_clock
 from beam_ident.data.prior import Prior
-from beam_ident.data.records import TimeRecord
+from beam_ident.data.records import LowPass, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult
@@ -61,6 +61,7 @@ from beam_ident.modal_identification.fit_tests import (
     unrelated,
 )
 from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
+from beam_ident.modal_identification.sensor_low_passes import Sensor, likely_low_pass, suspected
 from beam_ident.modal_identification.signal_clocks import SignalClocks
 from beam_ident.modal_identification.time_result import Findings
 from beam_ident.noise.input_noise import Smoothing
@@ -70,6 +71,7 @@ from beam_ident.sensing.still_noise import StillNoise
 
 _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
+_STRAY = 0.5  # of its lag: as far a low-pass may be moved at once
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
 _CLOCK_ROUNDS = 3
 _OWN_CLOCK_TURNS = 3  # of own clocks and the modes that show them
@@ -431,11 +433,54 @@ class TimeSearch(ModeSearch[ModalRegression]):
             for j, rate in rates.items():
                 found[names[j]] = OwnClock(0.0, rate, True)
         for j in late:
+            if self._strays(j, fit):
+                continue
             values, sds = self.clocks.beyond(j, fit)
             turns = fit.omegas[-1] * np.abs(values) * [1.0, 0.5 * regression.duration_s]
             if np.any((np.abs(values) > _CLOCK_SETTLED * sds) & (turns > _LINEAR)):
                 rate = found.get(names[j], OwnClock()).rate
                 found[names[j]] = OwnClock(float(values[0]), float(values[1]) + rate)
+        return found
+
+    def better_low_passes(self, weighed: Weighed[ModalRegression]) -> dict[str, LowPass]:
+        """Return better low-passes of outputs that have one, by name."""
+        fit, found = weighed.fit, {}
+        for j, name in enumerate(weighed.problem.output_names):
+            if (known := self.clocks.low_passes.get(name)) is not None and not self._strays(j, fit):
+                values, sds = self.clocks.beyond_low_pass(j, fit)
+                turns = np.abs(values) * fit.omegas[-1] ** np.array([1, 2])
+                if np.any((np.abs(values) > _CLOCK_SETTLED * sds) & (turns > _LINEAR)):
+                    found[name] = known.moved(*values)
+        return found
+
+    def _strays(self, output: int, fit: ModalFit) -> bool:
+        """Return whether an output's low-pass would move further than its derivatives say anything of."""
+        known = self.clocks.low_passes.get(self.clocks.output_names[output])
+        return (
+            known is not None and abs(self.clocks.beyond_low_pass(output, fit)[0][0]) > _STRAY * known.lag_s
+        )
+
+    def further_low_passes(
+        self, weighed: Weighed[ModalRegression], measured: Sequence[TimeRecord]
+    ) -> dict[str, Sensor]:
+        """Return low-passes that outputs seem to have, by name.
+
+        Parameters
+        ----------
+        weighed : Weighed
+        measured : sequence of TimeRecord -- with stamps as they were before outputs' own clocks corrected them
+        """
+        fit, regression = weighed.fit, weighed.problem
+        if not self.band.is_excited or self.is_curved or self._noise_share(fit) > _MOSTLY:
+            return {}
+        found: dict[str, Sensor] = {}
+        stated = [own.name for one in self.records for own in one.outputs if own.low_pass is not None]
+        for name in suspected(self.looked_at(fit, regression), stated):
+            late_s = fit.clock.latency + self.clocks.own.get(name, OwnClock()).delay
+            if (
+                likely := likely_low_pass(measured, self.plain, fit, name, late_s, self.clock_rate)
+            ) is not None:
+                found[name] = likely
         return found
 
     def looked_at(self, fit: ModalFit, regression: ModalRegression) -> SampledFit:

@@ -54,6 +54,8 @@ class SignalSource:
         output; empty: by the field's name
     delay : float -- by how much stamps are late, as far as that is known [s]
     exposure : float -- of an output: every value is the mean over this long [s]
+    low_pass : float -- of an output: where its sensor shows 71 % of what is there [Hz]; 0: nowhere
+    order : int -- of that low-pass, 1 or 2
     sd : float or None -- standard deviation of the noise, where it is known, in SI units
     hold : str -- of an input: what it does between samples; empty: see ``held``
     scale : float -- SI units in one unit of the field, negative for a sensor that looks against +x
@@ -65,6 +67,8 @@ class SignalSource:
     kind: str = ""
     delay: float = 0.0
     exposure: float = 0.0
+    low_pass: float = 0.0
+    order: int = 1
     sd: float | None = None
     hold: str = ""
     scale: float = 1.0
@@ -236,6 +240,10 @@ def _source(text: str, topic: str, field: str, values: Mapping[str, object], is_
             read[word] = readers[word](value)
         except ValueError as err:
             raise UsageError(f"{text!r}: {word} is {value!r}; expected {err}") from err
+    if "order" in read and "low_pass" not in read:
+        raise UsageError(
+            f"{text!r}: order says nothing by itself; expected low_pass beside it, a frequency in Hz"
+        )
     return SignalSource(topic, field, **read)
 
 
@@ -281,4 +289,9 @@ _COMMON: dict[str, Callable[[object], Any]] = {
     "scale": _scale,
 }
 _INPUT_OPTIONS = _COMMON | {"kind": _word(*INPUT_KINDS), "hold": _word(*HOLDS)}
-_OUTPUT_OPTIONS = _COMMON | {"kind": _word(*SENSORS), "exposure": _number(0.0, "seconds >= 0")}
+_OUTPUT_OPTIONS = _COMMON | {
+    "kind": _word(*SENSORS),
+    "exposure": _number(0.0, "seconds >= 0"),
+    "low_pass": _number(0.0, "a frequency > 0 in Hz", is_open=True),
+    "order": lambda value: int(_word("1", "2")(value)),
+}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord
+from beam_ident import InputSignal, LowPass, OutputSignal, TimeRecord
 from beam_ident.numerics.piecewise import Hold
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.signals.descriptions import FORCE, POWERS, SENSOR_UNITS, SENSORS, UNITS, SignalSource
@@ -58,6 +58,7 @@ def output_signal(source: SignalSource, samples: FieldSamples, origin_ns: int) -
         samples.values[seen] * source.scale,
         source.exposure,
         source.sd,
+        LowPass.of_order(source.order, source.low_pass) if source.low_pass else None,
     )
     return SensorOutput(signal, SENSORS[kind])
 

@@ -51,6 +51,9 @@ def test_what_a_field_measures_is_known_by_its_name(
         ("/imu:x,sd=0", False, "> 0"),
         ("/imu:x,scale=0", False, "not 0"),
         ("/imu:x,exposure=-1", False, ">= 0"),
+        ("/imu:x,low_pass=0", False, "a frequency > 0 in Hz"),
+        ("/imu:x,low_pass=30,order=3", False, "one of 1, 2"),
+        ("/imu:x,order=2", False, "expected low_pass beside it"),
         ("/imu:x,sd", False, "option=value"),
     ],
 )

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import InputSignal, OutputSignal, identify
-from beam_ros.signals.records import SensorOutput, records_of_one_model
+from beam_ident import InputSignal, LowPass, OutputSignal, identify
+from beam_ident.data.stamp_order import StampOrder
+from beam_ros.bags.signals import Unreadable
+from beam_ros.signals.descriptions import SignalSource
+from beam_ros.signals.fields import FieldSamples
+from beam_ros.signals.records import SensorOutput, output_signal, records_of_one_model
 from tests.beam_ros.signals.foreign_bags import DAMPING_RATIOS, FREQUENCIES_HZ, Beam, shaken
 
 LASER, IMU = 0, 2
@@ -69,3 +73,19 @@ def test_a_force_is_integrated_for_the_lower_kinds() -> None:
     np.testing.assert_allclose(laser.inputs[0].values, twice, atol=1e-9)
     assert records_of_one_model(drive, "force", outs[:1], 0, "x")[0] == "receptance"
     assert records_of_one_model(drive, "force", outs[:1], 0, "x", has_rigid_body=True)[0] == "force"
+
+
+def test_a_low_pass_of_a_sensor_goes_from_the_text_to_the_output() -> None:
+    source = SignalSource.of("/laser/range:range,low_pass=80,order=2", is_input=False)
+    stamps = np.arange(30, dtype=np.int64) * 10_000_000
+    samples = FieldSamples(
+        source.topic,
+        source.field,
+        stamps,
+        np.zeros(30),
+        True,
+        0,
+        Unreadable(),
+        StampOrder(np.arange(30), 0, 0, ()),
+    )
+    assert output_signal(source, samples, 0).signal.low_pass == LowPass.of_order(2, 80.0)

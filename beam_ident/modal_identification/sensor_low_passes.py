@@ -1,0 +1,296 @@
+"""Low-passes that sensors have of their own: found in what a model without them leaves, and estimated beside it.
+
+A laser that averages, an amplifier with a filter, an exposure that nobody stated: all of them pass what is slow,
+and show it late. A delay makes up for the lateness and the poles bend for the rest; close to where the low-pass
+acts a mode is found that is not there. With ``log F(s) = -lag s + (lag^2/2 - bend) s^2 + ..`` what a delay leaves
+are the second and the third derivative of the model by time: a score test for both says whether to look.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+from scipy.signal import lfilter
+from scipy.special import chdtri as chi_squared_isf
+
+from beam_ident.arrays import FloatArray
+from beam_ident.data.own_clocks import with_low_passes
+from beam_ident.data.prior import Prior
+from beam_ident.data.records import LowPass, TimeRecord, busiest_stretch
+from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.modal_estimation.mode_search import SHORT
+from beam_ident.modal_estimation.variable_projection import fit_modes
+from beam_ident.modal_identification.fit_tests import SampledFit
+from beam_ident.noise.autoregression import autoregression
+from beam_ident.noise.scores import ScoreTest, Whiteness
+
+_LEVEL = 1e-3  # how often an output without a low-pass is looked at, and said to have one
+_STEP = 0.1  # radians of the fastest mode: of differences by time
+_LAGS = 2.0 ** np.arange(-4, 3)  # radians of the fastest mode by which a low-pass may be late
+_SHAPES = (1.0 / 3.0, 0.5)  # bend over square of lag: the mean over an exposure, and Butterworth
+_MAX_SHAPE = 1.0
+_MAX_SAMPLES = 2_000  # of an output that tell
+_MAX_LEFT_OUT = 3  # modes
+_NEXT_TO_NOTHING = 0.2  # of the square of what was left
+_NEAR, _CLOSE = 0.8, 1e-3  # in the logarithm of a lag: where it is looked for, and how closely
+_EVALUATIONS, _RESTARTS = 60, 5
+_SMALL = 1e-3  # of a lag: a step that is a derivative
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """What an output by itself shows of its sensor.
+
+    Attributes
+    ----------
+    low_pass : LowPass
+    left : float -- what is left of the square of what a fit without the low-pass leaves
+    modes : ModalFit -- behind the low-pass, with a clock by itself
+    """
+
+    low_pass: LowPass
+    left: float
+    modes: ModalFit
+
+
+def suspected(some: SampledFit, known: Collection[str]) -> list[str]:
+    """Return the outputs that may have a low-pass of their own.
+
+    Parameters
+    ----------
+    some : SampledFit
+    known : collection of str -- outputs that are left out
+    """
+    if not len(some.fit.omegas):
+        return []
+    level = _LEVEL / some.regression.n_outputs
+    return [
+        name
+        for (name, test), left in zip(_curvature_tests(some).items(), some.fit.residuals, strict=True)
+        # Weights may take what is wrong for a colour of the noise, and then no test sees it.
+        if name not in known and (test.p_value < level or not Whiteness.of(left).is_white)
+    ]
+
+
+def _curvature_tests(some: SampledFit) -> dict[str, ScoreTest]:
+    """Return of every output the test of whether what is left holds derivatives of the model by time."""
+    regression, fit = some.regression, some.fit
+    step = _STEP / float(fit.omegas[-1])
+    around = []
+    for k in range(-2, 3):
+        clock = replace(fit.clock, latency=fit.clock.latency - k * step)
+        blocks = regression.blocks(fit.omegas, fit.zetas, clock, gradients=False)
+        parts = zip(regression.block_of, fit.coefficients, strict=True)
+        around.append([blocks[number].matrix @ found for number, found in parts])
+    tests = {}
+    for j, name in enumerate(regression.output_names):
+        before2, before, now, after, after2 = (own[j] for own in around)
+        second, third = after - 2.0 * now + before, after2 - 2.0 * after + 2.0 * before - before2
+        columns = np.stack([second, third], axis=1)
+        tests[name] = ScoreTest.of([(columns, some.designs[j], fit.residuals[j], regression.values[j])])
+    return tests
+
+
+def likely_low_pass(
+    records: Sequence[TimeRecord],
+    regression: ModalRegression,
+    fit: ModalFit,
+    name: str,
+    late_s: float,
+    clock_rate: Prior,
+) -> Sensor | None:
+    """Return the low-pass that an output by itself shows, or None.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord -- with the output's stamps as they were measured
+    regression : ModalRegression -- of them
+    fit : ModalFit
+    name : str
+    late_s : float -- how late the output's stamps are where it has no low-pass
+    clock_rate : Prior
+
+    Notes
+    -----
+    It is believed where it explains more than noise of the colour that it leaves would, and leaves white noise or
+    next to nothing: modes that are missing, or a sensor that is bent, look a little like a low-pass.  Modes that are
+    not needed beside it are left out, the weakest first: one may stand for what it does.
+    """
+    alone = _Alone(records, regression, name, (Prior(0.0, math.inf), clock_rate))
+    before = alone.fitted(None, replace(fit, clock=ClockState(late_s, fit.clock.rate)))
+    if not alone.is_curved(before):
+        return None
+    strongest = np.argsort(-alone.strengths(before), kind="stable")
+    trials: list[_Trial] = []
+    for n_modes in range(len(strongest), max(len(strongest) - _MAX_LEFT_OUT, 1) - 1, -1):
+        kept = strongest[:n_modes]
+        modes = replace(before, omegas=before.omegas[kept], zetas=before.zetas[kept])
+        own = [alone.refined(alone.start(modes, (0.0,)), 1)]
+        if not Whiteness.of(own[0].fit.residuals[0]).is_white:
+            own.append(alone.refined(alone.start(modes, _SHAPES), 2))
+        is_worse = trials and min(map(_Trial.bic, own)) > min(map(_Trial.bic, trials))
+        trials += own
+        if is_worse:
+            break
+    best = min(trials, key=_Trial.bic)
+    left, without = best.fit.residuals[0], before.residuals[0]
+    share = float(left @ left) / max(float(without @ without), 1e-300)
+    if not (_explains(before, best.fit) and (share < _NEXT_TO_NOTHING or Whiteness.of(left).is_white)):
+        return None
+    return Sensor(best.low_pass, share, best.fit)
+
+
+def _explains(before: ModalFit, after: ModalFit) -> bool:
+    """Return whether less is left than chance would leave, under noise of the colour of what is left."""
+    colour = autoregression(after.residuals[0])
+    powers = [float(np.sum(np.square(lfilter(colour, [1.0], own.residuals[0])))) for own in (before, after)]
+    n = len(after.residuals[0])
+    return bool(n * math.log(powers[0] / max(powers[1], 1e-300)) > chi_squared_isf(2, _LEVEL))
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A low-pass, and the fit of modes and clock behind it."""
+
+    low_pass: LowPass
+    fit: ModalFit
+
+    def bic(self) -> float:
+        """Return Bayes' criterion."""
+        n_parameters = self.fit.n_parameters + 1 + (self.low_pass.bend_s2 > 0.0)
+        return 2.0 * self.fit.cost + n_parameters * math.log(len(self.fit.residuals[0]))
+
+
+class _Alone:
+    """One output by itself.
+
+    Parameters
+    ----------
+    records, regression, name : as of ``likely_low_pass``
+    clocks : tuple of Prior -- of its latency and clock rate
+    """
+
+    def __init__(
+        self,
+        records: Sequence[TimeRecord],
+        regression: ModalRegression,
+        name: str,
+        clocks: tuple[Prior, Prior],
+    ) -> None:
+        own = [one.select([name]) for one in records if name in one.output_names]
+        self._records = [busiest_stretch(one, _MAX_SAMPLES) for one in own]
+        self._terms = replace(regression.structure, has_free_response=True)
+        self._input_names, self._clocks = regression.input_names, clocks
+
+    def _through(self, low_pass: LowPass | None) -> ModalRegression:
+        """Return the regression of the output behind a low-pass."""
+        outputs = [replace(one.outputs[0], low_pass=low_pass) for one in self._records]
+        behind = [replace(one, outputs=(own,)) for one, own in zip(self._records, outputs, strict=True)]
+        return ModalRegression(behind, self._terms, self._input_names)
+
+    def fitted(self, low_pass: LowPass | None, start: ModalFit) -> ModalFit:
+        """Return the fit of modes and clock behind a low-pass."""
+        problem = self._through(low_pass)
+        return fit_modes(problem, start.omegas, start.zetas, start.clock, *self._clocks, SHORT)
+
+    def is_curved(self, fit: ModalFit) -> bool:
+        """Return whether what a fit without a low-pass leaves says that there is one."""
+        (test,) = _curvature_tests(SampledFit.of(self._through(None), fit, *self._clocks)).values()
+        return test.p_value < _LEVEL
+
+    def strengths(self, fit: ModalFit) -> FloatArray:
+        """Return how much every mode of a fit without a low-pass moves the output."""
+        regression = self._through(None)
+        (block,) = regression.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+        modes = slice(regression.n_shared_fixed, regression.n_shared_fixed + len(fit.omegas))
+        return np.asarray(np.abs(fit.coefficients[0][modes]) * np.linalg.norm(block.matrix[:, modes], axis=0))
+
+    def start(self, modes: ModalFit, shapes: Sequence[float]) -> _Trial:
+        """Return the low-pass of some shapes that leaves least of a grid, near modes behind none."""
+        trials = []
+        for lag in (_LAGS / modes.omegas[-1]).tolist():
+            clock = replace(modes.clock, latency=modes.clock.latency - lag)
+            for shape in shapes:
+                low_pass = LowPass(lag, shape * lag**2)
+                trials.append(_Trial(low_pass, self.fitted(low_pass, replace(modes, clock=clock))))
+        return min(trials, key=lambda own: own.fit.cost)
+
+    def refined(self, start: _Trial, order: int) -> _Trial:
+        """Return the low-pass of first or second order that leaves least, near some start."""
+        best = start
+
+        def cost(numbers: FloatArray) -> float:
+            nonlocal best
+            lag, shape = math.exp(numbers[0]), min(max(float(numbers[1]), 0.0), _MAX_SHAPE)
+            low_pass = LowPass(lag, shape * lag**2)
+            latency = best.fit.clock.latency + best.low_pass.lag_s - lag
+            moved = replace(best.fit, clock=replace(best.fit.clock, latency=latency))
+            trial = _Trial(low_pass, self.fitted(low_pass, moved))
+            if trial.fit.cost < best.fit.cost:
+                best = trial
+            return trial.fit.cost
+
+        if order == 1:
+            middle = math.log(start.low_pass.lag_s)
+            around = middle - _NEAR, middle + _NEAR
+            minimize_scalar(
+                lambda lag: cost(np.array([lag, 0.0])),
+                bounds=around,
+                method="bounded",
+                options={"xatol": _CLOSE},
+            )
+            return best
+        for _ in range(_RESTARTS):  # along a curved valley
+            before, begin = (
+                best,
+                (math.log(best.low_pass.lag_s), best.low_pass.bend_s2 / best.low_pass.lag_s**2),
+            )
+            simplex = np.array(begin) + _NEAR / 4.0 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+            options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": _CLOSE, "fatol": 0.1}
+            minimize(cost, np.array(begin), method="Nelder-Mead", options=options)
+            if before.fit.cost - best.fit.cost < 1.0:
+                break
+        return best
+
+
+def low_pass_columns(
+    regression: ModalRegression, records: Sequence[TimeRecord], fit: ModalFit, name: str
+) -> FloatArray:
+    """Return the derivatives of the model of an output by lag and bend, if any, of its low-pass, unweighed.
+
+    Parameters
+    ----------
+    regression : ModalRegression
+    records : sequence of TimeRecord -- of it, in which the output has a low-pass
+    fit : ModalFit
+    name : str
+    """
+    low_pass = next(own.low_pass for one in records for own in one.outputs if own.name == name)
+    assert low_pass is not None
+    steps = _SMALL * low_pass.lag_s, _SMALL * low_pass.lag_s**2
+    ways = [low_pass, replace(low_pass, lag_s=low_pass.lag_s + steps[0])]
+    if low_pass.bend_s2 > 0.0:
+        ways.append(replace(low_pass, bend_s2=low_pass.bend_s2 + steps[1]))
+    said = []
+    for own in ways:
+        moved = ModalRegression(
+            with_low_passes(records, {name: own}),
+            regression.structure,
+            regression.input_names,
+            None,
+            regression.restarts,
+        )
+        j = moved.output_names.index(name)
+        parts = [
+            piece.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)[piece.block_of[j]].matrix
+            for piece in moved.pieces
+        ]
+        said.append(np.concatenate([part @ fit.coefficients[j][: part.shape[1]] for part in parts]))
+    return np.stack(
+        [(own - said[0]) / step for own, step in zip(said[1:], steps[: len(ways) - 1], strict=True)], axis=1
+    )
