@@ -410,6 +410,11 @@ class IdentificationTask:
         )
         if start is not None:
             search.without_modes = search.fit(np.empty(0), np.empty(0), start.clock)
+        if not (search.band.is_excited or self.terms.has_free_response):
+            raise EstimationError(
+                "the input stands still and the structure leaves out motion at the beginning: nothing shows a mode. "
+                "Leave has_free_response as it is by default, or excite"
+            )
         return search
 
     def _finished(

@@ -320,6 +320,10 @@ def still_record() -> TimeRecord:
         (lambda: identify(make_small(1e200 * np.random.default_rng(0).normal(size=190))), "reaches 2.4e"),
         (lambda: identify(make_small(1e-200 * np.random.default_rng(0).normal(size=190))), "reaches 2.4e"),
         (lambda: identify(still_record()), "no mode between"),
+        (
+            lambda: identify(still_record(), ModalStructure(has_free_response=False), n_modes=1),
+            "leaves out motion at the beginning",
+        ),
         (lambda: identify(make_small(np.arange(150.0)), max_modes=0), "max_modes is 0"),
         (lambda: identify([]), "no record"),
         (lambda: identify(make_small(np.random.default_rng(0).normal(size=190))), "stands out of the noise"),
