@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -249,7 +249,8 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 )
         if n_modes is not None and self.looks_inside:
             try:
-                self._look_inside()
+                end = self.inside(len(self.chosen.omegas))
+                self.is_better_inside = end is not None and self.go_on_from(end)
             except Stopped as stop:
                 return self._stopped(
                     stop, "a look at what simpler structures find, and the weighing by the noise"
@@ -325,23 +326,25 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Return a fit without modes that says something all the same, of a rigid body; None where there is none."""
         return None
 
-    def inside(self, n_modes: int) -> Iterator[ModalFit]:
-        """Yield as many modes as structures inside this one find, where the present fit may not be the best."""
+    def inside(self, n_modes: int) -> ModalFit | None:
+        """Return where as many modes end by way of structures inside this one; None where the fit is not in doubt."""
         del n_modes
-        return iter(())
+        return None
 
-    def _look_inside(self) -> None:
-        """Go on from where a structure inside this one ended better: one that can do more must not end worse.
+    def go_on_from(self, inside: ModalFit) -> bool:
+        """Go on from where modes ended otherwise, and return whether that is better than where this search ended.
 
-        What fits better with modes that could not be believed is no better end.
+        A structure that holds another can do all that it does, and must not end worse. What has more modes that could
+        not be believed is no better end.
         """
-        doubts = len(self._doubtful(self.chosen))
-        for smaller in self.inside(len(self.chosen.omegas)):
-            fit = self.fit(smaller.omegas, smaller.zetas, smaller.clock, _ITERATIONS)
-            if fit.cost < self.chosen.cost and (left := len(self._doubtful(fit))) < max(doubts, 1):
-                doubts, self.is_better_inside = left, True
-                self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
-                self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
+        if len(inside.omegas) != len(self.chosen.omegas):
+            return False
+        fit = self.fit(inside.omegas, inside.zetas, inside.clock, _ITERATIONS)
+        if not fit.cost < self.chosen.cost or len(self._doubtful(fit)) > len(self._doubtful(self.chosen)):
+            return False
+        self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
+        self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
+        return True
 
     def _doubtful(self, fit: ModalFit) -> list[int]:
         """Return the modes of a fit that do not pass the gates."""

@@ -287,6 +287,7 @@ class IdentificationTask:
         clocks = {**self.first_clocks, **self._known_clocks(measured)}
         has_asked = False  # every output by itself
         looks_inside = is_persistent = True
+        end_inside: ModalFit | None = None
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
         before_idle, dropped = known, set[str]()
         low_passes: dict[str, LowPass] = {}
@@ -301,7 +302,7 @@ class IdentificationTask:
                     shifted, regression, clocks=clocks, jumps=jumps, low_passes=low_passes, start=start
                 )
                 search.is_in_doubt, search.looks_inside = has_asked, looks_inside
-                search.is_persistent = is_persistent
+                search.is_persistent, search.end_before = is_persistent, end_inside
                 if turn == 0 and (result := self._untangled(regression, search)) is not None:
                     return result
                 try:
@@ -317,8 +318,11 @@ class IdentificationTask:
                 if search.stopped_by is not None and known is not None:
                     raise search.stopped_by
                 known = search, weighed
-                # A clock that moves a little leaves in vain what was in vain.
-                looks_inside, is_persistent = search.is_better_inside, search.is_worth_persisting
+                # A clock that moves a little leaves in vain what was in vain, and a better end where it was.
+                is_persistent = search.is_worth_persisting
+                if search.is_better_inside:
+                    end_inside = search.chosen
+                looks_inside = end_inside is not None
                 goes_on = search.stopped_by is None and turn + 1 < most
                 further = search.further_clocks(weighed) if goes_on else {}
                 better = search.better_low_passes(weighed) if goes_on else {}

@@ -7,10 +7,12 @@ from there on a mode is tried only if everything promises, with all other poles 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +26,9 @@ from beam_ident.modal.fit import ModalFit, fitted_model
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ClockState, ModalRegression
+from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.free_base import NO_BODY
 from beam_ident.modal_estimation.input_disturbance import NEGLIGIBLE_SHARE, noise_shares
-from beam_ident.modal_estimation.mode_gates import mode_complaint
 from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
     MANY_MODES,
@@ -65,7 +67,6 @@ from beam_ident.modal_identification.sensor_low_passes import Sensor, likely_low
 from beam_ident.modal_identification.signal_clocks import SignalClocks
 from beam_ident.modal_identification.time_result import Findings
 from beam_ident.noise.input_noise import Smoothing
-from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.sensing.stamp_jitter import is_any
 from beam_ident.sensing.still_noise import StillNoise
 
@@ -106,6 +107,9 @@ class TimeSearch(ModeSearch[ModalRegression]):
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
     ) -> None:
         self.is_in_doubt = False  # since a mode that explains much was not believed
+        self.end_before: ModalFit | None = (
+            None  # of structures inside, with clocks that have moved a little since
+        )
         self.clocks = clocks or SignalClocks.of(regression)
         self.found_noise = found_noise
         self.records, self.input_names = records, input_names
@@ -202,30 +206,43 @@ class TimeSearch(ModeSearch[ModalRegression]):
         self.problem, self.plain = before
         return None
 
-    def inside(self, n_modes: int) -> Iterator[ModalFit]:
-        """Yield what is found without initial motion, ramp or offset, where the fit or a mode of it is in doubt.
+    def inside(self, n_modes: int) -> ModalFit | None:
+        """Return where modes end by way of structures without initial motion, ramp or offset, where there is a doubt.
 
+        Mode by mode every structure goes on from the best end of those inside it: one mode fewer, or one term fewer.
         A long record is not searched again: a start of some of its stamps has served it already.
         """
+        if self.end_before is not None:
+            return self.end_before
         regression, fit = self.plain, self.chosen
         is_long = len(regression.pieces) > 1 or max(map(len, regression.times)) > THINNED
-        doubts = [mode_complaint(fit, regression, mode, self.band) for mode in range(n_modes)]
-        # Outliers are the likelier cause of doubts, and are looked after by themselves.
-        is_long = is_long or any(spoiling(left, outliers(left)) for left in fit.residuals)
-        if is_long or (fit.converged and not any(doubts)):
-            return
         form = regression.structure
-        simpler = [replace(form, has_free_response=False)] * form.has_free_response
-        simpler += [replace(form, has_ramp=False)] * form.has_ramp
-        simpler += [replace(form, has_offset=False)] * form.has_offset
-        for structure in simpler:
-            smaller = ModalRegression(self.records, structure, self.input_names, restarts=regression.restarts)
-            search = TimeSearch(
-                self.records, smaller, self.latency, self.clock_rate, self.input_names, self.progress
-            )
-            search.is_in_doubt = self.is_in_doubt  # outputs by themselves have been asked
-            search.run_plain(n_modes)
-            yield search.chosen
+        present = ["has_offset"] * form.has_offset + ["has_ramp"] * form.has_ramp
+        # Without an input there is nothing but this motion.
+        present += ["has_free_response"] * (form.has_free_response and self.band.is_excited)
+        if is_long or not present or (fit.converged and not self._doubtful(fit)):
+            return None
+        searches: dict[frozenset[str], TimeSearch] = {}
+        for size in range(len(present) + 1):
+            for kept in itertools.combinations(present, size):
+                left_out: dict[str, Any] = dict.fromkeys(set(present).difference(kept), False)
+                searches[frozenset(kept)] = self._with_terms(replace(form, **left_out))
+        # Of many modes most are spurious: they are added in one go.
+        for order in range(1, n_modes + 1) if n_modes <= MANY_MODES else [n_modes]:
+            for terms, search in searches.items():
+                search.run_plain(order)
+                for term in terms:
+                    search.go_on_from(searches[terms - {term}].chosen)
+        return search.chosen
+
+    def _with_terms(self, terms: ModalStructure) -> TimeSearch:
+        """Return a search of the same records with other terms, which asks no output by itself that was asked."""
+        regression = ModalRegression(self.records, terms, self.input_names, restarts=self.plain.restarts)
+        search = TimeSearch(
+            self.records, regression, self.latency, self.clock_rate, self.input_names, self.progress
+        )
+        search.is_in_doubt = self.is_in_doubt
+        return search
 
     def doubt(self) -> None:
         """Ask every output by itself when it was measured, and begin anew where they do not agree.

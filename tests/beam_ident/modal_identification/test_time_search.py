@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import pytest
+
+from beam_ident import ModalStructure, identify
+from benchmarks.ident.supersets import hard_record
+
+DRIFTING = ModalStructure("receptance", has_free_response=False)
+MOVING = ModalStructure("receptance")
+SAME = 0.01  # in -2 log-likelihood: what two ways to one optimum may differ by
+
+
+def cost(seed: int, structure: ModalStructure, n_modes: int) -> float:
+    """Return -2 log-likelihood of the search's choice, before the noise weighs, without a charge for parameters."""
+    found = identify(hard_record(seed, 1 + seed % 2), structure, n_modes=n_modes)
+    (chosen,) = (entry for entry in found.orders if entry.is_chosen)
+    assert chosen.n_modes == n_modes
+    return chosen.aic - 2.0 * chosen.n_parameters
+
+
+@pytest.mark.parametrize(
+    ("seed", "n_modes"),
+    [
+        (74, 1),  # one doubtful mode, of either
+        (54, 2),  # poles that settle where free motion takes the place of a mode
+        (52, 1),  # an outlier, which may be the cause of the doubt
+    ],
+)
+def test_free_motion_that_is_asked_for_never_leads_to_a_worse_optimum(seed, n_modes):
+    assert cost(seed, MOVING, n_modes) < cost(seed, DRIFTING, n_modes) + SAME
+
+
+def test_one_more_mode_never_leads_to_a_worse_optimum():
+    # Two modes end better by way of the structure without an offset; the third has to go on from there.
+    assert cost(71, DRIFTING, 3) < cost(71, DRIFTING, 2) + SAME
