@@ -25,11 +25,13 @@ _MAX_PULL_PX = 0.35
 """... and not believed where a second image of the marker that makes it so could pull the centre by more [px]."""
 _SIGNIFICANT = 5.0
 _PLAIN = 3.0
-"""A moment within so many standard deviations is no sign of a frame before, either."""
+"""A moment within so many standard deviations is no sign of a frame before, or of a reflection, either."""
 _RARELY = 1e-4
 """Share of the frames that are blended where none has been seen, ..."""
 _MEMORY_FRAMES = 100
-"""... and frames over which it is averaged."""
+"""... and frames over which it is averaged, and for which a reflection that was seen may lie over any marker."""
+_MEAN_RATIO = 2 * math.log(2) - 1
+"""Mean of q / (1 - q), the square of the pull over the second moment, where every share q up to 1/2 is as likely."""
 _NOTABLE = 0.01
 """Where a frame is blended with a greater probability, the farthest that it may pull a marker is ..."""
 _FARTHEST = 6.0
@@ -74,6 +76,15 @@ class Disc(NamedTuple):
     variance_v: float
 
 
+def _unexplained(found: DiscFit, motion: Motion, appearance: Appearance | Disc) -> tuple[float, float]:
+    """Excess and tilt that are left of a marker that moved by so much at most [px^2]."""
+    excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
+    if motion is not AT_REST:
+        excess = max(excess, 0.0) - motion.smear**2 / 12
+        tilt = max(tilt - 2 * appearance.variance_v * motion.shear, 0.0)
+    return excess, tilt
+
+
 def pull(found: DiscFit, motion: Motion, appearance: Appearance | Disc, striking: float = _STRIKING) -> float:
     """How far a second image may pull the centre of a marker that moved by so much at most [px].
 
@@ -88,15 +99,25 @@ def pull(found: DiscFit, motion: Motion, appearance: Appearance | Disc, striking
 
     The standard deviation of the last one is s |cos|.
     """
-    excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
-    if motion is not AT_REST:
-        excess = max(excess, 0.0) - motion.smear**2 / 12
-        tilt = max(tilt - 2 * appearance.variance_v * motion.shear, 0.0)
+    excess, tilt = _unexplained(found, motion, appearance)
     moment = math.sqrt(excess * excess + tilt * tilt)
     along = (moment + excess) / 2
     if along * moment <= (striking * found.sigma_excess) ** 2:
         return 0.0
     return math.sqrt(along)
+
+
+def usual_pull(found: DiscFit, motion: Motion, appearance: Appearance | Disc) -> float:
+    """Standard deviation of the pull by a second image that is there, though the noise may hide it [px].
+
+    Notes
+    -----
+    The square of the pull is q / (1 - q) of the moment along u that ``pull`` finds, for which s stands in where it is
+    lost in the noise.
+    """
+    excess, tilt = _unexplained(found, motion, appearance)
+    moment = math.sqrt(excess * excess + tilt * tilt + found.sigma_excess**2)
+    return math.sqrt(_MEAN_RATIO * (moment + excess) / 2)
 
 
 class Sighting(NamedTuple):
@@ -151,6 +172,9 @@ class SecondImages:
     -----
     Where one marker shows a second image, it lies over all of them. What the others show is then explained only by
     the slowest that they may be and by a disc as round as it should be: what was learned of them may hold it, too.
+    A marker whose look is not settled, and that hardly moves, shows one already where it is no such disc. What it
+    shows for two frames, and was not where the marker was in the frame before, is a reflection. That stays where it
+    is, and the markers may move into it at any time.
 
     The frame before, blended into this one with the share q, makes a true step d one of (1 - q) d, pulled by
     a = q / (1 - q) times that, and adds q (1 - q) d^2 to the second moment: a times the square of the step that is
@@ -168,6 +192,7 @@ class SecondImages:
         self._row_delay_s = row_delay_s
         self._usual = _RARELY
         self._smears_s: deque[float] = deque(maxlen=_EXPOSURES[1])
+        self._unreflected_frames = _MEMORY_FRAMES
 
     @property
     def exposure_s(self) -> float:
@@ -183,8 +208,12 @@ class SecondImages:
 
     @property
     def is_usual(self) -> bool:
-        """True where frames may have been blended of late."""
-        return self._usual > _RARELY
+        """True where a second image may have been there of late."""
+        return self._usual > _RARELY or self._is_reflected
+
+    @property
+    def _is_reflected(self) -> bool:
+        return self._unreflected_frames < _MEMORY_FRAMES
 
     def pulls(self, sightings: Sequence[Sighting], since_s: float, *, is_seen: bool) -> list[Pull]:
         """Judge a frame.
@@ -196,19 +225,29 @@ class SecondImages:
         is_seen : bool -- a marker that is not among them shows a second image
         """
         pulls = []
-        for found, appearance, _, _, speed, doubt, was_pulled in sightings:
+        self._unreflected_frames += 1
+        for found, appearance, flatness, step, speed, doubt, was_pulled in sightings:
             motion = self._motion((speed + doubt) / since_s)
             px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
             is_too_far = px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
-            pulls.append(Pull(motion, math.inf if is_too_far and px > 0.0 else px, px > 0.0))
+            aside = 0.0
+            if motion.smear**2 / 12 <= found.sigma_excess:
+                look = appearance if appearance.is_settled else Disc(flatness, 0.0, appearance.variance_v)
+                aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
+                if was_pulled and aside > abs(step):
+                    self._unreflected_frames = 0
+            pulls.append(Pull(motion, math.inf if is_too_far and px > 0.0 else px, px > 0.0 or aside > 0.0))
             if px > 0.0 and doubt < _STEADY * speed:
                 smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
                 if smear_s <= since_s:
                     self._smears_s.append(smear_s)
-        if is_seen or any(each.is_seen for each in pulls):
+        if is_seen or self._is_reflected or any(each.is_seen for each in pulls):
             for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
                 disc = Disc(flatness, 0.0, appearance.variance_v)
-                px = pull(found, self._motion(max(speed - doubt, 0.0) / since_s), disc, _DOUBTED)
+                motion = self._motion(max(speed - doubt, 0.0) / since_s)
+                px = 0.0
+                if self._is_reflected or pull(found, motion, disc, _DOUBTED) > 0.0:
+                    px = usual_pull(found, motion, disc)
                 pulls[k] = pulls[k]._replace(centre_px=max(pulls[k].centre_px, px))
         share = self._blended(sightings, self._exposed_s / since_s)
         for k, (found, appearance, _, step, *_) in enumerate(sightings):

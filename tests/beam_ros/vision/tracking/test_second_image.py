@@ -13,6 +13,7 @@ from beam_ros.vision.tracking.second_image import (
     Sighting,
     is_explained,
     pull,
+    usual_pull,
 )
 
 SIGMA = 0.02
@@ -25,8 +26,8 @@ def disc(excess: float, tilt: float = 0.0, sigma: float = SIGMA) -> DiscFit:
     return DiscFit(0, 0, 0, 100, 0, excess, tilt, sigma)
 
 
-def settled(excess: float = 0.0, tilt: float = 0.0) -> Appearance:
-    return Appearance(100.0, 9.0, 9.0, 0.0, 0.0, 50.0, frames=32, excess=excess, tilt=tilt)
+def settled(excess: float = 0.0, tilt: float = 0.0, frames: int = 32) -> Appearance:
+    return Appearance(100.0, 9.0, 9.0, 0.0, 0.0, 50.0, frames=frames, excess=excess, tilt=tilt)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, -0.7, 1.2])
@@ -42,6 +43,20 @@ def test_the_pull_of_a_second_image_is_its_second_moment_along_u(angle):
     assert of(moment, sigma=moment * abs(cos) / 3.9) == 0.0
     assert of(moment, sigma=moment * abs(cos) / 4.1) > 0.0
     assert of(moment, Motion(np.sqrt(12.0), 1.0)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("farthest", "lowest", "highest"), [(8.0, 0.9, 1.1), (2.0, 0.8, 1.2), (0.5, 0.5, 1.2)]
+)
+def test_the_usual_pull_is_a_standard_deviation(farthest, lowest, highest):
+    rng, scores = np.random.default_rng(6), []
+    for share, aside, angle in rng.random((4000, 3)) * [0.5, farthest, np.pi]:
+        moment = share * (1 - share) * aside**2
+        excess, tilt = moment * np.cos(2 * angle), moment * np.sin(2 * angle)
+        found = disc(*([excess, tilt] + SIGMA * rng.standard_normal(2)))
+        scores.append(share * aside * np.cos(angle) / usual_pull(found, AT_REST, settled()))
+    # Where most second images lie so near that the noise hides them, it may be too large.
+    assert lowest < np.sqrt(np.mean(np.square(scores))) < highest
 
 
 def test_a_rolling_shutter_tilts_a_disc_by_its_height():
@@ -129,7 +144,43 @@ def test_a_second_image_of_one_marker_lies_over_all(is_among_them):
     assert judged(SecondImages(EXPOSED, 0.0), [found]) == [0.0]
     shown = [found._replace(found=disc(0.6), speed=0.0, doubt=0.0)] if is_among_them else []
     pulled = judged(SecondImages(EXPOSED, 0.0), [found, *shown], is_seen=not is_among_them)
-    assert pulled[0] == pytest.approx(np.sqrt(0.4))
+    # The noise adds a tenth of a percent.
+    assert pulled[0] == pytest.approx(np.sqrt(0.4 * (2 * np.log(2) - 1)), rel=2e-3)
+
+
+def resting(excess: float, frames: int, step: float = 0.0, *, was_pulled: bool = False) -> Sighting:
+    """A marker that hardly moves, with so much excess that its look holds, too."""
+    return Sighting(disc(excess), settled(excess, frames=frames), 0.0, step, abs(step), 0.0, was_pulled)
+
+
+def test_a_look_that_is_not_settled_may_hold_a_reflection():
+    for frames, is_stated in ((2, True), (31, True), (32, False)):
+        pulled = judged(SecondImages(EXPOSED, 0.0), [resting(0.2, frames), resting(0.0, 32)])
+        assert pulled == [pytest.approx(0.28, abs=0.01) if is_stated else 0.0, 0.0]
+
+
+def test_a_reflection_that_was_seen_may_lie_over_any_marker_for_a_hundred_frames():
+    seconds = SecondImages(EXPOSED, 0.0)
+    seconds.pulls([resting(0.2, 2)], 1.0, is_seen=False)
+    assert not seconds.is_usual
+    seconds.pulls([resting(0.2, 3, was_pulled=True)], 1.0, is_seen=False)
+    for k in range(100):
+        assert seconds.is_usual
+        hidden, settled_look = judged(seconds, [resting(0.0, 32), resting(0.2, 32)])
+        # What the noise hides of it is a part of that.
+        assert (hidden, settled_look) == ((0.0, 0.0) if k == 99 else pytest.approx((0.06, 0.28), abs=0.01))
+
+
+def test_a_frame_before_is_no_reflection():
+    # Seen twice in a row, it lies where the marker was.
+    for step, is_reflection in ((0.3, True), (0.6, False)):
+        seconds = SecondImages(EXPOSED, 0.0)
+        shown = Sighting(disc(0.2), settled(), 0.0, step, abs(step), 0.0, True)
+        seconds.pulls([shown], 1.0, is_seen=False)
+        assert seconds.is_usual
+        for _ in range(2):
+            pulled = judged(seconds, [resting(0.0, 32)])
+        assert (pulled[0] > 0.0) == is_reflection
 
 
 def test_a_marker_that_shows_a_second_image_far_aside_is_not_believed():
