@@ -19,6 +19,8 @@ from beam_ros.vision.tracking.spots import Gates, Spot
 
 TOGETHER_FRAMES = 5
 """Markers that were lost within so many frames of each other may have been lost for the same reason."""
+_FASTEST = math.pi / 2
+"""A sine is no faster than so many times the longest of three steps in a row, the last one ending there."""
 _RECENT_FRAMES = 4
 """Where a marker was before it was lost for so many frames does not tell its speed."""
 NEVER = -(10**9)
@@ -71,6 +73,7 @@ class MarkerState:
     lost_at : int -- number of the frame in which it last was not where it should have been
     company_u, company_v : tuple of float -- where all markers had been seen before that [px]
     is_pulled : bool -- in the last frame that showed it, a second image of it may have lain over it
+    behind : float -- how far, most likely, that frame showed it behind its true place [px]
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
     company_contrast : tuple of float -- the same of all markers in the frame before that [grey levels]
     is_doubtful : bool -- since that frame a spot in its row may be another one
@@ -107,6 +110,7 @@ class MarkerState:
     company_u: tuple[float, ...] = ()
     company_v: tuple[float, ...] = ()
     is_pulled: bool = False
+    behind: float = 0.0
     shown: float = math.nan
     company_contrast: tuple[float, ...] = ()
     is_doubtful: bool = False
@@ -135,7 +139,9 @@ class MarkerState:
             u' = D u + D^2 u / 2 + D^3 u / 3
 
         is uncertain by as much as the larger one of its last two terms: of a motion that turns within few frames, one
-        of them is large. Of fewer places since it was found, less is known; nothing where it was not seen of late.
+        of them is large. No sine of up to 0.4 cycles per frame is faster than pi / 2 of the longest of these three
+        steps; where all that the polynomial allows is faster, no more is known. Of fewer places since it was found,
+        less is known; nothing where it was not seen of late.
         """
         if self.acquired_at == frame:
             return self.velocity, abs(self.velocity)
@@ -147,7 +153,13 @@ class MarkerState:
         if self.steps == 1:
             return step + change / 2, abs(change)
         last = (change - self.acceleration) / 3
-        return step + change / 2 + last, max(abs(change) / 2, abs(last))
+        speed, doubt = step + change / 2 + last, max(abs(change) / 2, abs(last))
+        most = _FASTEST * max(abs(step), abs(self.velocity), abs(self.velocity - self.acceleration))
+        if abs(speed) + doubt > most:
+            lower = abs(speed) - doubt
+            doubt = (most - lower) / 2 if 0.0 < lower < most else most / 2
+            speed = math.copysign(most - doubt, speed)
+        return speed, doubt
 
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""

@@ -26,14 +26,25 @@ _MAX_PULL_PX = 0.35
 _SIGNIFICANT = 5.0
 _PLAIN = 3.0
 """A moment within so many standard deviations is no sign of a frame before, or of a reflection, either."""
-_RARELY = 1e-4
-"""Share of the frames that are blended where none has been seen, ..."""
+_SUSPECT = 1.0
+"""So many standard deviations may be one, where a frame before ..."""
+_SUSPECT_STEPS = 1.0, 8.0
+"""... of a step whose square lies between so many of them would add about as much."""
+_BLENDED_SHARE = 0.2
+"""Share of the frames that are blended in a film that has such frames, ..."""
+_MIN_ODDS, _MAX_ODDS = 0.03, 1e3
+"""... and between which the odds stay that it has: what began, or ended, is noticed after some frames."""
+_FORGOTTEN = 0.98
+"""With every frame the odds shrink to so much, too."""
+_MIN_WEIGHT = 1e-4
+"""Where a frame before is known to a share with less weight, the steps are so short that none would matter."""
 _MEMORY_FRAMES = 100
-"""... and frames over which it is averaged, and for which a reflection that was seen may lie over any marker."""
+"""For so many frames a reflection that was seen may lie over any marker."""
 _MEAN_RATIO = 2 * math.log(2) - 1
 """Mean of q / (1 - q), the square of the pull over the second moment, where every share q up to 1/2 is as likely."""
-_NOTABLE = 0.01
-"""Where a frame is blended with a greater probability, the farthest that it may pull a marker is ..."""
+_NOTABLE = 0.012
+"""Where a frame is blended with a greater probability than in a film of which nothing is known, the farthest that it
+may pull a marker is ..."""
 _FARTHEST = 6.0
 """... no more than so many standard deviations that are stated for it."""
 _STEADY = 0.2
@@ -58,13 +69,16 @@ class Motion(NamedTuple):
 AT_REST = Motion(0.0, 0.0)
 
 
-def is_explained(found: DiscFit, appearance: Appearance, smear: float) -> bool:
-    """True where a smear of this length [px] leaves nothing but noise, which ``pull`` does not notice, either."""
+def is_explained(found: DiscFit, appearance: Appearance, step: float, exposed: float) -> bool:
+    """True where a step [px], a share of which is exposed, leaves nothing but noise that tells of no second image."""
     excess, tilt = found.excess - appearance.excess, found.tilt - appearance.tilt
-    excess = max(excess, 0.0) - smear * smear / 12
-    moment, sigma = math.sqrt(excess * excess + tilt * tilt), found.sigma_excess
+    squared, sigma = step * step, found.sigma_excess
+    excess = max(excess, 0.0) - exposed * exposed * squared / 12
+    moment = math.sqrt(excess * excess + tilt * tilt)
+    is_telling = _SUSPECT_STEPS[0] * sigma < squared < _SUSPECT_STEPS[1] * sigma
     return (
-        excess <= _PLAIN * sigma and (moment + excess) * moment <= 2 * _STRIKING * _STRIKING * sigma * sigma
+        excess <= (_SUSPECT if is_telling else _PLAIN) * sigma
+        and (moment + excess) * moment <= 2 * _STRIKING * _STRIKING * sigma * sigma
     )
 
 
@@ -128,7 +142,7 @@ class Sighting(NamedTuple):
     found : DiscFit
     appearance : Appearance -- its look until then
     flatness : float -- excess that a marker has which is as round as it should be [px^2]
-    step : float -- since the frame before; NaN where not known, 0 where the two places do not touch [px]
+    step : float -- since its true place in the frame before; NaN where not known, 0 where they do not touch [px]
     speed, doubt : float -- how fast it moves by its places, and how far that may be wrong [px per frame]
     was_pulled : bool -- in the frame before, a second image of it may have lain over it
     """
@@ -150,11 +164,13 @@ class Pull(NamedTuple):
     motion : Motion -- at most
     centre_px : float -- standard deviation by a second image, infinity where that leaves nothing to believe [px]
     is_seen : bool -- its own smear shows a second image
+    behind_px : float -- how far it was, most likely, pulled back by the frame before [px]
     """
 
     motion: Motion
     centre_px: float
     is_seen: bool
+    behind_px: float = 0.0
 
 
 NO_PULL = Pull(AT_REST, 0.0, False)
@@ -181,16 +197,17 @@ class SecondImages:
     seen. All markers have one a, between 0 and 1, and its weighted mean over them has the standard deviation s. By
     Bayes' rule the frame is blended with the odds
 
-        P / (1 - P) = p / (1 - p)  integral over a of N(a; mean, s) / N(0; mean, s)
+        P / (1 - P) = p / (1 - p) L        L = integral over a of N(a; mean, s) / N(0; mean, s)
 
-    where p is the share of frames that were blended of late. The mean square of the pull is P E[a^2] of the step's,
-    with a of the normal distribution between 0 and 1.
+    where p is a fifth of the probability that the film has such frames. The odds of that grow by 1 + (L - 1) / 5 with
+    every frame. The mean square of the pull is P E[a^2] of the step's, with a of the normal distribution between 0
+    and 1, and its mean P E[a]: from there the next step is counted.
     """
 
     def __init__(self, exposed_s: float, row_delay_s: float) -> None:
         self._exposed_s = exposed_s
         self._row_delay_s = row_delay_s
-        self._usual = _RARELY
+        self._odds = _MIN_ODDS
         self._smears_s: deque[float] = deque(maxlen=_EXPOSURES[1])
         self._unreflected_frames = _MEMORY_FRAMES
 
@@ -209,7 +226,7 @@ class SecondImages:
     @property
     def is_usual(self) -> bool:
         """True where a second image may have been there of late."""
-        return self._usual > _RARELY or self._is_reflected
+        return self._odds > _MIN_ODDS or self._is_reflected
 
     @property
     def _is_reflected(self) -> bool:
@@ -229,14 +246,18 @@ class SecondImages:
         for found, appearance, flatness, step, speed, doubt, was_pulled in sightings:
             motion = self._motion((speed + doubt) / since_s)
             px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
+            is_longer = px > 0.0
             is_too_far = px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
+            if math.isnan(step) and pull(found, AT_REST, appearance) > 0.0:
+                # Whether it moved, or a second image lies over it, nobody knows.
+                px = max(px, usual_pull(found, AT_REST, appearance))
             aside = 0.0
-            if motion.smear**2 / 12 <= found.sigma_excess:
+            if (was_pulled or not appearance.is_settled) and motion.smear**2 / 12 <= found.sigma_excess:
                 look = appearance if appearance.is_settled else Disc(flatness, 0.0, appearance.variance_v)
                 aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
                 if was_pulled and aside > abs(step):
                     self._unreflected_frames = 0
-            pulls.append(Pull(motion, math.inf if is_too_far and px > 0.0 else px, px > 0.0 or aside > 0.0))
+            pulls.append(Pull(motion, math.inf if is_too_far and is_longer else px, is_longer or aside > 0.0))
             if px > 0.0 and doubt < _STEADY * speed:
                 smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
                 if smear_s <= since_s:
@@ -249,22 +270,28 @@ class SecondImages:
                 if self._is_reflected or pull(found, motion, disc, _DOUBTED) > 0.0:
                     px = usual_pull(found, motion, disc)
                 pulls[k] = pulls[k]._replace(centre_px=max(pulls[k].centre_px, px))
-        share = self._blended(sightings, self._exposed_s / since_s)
-        for k, (found, appearance, _, step, *_) in enumerate(sightings):
-            px = share * abs(step)
-            if math.isnan(step):
-                # Its square times the share is what it adds to the second moment.
-                px = math.sqrt(share * max(found.excess - appearance.excess, 0.0))
-            px = math.hypot(pulls[k].centre_px, px) if px <= _MAX_PULL_PX else math.inf
-            pulls[k] = pulls[k]._replace(centre_px=px)
-        return pulls
+        share, mean = self._blended(sightings, self._exposed_s / since_s)
+        return [
+            self._with_frame_before(each, sighting, share, mean)
+            for each, sighting in zip(pulls, sightings, strict=True)
+        ]
+
+    def _with_frame_before(self, pull_: Pull, sighting: Sighting, share: float, mean: float) -> Pull:
+        """Add what the frame before does to a marker: root mean square and mean of its pull over its step."""
+        found, appearance, _, step, *_ = sighting
+        px, behind = share * abs(step), mean * step
+        if math.isnan(step):
+            # Its square times the share is what it adds to the second moment.
+            px, behind = math.sqrt(share * max(found.excess - appearance.excess, 0.0)), 0.0
+        px = math.hypot(pull_.centre_px, px) if px <= _MAX_PULL_PX else math.inf
+        return Pull(pull_.motion, px, pull_.is_seen, behind)
 
     def _motion(self, speed: float) -> Motion:
         """What a speed [px/s] makes of a marker's image."""
         return Motion(self._exposed_s * speed, self._row_delay_s * speed)
 
-    def _blended(self, sightings: Sequence[Sighting], exposed: float) -> float:
-        """Standard deviation of the markers' pulls by the frame before, over their steps."""
+    def _blended(self, sightings: Sequence[Sighting], exposed: float) -> tuple[float, float]:
+        """Root mean square and mean of the markers' pulls by the frame before, over their steps."""
         weighted = weight = 0.0
         moment = exposed * exposed / 12
         for found, appearance, _, step, speed, doubt, _ in sightings:
@@ -273,21 +300,26 @@ class SecondImages:
             squared = 0.0 if math.isnan(step) else step * step
             weighted += squared * (found.excess - appearance.excess - moment * speed * speed) / variance
             weight += squared * squared / variance
-        if weight <= 0.0:
-            return 0.0
+        self._odds = max(self._odds * _FORGOTTEN, _MIN_ODDS)
+        if weight < _MIN_WEIGHT:
+            return 0.0, 0.0
         s = 1.0 / math.sqrt(weight)
         mean = min(weighted / weight, 1.0)
-        likely = square = 0.0
+        ratio = likely = usual = square = 0.0
         if mean > -_EXCLUDED * s:
             none, whole = mean / s, (1.0 - mean) / s
             at_none, at_whole = _normal(none), _normal(whole)
             within = 0.5 * (math.erf(whole * math.sqrt(0.5)) + math.erf(none * math.sqrt(0.5)))
-            blended, plain = self._usual * within, (1.0 - self._usual) * at_none / s
-            likely = blended / (blended + plain)
+            ratio = within * s / at_none if at_none > 0.0 else math.inf
+            prior = _BLENDED_SHARE * self._odds / (1.0 + self._odds)
+            likely = 1.0 / (1.0 + (1.0 - prior) / (prior * ratio))
+            usual = mean + s * (at_none - at_whole) / within
             square = mean * mean + s * s + s * (mean * at_none - (1.0 + mean) * at_whole) / within
-        self._usual = max(self._usual + (likely - self._usual) / _MEMORY_FRAMES, _RARELY)
+        self._odds = min(max(self._odds * (1.0 + _BLENDED_SHARE * (ratio - 1.0)), _MIN_ODDS), _MAX_ODDS)
         share = math.sqrt(likely * max(square, 0.0))
-        return max(share, min(mean + _EXCLUDED * s, 1.0) / _FARTHEST) if likely > _NOTABLE else share
+        if likely > _NOTABLE:
+            share = max(share, min(mean + _EXCLUDED * s, 1.0) / _FARTHEST)
+        return share, likely * usual
 
 
 def _normal(x: float) -> float:

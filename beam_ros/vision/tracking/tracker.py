@@ -338,7 +338,7 @@ class MarkerTracker:
         is_plain = appearance.is_settled and not marker.is_pulled
         if is_plain:
             step = spot.u - marker.u if marker.lost_frames == 0 else 0.0
-            is_plain = is_explained(found, appearance, step * self._exposed_s / self._since_s)
+            is_plain = is_explained(found, appearance, step, self._exposed_s / self._since_s)
         is_lit = is_due and not is_accompanied
         return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due, is_plain)
 
@@ -346,7 +346,7 @@ class MarkerTracker:
         """What a marker shows of a second image."""
         marker, _, appearance, spot, found, *_ = sight
         is_known = marker.lost_frames == 0 and marker.acquired_at < self._frame
-        step = spot.u - marker.u if is_known else math.nan
+        step = spot.u - marker.u - marker.behind if is_known else math.nan
         if abs(step) > self.parameters.marker_diameter_px:
             step = 0.0  # an image of the marker so far away does not touch it
         speed, doubt = marker.speed(spot.u, self._frame)
@@ -356,7 +356,7 @@ class MarkerTracker:
     def _result(self, image: ImageArray, sight: Sight, pull: Pull, stamp_ns: int) -> MarkerMeasurement:
         """State where a marker is, and carry it into what is known of it."""
         marker, light, appearance, spot, found, is_fresh, is_lit, is_due, _ = sight
-        meter, (motion, pull_px, marker.is_pulled) = self._meter, pull
+        meter, (motion, pull_px, marker.is_pulled, marker.behind) = self._meter, pull
         is_believed = pull_px < math.inf
         marker.remember(spot.u, spot.v, self._frame, is_fresh=is_fresh)
         appearance.row = spot.v

@@ -249,6 +249,21 @@ def test_the_speed_of_a_marker_is_as_uncertain_as_it_has_been_seen_in_few_frames
     assert cubic_motion(2).speed(cubic(2), 2) == pytest.approx((second + change / 2, abs(change)))
 
 
+@pytest.mark.parametrize("frequency", [0.02, 0.1, 0.2, 0.25, 0.3, 0.4])
+def test_the_speed_of_a_sine_lies_below_what_its_steps_allow(frequency):
+    omega = 2 * np.pi * frequency
+    for phase in np.linspace(0, np.pi, 50):
+        places = np.sin(omega * np.arange(5) + phase)
+        marker = MarkerState(None)
+        for k, u in enumerate(places[:-1]):
+            marker.remember(u, 0.0, k, is_fresh=k == 0)
+        speed, doubt = marker.speed(places[-1], 4)
+        most = np.pi / 2 * np.abs(np.diff(places)[-3:]).max()
+        assert abs(omega * np.cos(4 * omega + phase)) <= most * (1 + 1e-9)
+        assert abs(speed) + doubt <= most * (1 + 1e-9)
+        assert doubt > 0.0
+
+
 def test_the_speed_of_a_marker_that_was_lost_is_that_of_its_way_until_it_was_lost_too_long():
     marker = cubic_motion(5)
     for lost, share in ((1, 0.5), (3, 0.25), (4, 0.0)):

@@ -68,11 +68,18 @@ def test_a_rolling_shutter_tilts_a_disc_by_its_height():
 def test_what_a_smear_explains_is_never_a_second_image():
     rng = np.random.default_rng(3)
     n_explained = 0
-    for excess, tilt, smear in rng.normal(size=(2000, 3)) * [0.1, 0.1, 2.0]:
-        if is_explained(disc(excess, tilt), settled(), smear):
+    for excess, tilt, step in rng.normal(size=(2000, 3)) * [0.1, 0.1, 4.0]:
+        if is_explained(disc(excess, tilt), settled(), step, EXPOSED):
             n_explained += 1
-            assert pull(disc(excess, tilt), Motion(smear, 0.0), settled()) == 0.0
+            assert pull(disc(excess, tilt), Motion(EXPOSED * step, 0.0), settled()) == 0.0
     assert n_explained > 500
+
+
+@pytest.mark.parametrize(("step", "sigmas"), [(0.1, 3.0), (0.2, 1.0), (0.35, 1.0), (0.5, 3.0)])
+def test_a_moment_explains_less_where_a_frame_before_would_add_about_as_much(step, sigmas):
+    smear = (EXPOSED * step) ** 2 / 12
+    assert is_explained(disc(smear + 0.99 * sigmas * SIGMA), settled(), step, EXPOSED)
+    assert not is_explained(disc(smear + 1.01 * sigmas * SIGMA), settled(), step, EXPOSED)
 
 
 def sighting(
@@ -117,14 +124,16 @@ def test_a_speed_that_is_not_known_explains_as_much_as_it_may():
     turning = [sighting(1.0, 0.0, rng, speed=6.0), sighting(0.1, 0.0, rng)]
     assert max(judged(SecondImages(EXPOSED, 0.0), turning)) < 0.01
     unknown = [turning[0]._replace(speed=1.0, doubt=5.0), turning[1]]
-    assert max(judged(SecondImages(EXPOSED, 0.0), unknown)) < 0.01
+    # It may be the frame before, too: up to one pixel, which is six standard deviations.
+    assert max(judged(SecondImages(EXPOSED, 0.0), unknown)) < 0.17
     assert judged(SecondImages(EXPOSED, 0.0), [turning[0]._replace(speed=1.0), turning[1]])[0] == np.inf
 
 
 def test_where_frames_are_blended_now_and_then_a_frame_that_does_not_tell_is_stated_by_that():
     rng, seconds = np.random.default_rng(5), SecondImages(EXPOSED, 0.0)
     slow = [sighting(0.2, 0.0, rng)._replace(found=disc(0.0))]
-    assert judged(seconds, slow)[0] < 0.002
+    # One frame in a hundred may be blended, with a share up to the whole of the step.
+    assert judged(seconds, slow)[0] < 0.2 * np.sqrt(0.01 / 3)
     shares = [0.4 * (k % 5 == 0) for k in range(100)]
     for share in shares:
         seconds.pulls([sighting(2.0, share, rng)], 1.0, is_seen=False)
@@ -135,6 +144,35 @@ def test_where_frames_are_blended_now_and_then_a_frame_that_does_not_tell_is_sta
     lost = Sighting(disc((EXPOSED * 4.5) ** 2 / 12), settled(), 0.0, np.nan, 4.5, 0.0, False)
     assert judged(seconds, [sighting(2.0, 0.4, rng), lost])[1] == np.inf
     assert judged(seconds, [sighting(2.0, 0.4, rng), lost._replace(step=0.0)])[1] == 0.0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.5])
+def test_the_pulls_of_a_film_with_blended_frames_are_as_large_as_is_stated(share):
+    rng, scores = np.random.default_rng(7), []
+    for _ in range(40):
+        seconds, place = SecondImages(EXPOSED, 0.0), 0.006 * rng.standard_normal((60, 3))
+        for k, steps in enumerate(rng.normal(size=(60, 3)) * [0.2, 0.5, 0.8]):
+            held = share * (rng.random() < 0.2)
+            pulled = np.array(judged(seconds, [sighting(d, held, rng) for d in steps]))
+            if k >= 20:
+                scores.extend(
+                    (held * steps + place[k])[np.isfinite(pulled)]
+                    / np.hypot(0.006, pulled[np.isfinite(pulled)])
+                )
+    # Of 4800 errors some 30 are pulls of which the moments do not tell: the RMS is known to a tenth.
+    assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+def test_the_place_of_a_marker_in_a_blended_frame_is_known_from_its_pull():
+    rng, seconds = np.random.default_rng(8), SecondImages(EXPOSED, 0.0)
+    shown = [sighting(2.0, 0.3, rng), sighting(-1.5, 0.3, rng)]
+    assert [each.behind_px for each in seconds.pulls(shown, 1.0, is_seen=False)] == pytest.approx(
+        [0.6, -0.45], abs=0.1
+    )
+    shown = [sighting(2.0, 0.0, rng), sighting(-1.5, 0.0, rng)]
+    assert [each.behind_px for each in seconds.pulls(shown, 1.0, is_seen=False)] == pytest.approx(
+        [0.0, 0.0], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("is_among_them", [True, False])
@@ -151,6 +189,12 @@ def test_a_second_image_of_one_marker_lies_over_all(is_among_them):
 def resting(excess: float, frames: int, step: float = 0.0, *, was_pulled: bool = False) -> Sighting:
     """A marker that hardly moves, with so much excess that its look holds, too."""
     return Sighting(disc(excess), settled(excess, frames=frames), 0.0, step, abs(step), 0.0, was_pulled)
+
+
+def test_a_marker_that_comes_back_at_an_unknown_speed_may_have_a_second_image():
+    for excess, stated in ((0.3, np.sqrt(0.3 * (2 * np.log(2) - 1))), (0.05, 0.0)):
+        found = Sighting(disc(excess), settled(), 0.0, np.nan, 3.0, 3.0, False)
+        assert judged(SecondImages(EXPOSED, 0.0), [found])[0] == pytest.approx(stated, rel=3e-3)
 
 
 def test_a_look_that_is_not_settled_may_hold_a_reflection():
