@@ -361,8 +361,8 @@ def test_a_held_position_is_refused_as_it_makes_the_deflection_jump():
 def test_intervals_cover_the_truth_over_many_records():
     scores = np.array([z_scores(identify(beam_record(seed), n_modes=3).model) for seed in range(200)])
     covered = np.mean(np.abs(scores) < 1.96, axis=0)
-    # 200 runs: the standard deviation of a coverage of 95 % is 1.5 %.
-    assert np.all(covered > 0.905)
+    # 200 runs: the standard deviation of a coverage of 95 % is 1.5 %, and of 21 such one is below 89 % once in 100.
+    assert np.all(covered >= 0.89)
     assert 0.93 < np.mean(covered) < 0.97
     assert np.max(np.abs(np.mean(scores, axis=0))) < 0.3
 
