@@ -43,7 +43,7 @@ TESTED_IN = (
     ("beam_ident/modal_estimation", "record_levels", "modal_identification/test_several_records"),
     (
         "beam_ident/modal_identification",
-        "fit_tests identification_task time_result time_search",
+        "fit_tests identification_task time_result",
         "modal_identification/test_time_domain",
     ),
     ("beam_ident/modal_identification", "signal_clocks", "modal_identification/test_output_delays"),

@@ -340,7 +340,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
         if len(inside.omegas) != len(self.chosen.omegas):
             return False
         fit = self.fit(inside.omegas, inside.zetas, inside.clock, _ITERATIONS)
-        if not fit.cost < self.chosen.cost or len(self._doubtful(fit)) > len(self._doubtful(self.chosen)):
+        hertz = fit.omegas / (2.0 * np.pi)
+        is_outside = bool(np.any((hertz < self.band.low_hz) | (hertz > self.band.high_hz)))
+        doubts = len(self._doubtful(fit)) + is_outside  # what left the band stands for no mode
+        if not fit.cost < self.chosen.cost or doubts > len(self._doubtful(self.chosen)):
             return False
         self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
         self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1

@@ -28,6 +28,7 @@ from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_identification.fit_tests import SampledFit
 from beam_ident.noise.autoregression import autoregression
 from beam_ident.noise.scores import ScoreTest, Whiteness
+from beam_ident.sensing.misfit_causes import misfit_warnings
 
 _LEVEL = 1e-3  # how often an output without a low-pass is looked at, and said to have one
 _STEP = 0.1  # radians of the fastest mode: of differences by time
@@ -117,9 +118,10 @@ def likely_low_pass(
 
     Notes
     -----
-    It is believed where it explains more than noise of the colour that it leaves would, and leaves white noise or
-    next to nothing: modes that are missing, or a sensor that is bent, look a little like a low-pass.  Modes that are
-    not needed beside it are left out, the weakest first: one may stand for what it does.
+    It is believed where it explains more than noise of the colour that it leaves would, and leaves next to nothing;
+    or white noise of what looks like no other cause: modes that are missing, a bent sensor, or a clock that runs look
+    a little like a low-pass.  Modes that are not needed beside it are left out, the weakest first: one may stand for
+    what it does.
     """
     alone = _Alone(records, regression, name, (Prior(0.0, math.inf), clock_rate))
     before = alone.fitted(None, replace(fit, clock=ClockState(late_s, fit.clock.rate)))
@@ -140,7 +142,10 @@ def likely_low_pass(
     best = min(trials, key=_Trial.bic)
     left, without = best.fit.residuals[0], before.residuals[0]
     share = float(left @ left) / max(float(without @ without), 1e-300)
-    if not (_explains(before, best.fit) and (share < _NEXT_TO_NOTHING or Whiteness.of(left).is_white)):
+    if not _explains(before, best.fit):
+        return None
+    is_most = share < _NEXT_TO_NOTHING
+    if not (is_most or (Whiteness.of(left).is_white and not alone.has_other_cause(name, without))):
         return None
     return Sensor(best.low_pass, share, best.fit)
 
@@ -202,6 +207,13 @@ class _Alone:
         """Return whether what a fit without a low-pass leaves says that there is one."""
         (test,) = _curvature_tests(SampledFit.of(self._through(None), fit, *self._clocks)).values()
         return test.p_value < _LEVEL
+
+    def has_other_cause(self, name: str, left: FloatArray) -> bool:
+        """Return whether what a fit without a low-pass leaves looks like another cause."""
+        plain = self._through(None)
+        values = plain.values[0] - left
+        parts = [(plain.times[0][own], values[own], left[own]) for _, own in plain.segments[0]]
+        return bool(misfit_warnings([(name, parts)]))
 
     def strengths(self, fit: ModalFit) -> FloatArray:
         """Return how much every mode of a fit without a low-pass moves the output."""
