@@ -258,6 +258,10 @@ class InputSignal:
             self.period_s,
         )
 
+    def seen_through(self, low_pass: LowPass | None) -> InputSignal:
+        """Return what a sensor with a low-pass would show of the input; itself where it has none."""
+        return self if low_pass is None else low_pass.of(self)
+
     def between(self, start_s: float, end_s: float) -> InputSignal:
         """Return the part of the input that covers an interval [s]."""
         first = max(int(np.searchsorted(self.times_s, start_s, side="right")) - 1, 0)

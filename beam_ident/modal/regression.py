@@ -245,7 +245,7 @@ class _PreparedRecord:
         self.span = max(first for first, _ in spans), min(last for _, last in spans)
         # Of every low-pass, what its sensor sees of the inputs; in common with every choice of stamps.
         self.drivings = {
-            own: [_Driving(drive if own is None else own.of(drive), structure) for drive in drives]
+            own: [_Driving(drive.seen_through(own), structure) for drive in drives]
             for own in {output.low_pass for output in record.outputs}
         }
         self.grids: list[_Grid] = []

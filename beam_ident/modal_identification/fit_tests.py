@@ -110,7 +110,7 @@ def bent_input(
             seen = records[index].output(outputs[j].name)
             half = 0.5 * seen.exposure_s
             first, last = drive.span_s
-            bent = cubed(drive) if seen.low_pass is None else seen.low_pass.of(cubed(drive))
+            bent = cubed(drive).seen_through(seen.low_pass)
             # What a late clock sees beyond the input's ends stands there more than once.
             inside, rows = np.unique(
                 np.clip(instants[j][part], first + half, last - half), return_inverse=True

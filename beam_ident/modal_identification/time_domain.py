@@ -201,7 +201,7 @@ def _with_unseen_noise(task: IdentificationTask, records: list[TimeRecord]) -> I
         for k, part in zip(seen, own.records, strict=True):
             output = records[k].output(own.name)
             low_pass = result.model.low_passes.get(own.name, output.low_pass)
-            drive = drives[k] if low_pass is None else low_pass.of(drives[k])
+            drive = drives[k].seen_through(low_pass)
             leftovers.append(Leftover(place, part.times_s - late, part.residuals, output.exposure_s, drive))
     noise = StillNoise(unseen_noise(result.model, leftovers), is_behind=True)
     if not noise.sigma > 0.0:
@@ -261,10 +261,9 @@ def _own_priors(
 def _prediction(result: IdentificationResult, record: TimeRecord, name: str) -> FloatArray:
     """Return what a model says at the stamps of an output, from rest and with an offset; NaN outside the input."""
     model = result.model
-    drives, output = list(chosen_inputs(record, model.input_names)), record.output(name)
+    output = record.output(name)
     low_pass = model.low_passes.get(name, output.low_pass)
-    if low_pass is not None:
-        drives = [low_pass.of(drive) for drive in drives]
+    drives = [drive.seen_through(low_pass) for drive in chosen_inputs(record, model.input_names)]
     first, last = max(drive.span_s[0] for drive in drives), min(drive.span_s[1] for drive in drives)
     late = model.latency + float(model.output_delays[model.output_names.index(name)])
     inside = output.is_within(first + max(late, 0.0), last + min(late, 0.0))
