@@ -119,34 +119,34 @@ def likely_low_pass(
     Notes
     -----
     It is believed where it explains more than noise of the colour that it leaves would, and leaves next to nothing;
-    or white noise of what looks like no other cause: modes that are missing, a bent sensor, or a clock that runs look
-    a little like a low-pass.  Modes that are not needed beside it are left out, the weakest first: one may stand for
-    what it does.
+    or white noise, with fewer modes or of what looks like no other cause: modes that are missing, a bent sensor, or a
+    clock that runs look a little like a low-pass.  Modes that are not needed beside it are left out, the weakest
+    first: one may stand for what it does.
     """
     alone = _Alone(records, regression, name, (Prior(0.0, math.inf), clock_rate))
     before = alone.fitted(None, replace(fit, clock=ClockState(late_s, fit.clock.rate)))
     if not alone.is_curved(before):
         return None
     strongest = np.argsort(-alone.strengths(before), kind="stable")
-    trials: list[_Trial] = []
-    for n_modes in range(len(strongest), max(len(strongest) - _MAX_LEFT_OUT, 1) - 1, -1):
+    best: _Trial | None = None
+    for n_modes in range(max(len(strongest) - _MAX_LEFT_OUT, 1), len(strongest) + 1):
         kept = strongest[:n_modes]
         modes = replace(before, omegas=before.omegas[kept], zetas=before.zetas[kept])
-        own = [alone.refined(alone.start(modes, (0.0,)), 1)]
-        if not Whiteness.of(own[0].fit.residuals[0]).is_white:
-            own.append(alone.refined(alone.start(modes, _SHAPES), 2))
-        is_worse = trials and min(map(_Trial.bic, own)) > min(map(_Trial.bic, trials))
-        trials += own
-        if is_worse:
+        trial = alone.refined(alone.start(modes, (0.0,)), 1)
+        if not Whiteness.of(trial.fit.residuals[0]).is_white:
+            trial = min(trial, alone.refined(alone.start(modes, _SHAPES), 2), key=_Trial.bic)
+        if best is not None and best.bic() < trial.bic():
             break
-    best = min(trials, key=_Trial.bic)
+        best = trial
+    assert best is not None
     left, without = best.fit.residuals[0], before.residuals[0]
     share = float(left @ left) / max(float(without @ without), 1e-300)
     if not _explains(before, best.fit):
         return None
-    is_most = share < _NEXT_TO_NOTHING
-    if not (is_most or (Whiteness.of(left).is_white and not alone.has_other_cause(name, without))):
-        return None
+    if share > _NEXT_TO_NOTHING:
+        needs_fewer = len(best.fit.omegas) < len(before.omegas)
+        if not Whiteness.of(left).is_white or not (needs_fewer or not alone.has_other_cause(name, without)):
+            return None
     return Sensor(best.low_pass, share, best.fit)
 
 

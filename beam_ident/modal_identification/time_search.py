@@ -488,7 +488,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         measured : sequence of TimeRecord -- with stamps as they were before outputs' own clocks corrected them
         """
         fit, regression = weighed.fit, weighed.problem
-        if not self.band.is_excited or self.is_curved or self._noise_share(fit) > _MOSTLY:
+        if not self.band.is_excited or self._noise_share(fit) > _MOSTLY:
             return {}
         found: dict[str, Sensor] = {}
         stated = [own.name for one in self.records for own in one.outputs if own.low_pass is not None]

@@ -30,13 +30,17 @@ def behind(order: int, cutoff_hz: float):
     return signal.butter(order, 2.0 * np.pi * cutoff_hz, analog=True)
 
 
-def filmed(filters, seed=1, duration=12.0, noise=None):
-    """Band-limited motion of the base, and two markers that are seen through a filter each, or none."""
+def filmed(filters, seed=1, duration=12.0, noise=None, swept=False):
+    """Band-limited or swept motion of the base, and two markers that are seen through a filter each, or none."""
     rng = np.random.default_rng(seed)
     times = np.arange(int(duration * FINE_HZ)) / FINE_HZ
-    base = signal.lfilter(*signal.butter(4, 2.0 * 30.0 / FINE_HZ), rng.standard_normal(len(times)))
-    base *= 2e-3 / base.std()
-    base[:500] *= np.linspace(0.0, 1.0, 500)
+    if swept:
+        base = 4e-3 * signal.chirp(times, 1.0, duration - 4.0, 30.0, phi=-90.0)
+        base *= np.clip(5.0 * (duration - 3.8 - times), 0.0, 1.0)
+    else:
+        base = signal.lfilter(*signal.butter(4, 2.0 * 30.0 / FINE_HZ), rng.standard_normal(len(times)))
+        base *= 2e-3 / base.std()
+        base[:500] *= np.linspace(0.0, 1.0, 500)
 
     def passed(system, values):
         top, bottom, _ = signal.cont2discrete(system, 1.0 / FINE_HZ, method="foh")
@@ -121,6 +125,14 @@ def test_no_mode_is_made_of_a_low_pass_and_the_model_keeps_it_for_validation():
     assert abs(found[1].lag_s - LowPass.of_order(2, 60.0).lag_s) < 4.0 * lag_sd
     unseen = validate(model, filmed((None, behind(2, 60.0)), seed=2))
     assert [own.scores.fit_percent for own in unseen.outputs] > [99.9] * 2
+
+
+def test_modes_that_stand_for_low_passes_are_left_out_all_at_once():
+    result = identify(filmed((behind(2, 80.0),) * 2, swept=True))  # else a third is made
+    assert result.model.n_modes == 2
+    assert np.max(deviations(result.model)) < 3.0
+    assert [own.cutoff_hz for own in result.model.low_passes.values()] == pytest.approx([80.0] * 2, rel=0.03)
+    assert not any("Misfit" in own for own in result.warnings)
 
 
 def test_coloured_noise_is_no_low_pass():
