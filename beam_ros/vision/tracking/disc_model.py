@@ -20,6 +20,11 @@ not fitted, as it would cost up to a quarter more noise.
 The standard deviation is what the frames show: alpha and beta come from the residuals of the fit, and modes of the
 rim in which a disc that moves has no part (two, three and four waves around it) show what compression, texture or
 print add.
+
+A disc that is brighter than the sensor can say has a flat top without noise, and a rim that is no Phi up to there.
+What the model leaves of it sets W, as if it were noise, so that pixels which the model does not fit weigh little; but
+it lies the same way on all sides, and hardly pulls. Alpha and beta are those of the other pixels about a profile that
+is free.
 """
 
 from __future__ import annotations
@@ -71,6 +76,8 @@ _LONG_MODES = 1
 """So many of these, the first, are long: they notice what is smooth over some pixels, and the rest what is not."""
 _SAME = 1e-3
 """Frames between which a mode of the rim changes by less than so much of its variance are the same frame."""
+_FREE_POWERS = 2, 3
+"""With these powers of the disc the profile of a rim below a flat top is free."""
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to grey levels."""
 _FAINT = 1e-6
@@ -224,6 +231,31 @@ def _tabulated(
     )
 
 
+def _is_flat(table: DiscTable, grey: Float32Array, *, is_dark: bool) -> bool:
+    """True when the pixels about the centre are all of the one grey level that no pixel of the fit exceeds."""
+    column, row = -table.left, -table.top
+    inside = grey.reshape(table.height, table.width)[row - 1 : row + 2, column - 1 : column + 2]
+    return bool(np.all(inside == (grey.min() if is_dark else grey.max())))
+
+
+def _noise_beside_flat_top(table: DiscTable, grey: Float32Array, light: int) -> tuple[float, float]:
+    """Alpha and beta of the pixels that are not of the flat top, about a profile that is free."""
+    column, row = -table.left, -table.top
+    is_beside = grey != grey[row * table.width + column]
+    columns = table.columns[:, is_beside].astype(np.float64)
+    disc = columns[2]
+    columns = np.vstack([columns, *(disc**power for power in _FREE_POWERS)])
+    root = 1.0 / np.sqrt(1.0 + _LIGHT_STEPS[light] * disc)
+    basis = np.linalg.qr((columns * root).T)[0]
+    weighted = grey[is_beside] * root
+    squared = ((weighted - basis @ (basis.T @ weighted)) / root) ** 2
+    share = 1.0 - np.sum(basis * basis, axis=1)
+    sums = [float(np.sum(share * disc**power)) for power in range(3)]
+    noise = np.linalg.pinv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]]))
+    alpha, beta = (noise @ [squared.sum(), squared @ disc]).tolist()
+    return alpha, beta
+
+
 class DiscFit(NamedTuple):
     """A disc found in an image.
 
@@ -314,6 +346,7 @@ class DiscModel:
         self._clipped_sums = compiled_clipped_sums() or clipped_sums
         self.disc = (0, 0)
         self.alpha = self.beta = 0.0
+        self._left = 0.0, 0.0
         self.rim = 1.0
         self._frames = 0
         self._noise_frames = 0
@@ -358,7 +391,7 @@ class DiscModel:
             self._radius, self._edge = radius, edge
             self.disc = disc_steps(radius, edge, self.disc)
         disc = self.disc
-        ratio = self.beta / self.alpha if self.alpha > 0.0 else 0.0
+        ratio = self._left[1] / self._left[0] if self._left[0] > 0.0 else 0.0
         light = bisect_left(_LIGHT_MIDDLES, ratio)
         start_u, start_v = u, v
         for _ in range(_MAX_STEPS):
@@ -418,7 +451,10 @@ class DiscModel:
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
         wave = self._learn_rim([mode / contrast for mode in sums[_MODES]], noise[_MODES])
-        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(rough * noise[_LENGTH])
+        # In the second moments, what the model leaves of a flat top shows.
+        unit, lit = table.variances[_LENGTH]
+        alpha, beta = (left / (contrast * contrast) for left in self._left)
+        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(rough * (alpha * unit + beta * lit))
         if smear_steps:
             # A motion of length s has the second moment s^2 / 12.
             length = smear_steps * _SMEAR_STEP_PX
@@ -435,16 +471,21 @@ class DiscModel:
         residual = grey - solved @ columns
         squared = residual * residual
         sums = np.array([float(squared.sum()), float(squared @ columns[2])])
-        alpha, beta = (table.noise @ sums).tolist()
+        alpha, beta = left_alpha, left_beta = (table.noise @ sums).tolist()
         if self._line is not None:
             alpha = max(self._line[0] + self._line[1] * float(solved[3]), _ROUNDING)
             beta = self._line[1] * float(solved[2])
+            left_alpha, left_beta = alpha, beta
+        elif _is_flat(table, grey, is_dark=solved[2] < 0.0):
+            alpha, beta = _noise_beside_flat_top(table, grey, light)
         # The variance of a texture falls with T faster than this line, which must not lead below that of rounding.
-        beta = max(beta, _ROUNDING - alpha)
+        beta, left_beta = max(beta, _ROUNDING - alpha), max(left_beta, _ROUNDING - left_alpha)
         self._noise_frames += 1
         share = max(1.0 / self._noise_frames, _NOISE_EVERY_FRAMES / _SLOW_FRAMES)
         self.alpha += share * (alpha - self.alpha)
         self.beta += share * (beta - self.beta)
+        old_alpha, old_beta = self._left
+        self._left = old_alpha + share * (left_alpha - old_alpha), old_beta + share * (left_beta - old_beta)
         radius = self.disc[0] * RADIUS_STEP_PX + float(solved[4] / solved[2])
         edge = self.disc[1] * EDGE_STEP_PX + float(solved[5] / solved[2])
         self._radius += share * (radius - self._radius)

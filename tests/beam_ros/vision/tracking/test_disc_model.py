@@ -180,9 +180,13 @@ def test_shot_noise_is_weighed_and_measured():
 
 @pytest.mark.parametrize("gain", [1.5, 2.0])
 def test_a_saturated_disc_has_less_noise_than_its_background_says(gain):
-    errors, stated = Film(12.0, even(0.0)).errors(2.0, gain=gain)
+    film = Film(12.0, even(0.0))
+    errors, stated = film.errors(2.0, gain=gain)
     # 400 values, 3.5 %; a step of the noise at the sensor's top is no straight line in the disc's share.
     assert 0.9 < rms(errors / stated) < 1.13
+    # What a blurred disc leaves of a flat top is no noise: it made alpha up to twice as large, and beta 29.
+    assert film.model.alpha == pytest.approx(2.0**2 + 1 / 12, rel=0.05)
+    assert abs(film.model.beta) < 1.0
 
 
 @pytest.mark.parametrize("is_dark", [False, True])
