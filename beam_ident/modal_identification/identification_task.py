@@ -289,8 +289,10 @@ class IdentificationTask:
         looks_inside = is_persistent = True
         end_inside: ModalFit | None = None
         known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
+        best = known  # of all turns
         before_idle, dropped = known, set[str]()
         low_passes: dict[str, LowPass] = {}
+        unsettled: list[str] = []
         start: ModalFit | None = None
         most = _CLOCK_TURNS * len(records[0].outputs)
         for turn in itertools.count():
@@ -318,14 +320,20 @@ class IdentificationTask:
                 if search.stopped_by is not None and known is not None:
                     raise search.stopped_by
                 known = search, weighed
+                if best is None or weighed.fit.cost < best[1].fit.cost:
+                    best = known
                 # A clock that moves a little leaves in vain what was in vain, and a better end where it was.
                 is_persistent = search.is_worth_persisting
                 if search.is_better_inside:
                     end_inside = search.chosen
                 looks_inside = end_inside is not None
                 goes_on = search.stopped_by is None and turn + 1 < most
-                further = search.further_clocks(weighed) if goes_on else {}
-                better = search.better_low_passes(weighed) if goes_on else {}
+                further = search.further_clocks(weighed) if search.stopped_by is None else {}
+                better = search.better_low_passes(weighed) if search.stopped_by is None else {}
+                if (further or better) and not goes_on:
+                    unsettled = sorted({*further, *better})
+                    search, weighed = best  # the last turn may have got worse
+                    break
                 new = (
                     search.further_low_passes(weighed, measured)
                     if goes_on and not (further or better)
@@ -364,7 +372,14 @@ class IdentificationTask:
             clocks |= {
                 name: clocks.get(name, OwnClock()).moved(own.delay, own.rate) for name, own in further.items()
             }
-        return search.result(weighed, self.n_modes)
+        result = search.result(weighed, self.n_modes)
+        if unsettled:
+            said = (
+                f"The clocks of {', '.join(unsettled)} did not settle: the likeliest of {most} fits is taken. "
+                "State latency, clock rate or low_pass of these outputs where they are known, or identify them alone."
+            )
+            result = replace(result, warnings=(*result.warnings, said))
+        return result
 
     def _known_clocks(self, records: list[TimeRecord]) -> dict[str, OwnClock]:
         """Return the clocks that outputs are known to have against that which the others share."""

@@ -32,7 +32,8 @@ _ROUNDING = 1e-4  # of -2 log-likelihood for each sample
 DEGREES = ((1, 0), (2, 0), (2, 1), (3, 1), (3, 2), (4, 3))
 NUISANCES = ((), ("offset",), ("offset", "ramp"), ("free_response",), ("offset", "ramp", "free_response"))
 
-Found = dict[Hashable, tuple[int, float]]  # of every structure: samples, and -2 log-likelihood
+Found = dict[Hashable, tuple[tuple[int, ...], float]]
+"""Of every structure: samples of outputs, and -2 log-likelihood."""
 
 
 def _passed(numerator: float, denominator: list[float], drive: InputSignal) -> np.ndarray:
@@ -88,9 +89,9 @@ def _terms(present: tuple[str, ...]) -> dict[str, bool]:
     return {f"has_{name}": name in present for name in ("offset", "ramp", "free_response")}
 
 
-def _log_squares(residuals: list[np.ndarray]) -> tuple[int, float]:
+def _log_squares(residuals: list[np.ndarray]) -> tuple[tuple[int, ...], float]:
     total = sum(len(left) * float(np.log(left @ left)) for left in residuals)
-    return sum(map(len, residuals)), total
+    return tuple(map(len, residuals)), total
 
 
 def transfer_functions(seed: int) -> Found:
@@ -143,9 +144,9 @@ def modes(seed: int) -> Found:
             fit = identify(record, ModalStructure("receptance", **_terms(terms)), n_modes=n)
         except EstimationError:
             continue
-        size = sum(len(own.residuals) for own in fit.outputs)
+        sizes = tuple(len(own.residuals) for own in fit.outputs)
         entry = next(own for own in fit.orders if own.is_chosen)
-        found[n, n, terms] = size, entry.bic - entry.n_parameters * float(np.log(size))
+        found[n, n, terms] = sizes, entry.bic - entry.n_parameters * float(np.log(sum(sizes)))
     return found
 
 
@@ -158,14 +159,14 @@ class Supersets:
     def run(self, seed: int) -> Outcome:
         """Count the pairs of one seed."""
         start = time.perf_counter()
-        found: dict[Any, tuple[int, float]] = self.estimate(seed)
+        found: dict[Any, tuple[tuple[int, ...], float]] = self.estimate(seed)
         pairs = worse = 0
         for small, large in itertools.permutations(found, 2):
             is_inside = small[0] <= large[0] and small[1] <= large[1] and set(small[2]) <= set(large[2])
-            (n, less), (size, more) = found[small], found[large]
-            if is_inside and n == size:  # samples that were left out make another record
+            (sizes, less), (own, more) = found[small], found[large]
+            if is_inside and sizes == own:  # samples that were left out make another record
                 pairs += 1
-                worse += more > less + _ROUNDING * n
+                worse += more > less + _ROUNDING * sum(sizes)
         return Outcome(time.perf_counter() - start, figures={"pairs": pairs, "worse": worse})
 
     def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:

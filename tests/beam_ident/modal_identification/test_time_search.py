@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from beam_ident import ModalStructure, identify
@@ -33,3 +34,12 @@ def test_free_motion_that_is_asked_for_never_leads_to_a_worse_optimum(seed, n_mo
 def test_one_more_mode_never_leads_to_a_worse_optimum():
     # Two modes end better by way of the structure without an offset; the third has to go on from there.
     assert cost(71, DRIFTING, 3) < cost(71, DRIFTING, 2) + SAME
+
+
+def test_clocks_that_do_not_settle_end_at_the_likeliest_fit_and_are_named():
+    terms = ModalStructure("receptance", has_offset=True, has_ramp=True)
+    record = hard_record(81, 2)  # y0 is slow by a real pole; each turn moves its clock further
+    fewer, more = (identify(record, terms, n_modes=n) for n in (1, 2))
+    slow, at_end = fewer.outputs[0].residuals, more.outputs[0].residuals
+    assert np.std(at_end) < 1.5 * np.std(slow)  # else 2.5 times, and 37 ms late
+    assert any("The clocks of y0 did not settle" in own for own in more.warnings)
