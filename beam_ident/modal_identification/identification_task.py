@@ -327,9 +327,10 @@ class IdentificationTask:
                 if search.is_better_inside:
                     end_inside = search.chosen
                 looks_inside = end_inside is not None
-                goes_on = search.stopped_by is None and turn + 1 < most
-                further = search.further_clocks(weighed) if search.stopped_by is None else {}
-                better = search.better_low_passes(weighed) if search.stopped_by is None else {}
+                is_done = search.stopped_by is None
+                goes_on = is_done and turn + 1 < most
+                further = search.further_clocks(weighed) if is_done else {}
+                better = search.better_low_passes(weighed) if is_done else {}
                 if (further or better) and not goes_on:
                     unsettled = sorted({*further, *better})
                     search, weighed = best  # the last turn may have got worse

@@ -143,9 +143,11 @@ def likely_low_pass(
     share = float(left @ left) / max(float(without @ without), 1e-300)
     if not _explains(before, best.fit):
         return None
-    if share > _NEXT_TO_NOTHING:
+    if share >= _NEXT_TO_NOTHING:
+        if not Whiteness.of(left).is_white:
+            return None
         needs_fewer = len(best.fit.omegas) < len(before.omegas)
-        if not Whiteness.of(left).is_white or not (needs_fewer or not alone.has_other_cause(name, without)):
+        if not needs_fewer and alone.has_other_cause(name, without):
             return None
     return Sensor(best.low_pass, share, best.fit)
 
