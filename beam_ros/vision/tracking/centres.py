@@ -114,6 +114,12 @@ def aperture_at(
     return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
 
 
+def has_flat_top(image: ImageArray | Float32Array, column: int, row: int, *, is_dark: bool) -> bool:
+    """True when the pixels about one are all of the one grey level that no pixel of the image exceeds."""
+    inside = image[row - 1 : row + 2, column - 1 : column + 2]
+    return bool(np.all(inside == (image.min() if is_dark else image.max())))
+
+
 def clipped(
     image: ImageArray,
     left: int,

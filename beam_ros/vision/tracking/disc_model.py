@@ -47,6 +47,7 @@ from beam_ros.vision.tracking.centres import (
     compiled_clipped_sums,
     cumulative_normal,
     disc_steps,
+    has_flat_top,
 )
 
 _PHASES = 8
@@ -231,17 +232,11 @@ def _tabulated(
     )
 
 
-def _is_flat(table: DiscTable, grey: Float32Array, *, is_dark: bool) -> bool:
-    """True when the pixels about the centre are all of the one grey level that no pixel of the fit exceeds."""
-    column, row = -table.left, -table.top
-    inside = grey.reshape(table.height, table.width)[row - 1 : row + 2, column - 1 : column + 2]
-    return bool(np.all(inside == (grey.min() if is_dark else grey.max())))
-
-
-def _noise_beside_flat_top(table: DiscTable, grey: Float32Array, light: int) -> tuple[float, float]:
+def _noise_beside_flat_top(
+    table: DiscTable, grey: Float32Array, top: float, light: int
+) -> tuple[float, float]:
     """Alpha and beta of the pixels that are not of the flat top, about a profile that is free."""
-    column, row = -table.left, -table.top
-    is_beside = grey != grey[row * table.width + column]
+    is_beside = grey != top
     columns = table.columns[:, is_beside].astype(np.float64)
     disc = columns[2]
     columns = np.vstack([columns, *(disc**power for power in _FREE_POWERS)])
@@ -476,8 +471,10 @@ class DiscModel:
             alpha = max(self._line[0] + self._line[1] * float(solved[3]), _ROUNDING)
             beta = self._line[1] * float(solved[2])
             left_alpha, left_beta = alpha, beta
-        elif _is_flat(table, grey, is_dark=solved[2] < 0.0):
-            alpha, beta = _noise_beside_flat_top(table, grey, light)
+        else:
+            region, column, row = grey.reshape(table.height, table.width), -table.left, -table.top
+            if has_flat_top(region, column, row, is_dark=solved[2] < 0.0):
+                alpha, beta = _noise_beside_flat_top(table, grey, region[row, column], light)
         # The variance of a texture falls with T faster than this line, which must not lead below that of rounding.
         beta, left_beta = max(beta, _ROUNDING - alpha), max(left_beta, _ROUNDING - left_alpha)
         self._noise_frames += 1

@@ -25,6 +25,7 @@ from beam_ros.vision.tracking.centres import (
     aperture_at,
     clipped_sums,
     compiled_clipped_sums,
+    has_flat_top,
     radial_symmetry_centre,
 )
 from beam_ros.vision.tracking.disc_model import DiscFit, DiscModel
@@ -234,10 +235,7 @@ class SpotMeter:
 
     def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
         """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
-        column, row = max(1, round(u)), max(1, round(v))
-        inside = image[row - 1 : row + 2, column - 1 : column + 2]
-        last = image.min() if self._is_dark else image.max()
-        return bool(np.all(inside == last))
+        return has_flat_top(image, max(1, round(u)), max(1, round(v)), is_dark=self._is_dark)
 
     def is_compact(self, image: ImageArray, spot: Spot, light: Light) -> bool:
         """True when a spot ends within its region above and below, as discs do that touch; a bar does not."""
