@@ -39,6 +39,7 @@ _MAX_SAMPLES = 2_000  # of an output that tell
 _MAX_LEFT_OUT = 3  # modes
 _NEXT_TO_NOTHING = 0.2  # of the square of what was left
 _NEAR, _CLOSE = 0.8, 1e-3  # in the logarithm of a lag: where it is looked for, and how closely
+_FAR = 5.0  # the same: where it is looked for at most
 _EVALUATIONS, _RESTARTS = 60, 5
 _SMALL = 1e-3  # of a lag: a step that is a derivative
 
@@ -237,10 +238,13 @@ class _Alone:
     def refined(self, start: _Trial, order: int) -> _Trial:
         """Return the low-pass of first or second order that leaves least, near some start."""
         best = start
+        middle = math.log(start.low_pass.lag_s)
 
         def cost(numbers: FloatArray) -> float:
             nonlocal best
-            lag, shape = math.exp(numbers[0]), min(max(float(numbers[1]), 0.0), _MAX_SHAPE)
+            # Without a low-pass the valley of clock and lag leads to none, where the lag's logarithm has no end.
+            lag = math.exp(min(max(float(numbers[0]), middle - _FAR), middle + _FAR))
+            shape = min(max(float(numbers[1]), 0.0), _MAX_SHAPE)
             low_pass = LowPass(lag, shape * lag**2)
             latency = best.fit.clock.latency + best.low_pass.lag_s - lag
             moved = replace(best.fit, clock=replace(best.fit.clock, latency=latency))
@@ -250,7 +254,6 @@ class _Alone:
             return trial.fit.cost
 
         if order == 1:
-            middle = math.log(start.low_pass.lag_s)
             around = middle - _NEAR, middle + _NEAR
             minimize_scalar(
                 lambda lag: cost(np.array([lag, 0.0])),

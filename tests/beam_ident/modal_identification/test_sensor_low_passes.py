@@ -12,6 +12,7 @@ from beam_ident import (
     EstimationError,
     InputSignal,
     LowPass,
+    ModalStructure,
     OutputSignal,
     TimeRecord,
     estimate_transfer_function,
@@ -19,6 +20,7 @@ from beam_ident import (
     validate,
 )
 from beam_ident.modal.model import ModalModel
+from benchmarks.ident.supersets import hard_record
 
 FREQUENCIES_HZ, DAMPING = np.array([4.38, 19.4]), np.array([0.005, 0.008])
 RESIDUES = ((1.56, 0.62), (-0.9, 0.7))
@@ -150,3 +152,9 @@ def test_what_does_not_take_a_low_pass_out_refuses_it():
         EstimationError, match="'z1' states a low_pass of its sensor, which is not taken out here"
     ):
         estimate_transfer_function(record, 2, 1)
+
+
+def test_a_search_that_leads_to_no_low_pass_ends_there():
+    # Records on which the likeliest low-pass is none at all: its lag shrinks without an end.
+    found = identify(hard_record(40), ModalStructure("receptance", has_offset=True, has_ramp=True), n_modes=2)
+    assert not found.model.low_passes
