@@ -1,6 +1,7 @@
 """The tracker's judge: random scenes by class, with the truth beside them, and how often a tracker is wrong.
 
-    python -m benchmarks.vision_scenes [--scenes N] [--only CLASS ...] [--seed K] [--trackers NAME ...] [--json FILE]
+    python -m benchmarks.vision_scenes [--scenes N] [--only CLASS ...] [--seed K] [--driven] [--trackers NAME ...]
+        [--json FILE]
 
 Every scene has a class (twins, covers, light, shake, ...), a beam that swings or rests, and begins cold (the
 disturbance is there in the first frame) or warm (forty plain frames come before). Frames are rendered by the suite's
@@ -14,6 +15,9 @@ measuring chain gets frames and stamps as from a camera. Printed for each class:
 * z: RMS of error over stated standard deviation; a constant offset of a marker over its scene is a part of it
 * wait: frames in sight before a marker is valid, from its first frame, a loss, or the end of a cover: 95 % and most;
   those with a second disc of its kind in its row (then, or in the 25 frames before) are counted as *ambiguous*, apart
+
+With `--driven` a hub moves the beam, by the Galerkin model's equations with a stiffness that the rig file does not
+know, and its encoder is heard by the tracker `beam`, which is `suite` with `tracker.prediction: beam`.
 
 `--trackers opencv trackpy` gives frames to detectors that know no time: a marker is the one spot within the tolerance
 of its row. `pyidi` gets the whole film and the markers' places in its first frame. They state no standard deviation;
@@ -36,7 +40,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from beam_model import BeamModel
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
@@ -44,6 +50,8 @@ from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Glare, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
 
+IS_DRIVEN = False
+"""The beam moves as a hub makes it, which is heard, instead of anyhow."""
 RIG = Rig.from_file()
 HEIGHTS = np.asarray(RIG.markers.heights)
 N_MARKERS = len(HEIGHTS)
@@ -85,13 +93,16 @@ class Frame:
 
     Attributes
     ----------
-    u, v : ndarray, shape (n_markers,) -- mean positions over the exposure [px]
+    x : ndarray, shape (6, n_markers) -- positions at six instants of the exposure [m]
+    z : ndarray, shape (n_markers,) -- heights [m]
+    hub : list of (int, float) -- what the encoder said until this frame came: stamps and positions [ns, m]
     older_share : float -- so much of the light is that of the frame before
     in_sight : ndarray of bool, shape (n_markers,) -- nothing touches the marker
     """
 
     x: np.ndarray
     z: np.ndarray
+    hub: list[tuple[int, float]] = field(default_factory=list)
     disturbances: Disturbances = field(default_factory=Disturbances)
     gain: float = 1.0
     is_dropped: bool = False
@@ -134,6 +145,42 @@ def motion(rng: np.random.Generator, n: int, exposure: float, amplitude_px: floa
     return total
 
 
+def driven_motion(
+    rng: np.random.Generator, n: int, exposure: float, amplitude_px: float
+) -> tuple[np.ndarray, list[list[tuple[int, float]]]]:
+    """Positions as of ``motion``, of a beam that a hub drives, and what the hub's encoder says before every frame.
+
+    The beam is up to 5 % stiffer or softer than the rig's model says, and the camera's stamps are up to 3 ms late.
+    """
+    tick, frame = 1e-3, PERIOD_NS * 1e-9
+    before = 2.0
+    t = np.arange(-before, n * frame + 0.1, tick)
+    hub, acceleration = np.zeros_like(t), np.zeros_like(t)
+    for _ in range(3):
+        rate, phase = 2 * math.pi * rng.uniform(0.5, 5.0), rng.uniform(0, 2 * math.pi)
+        size = rng.uniform(0.1, 0.6)
+        wave = size * np.sin(rate * t + phase)
+        hub, acceleration = hub + wave, acceleration - rate**2 * wave
+    given = RIG.beam_parameters()
+    stiffness = given.flexural_rigidity * rng.uniform(0.9, 1.1)
+    model = BeamModel(replace(given, flexural_rigidity=stiffness), n_modes=2)
+    stepper = model.motion_stepper(tick)
+    coordinates = np.empty((len(t), 2))
+    for k, value in enumerate(acceleration):
+        coordinates[k] = stepper.state[:2]
+        stepper.step(value)
+    x = hub[:, None] + coordinates @ model.shape(HEIGHTS).T
+    scale = amplitude_px / RIG.camera.pixels_per_metre * rng.uniform(0.3, 1.5) / np.abs(x).max()
+    hub, x = scale * hub, scale * x
+    instants = (np.arange(n)[:, None] + exposure * (np.polynomial.legendre.leggauss(6)[0] / 2)) * frame
+    step, late_s = RIG.hub.encoder_resolution, rng.uniform(-0.003, 0.003)
+    stamps = 10**18 + np.rint((t - late_s) * 1e9).astype(np.int64)
+    said = list(zip(stamps.tolist(), (np.rint(hub / step) * step).tolist(), strict=True))
+    first = np.searchsorted(t, np.arange(-1, n) * frame + 0.005)
+    first[0] = 0
+    return CubicSpline(t, x)(instants), [said[a:b] for a, b in pairwise(first)]
+
+
 # -- classes -------------------------------------------------------------------------------------------------
 
 
@@ -143,8 +190,13 @@ def plain(rng: np.random.Generator, *, amplitude_px: float | None = None, **came
     if amplitude_px is None:
         amplitude_px = float(rng.choice([0.0, 5.0, 20.0]))
     n = WARM_FRAMES + FRAMES if rng.random() < 0.5 else FRAMES
-    x = motion(rng, n, seen.exposure_s * 100, amplitude_px)
-    return Scene(seen, [Frame(x[k], HEIGHTS) for k in range(n)], noise=float(rng.choice([1.0, 2.0, 5.0])))
+    hub: list[list[tuple[int, float]]] = [[]] * n
+    if IS_DRIVEN:
+        x, hub = driven_motion(rng, n, seen.exposure_s * 100, amplitude_px)
+    else:
+        x = motion(rng, n, seen.exposure_s * 100, amplitude_px)
+    frames = [Frame(x[k], HEIGHTS, hub[k]) for k in range(n)]
+    return Scene(seen, frames, noise=float(rng.choice([1.0, 2.0, 5.0])))
 
 
 def disturbed(scene: Scene) -> list[Frame]:
@@ -470,6 +522,30 @@ def doubled(rng: np.random.Generator) -> Scene:
     return scene
 
 
+def appearing(rng: np.random.Generator) -> Scene:
+    """A disc that comes into a marker's row while the marker is hidden, and rests, moves, or swings with it."""
+    scene = plain(rng)
+    k, diameter = int(rng.integers(N_MARKERS)), scene.camera.marker_diameter_px
+    first, count = int(rng.integers(UNDISTURBED, 35)), int(rng.integers(2, 25))
+    place = mean_columns(scene, disturbed(scene)[first])[k]
+    side, gap = rng.choice([-1, 1]), rng.uniform(1.0, 5.0) * diameter
+    start, speed, goes = place + side * gap, float(rng.choice([0.0, rng.uniform(-3, 3)])), rng.random() < 0.3
+    at = first + int(rng.integers(0, count))
+
+    def way(i: int, u: float) -> float:
+        if i < at:
+            return -1e3
+        return u + side * gap if goes else start + speed * (i - at)
+
+    add_twin(scene, rng, way, k, rng.uniform(-1, 1))
+    for frame in disturbed(scene)[first : first + count]:
+        if frame.in_sight[k]:
+            frame.x = frame.x.copy()
+            frame.x[:, k] = np.nan
+            frame.in_sight[k] = False
+    return scene
+
+
 CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
     kind.__name__: kind
     for kind in (
@@ -501,6 +577,7 @@ CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
         leaving,
         ghost,
         doubled,
+        appearing,
     )
 }
 
@@ -598,19 +675,33 @@ Shown = list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]
 """A scene's frames as they come from ``pictures``."""
 
 
-def suite(scene: Scene, film: Shown) -> Iterator[Answer]:
+def suite(scene: Scene, film: Shown, rig: Rig = RIG) -> Iterator[Answer]:
     """The suite's own measuring chain, with the packaged rig's settings."""
     camera = replace(RIG.camera_parameters(), exposure_s=scene.camera.exposure_s)
-    rig = RIG
     chain = MeasuringChain(
-        camera, rig.tracker_parameters(), HEIGHTS.tolist(), LinearCalibration.from_camera(camera, 3)
+        camera,
+        rig.tracker_parameters(),
+        HEIGHTS.tolist(),
+        LinearCalibration.from_camera(camera, 3),
+        rig.beam_motion(),
     )
+    came = 0
     for stamp_ns, picture, _, _ in film:
+        here = (stamp_ns - 10**18) // PERIOD_NS + 1
+        for frame in scene.frames[came:here]:
+            for sample in frame.hub:
+                chain.hear_hub(*sample)
+        came = here
         if chain.admit(stamp_ns):
             measured = chain.measure(stamp_ns, picture)
             yield measured.u_px, measured.sigma_px, measured.reasons
         else:
             yield np.full(N_MARKERS, np.nan), np.full(N_MARKERS, np.nan), ("not admitted",) * N_MARKERS
+
+
+def beam(scene: Scene, film: Shown) -> Iterator[Answer]:
+    """The same with tracker.prediction beam: what hub and model foretell."""
+    return suite(scene, film, RIG.with_values({"tracker.prediction": "beam"}))
 
 
 def _in_rows(scene: Scene, spots: list[tuple[float, float]]) -> Answer:
@@ -663,7 +754,7 @@ def pyidi(scene: Scene, film: Shown) -> Iterator[Answer]:
         yield row, np.zeros(N_MARKERS), ("followed",) * N_MARKERS
 
 
-TRACKERS = {"suite": suite, "opencv": opencv, "trackpy": trackpy, "pyidi": pyidi}
+TRACKERS = {"suite": suite, "beam": beam, "opencv": opencv, "trackpy": trackpy, "pyidi": pyidi}
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------
@@ -699,8 +790,12 @@ def twins(scene: Scene) -> np.ndarray:
     return shown
 
 
-def judge(name: str, kind: str, seed: int, verdict: Verdict, *, is_verbose: bool = False) -> None:
-    """Run a tracker over one scene."""
+def judge(
+    name: str, kind: str, seed: int, verdict: Verdict, *, is_driven: bool = False, is_verbose: bool = False
+) -> None:
+    """Run a tracker over one scene, of a beam that moves anyhow, or as a hub drives it."""
+    global IS_DRIVEN
+    IS_DRIVEN = is_driven
     rng = np.random.default_rng([list(CLASSES).index(kind), seed])
     scene = CLASSES[kind](rng)
     film = list(pictures(scene, rng))
@@ -766,6 +861,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=list(CLASSES), help="classes (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="number of the first scene")
     parser.add_argument("--trackers", nargs="+", choices=list(TRACKERS), default=["suite"])
+    parser.add_argument("--driven", action="store_true", help="a hub drives the beam, and is heard")
     parser.add_argument("--verbose", action="store_true", help="print every frame")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     arguments = parser.parse_args()
@@ -779,7 +875,7 @@ def main() -> int:
         for kind in arguments.only or CLASSES:
             verdict = Verdict()
             for seed in range(arguments.seed, arguments.seed + arguments.scenes):
-                judge(name, kind, seed, verdict, is_verbose=arguments.verbose)
+                judge(name, kind, seed, verdict, is_driven=arguments.driven, is_verbose=arguments.verbose)
             waits = np.array(verdict.waits or [0])
             row = {
                 "tracker": name,

@@ -226,6 +226,9 @@ class TrackerSettings:
     refinement: Literal["none", "radial_symmetry", "disc_model"] = setting(
         "what is made of the centre of gravity"
     )
+    prediction: Literal["none", "beam"] = setting(
+        "what foretells the markers' places beside their own motion: nothing, or hub/state and the beam's model"
+    )
     sigma_floor: float = setting(
         "of a position: what the dots show at rest; 0: perfect discs", "px", 0.0, 10.0
     )

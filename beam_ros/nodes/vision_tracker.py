@@ -44,7 +44,9 @@ class VisionTracker(RigNode):
         self._heights = np.asarray(rig.markers.heights)
         self._rows = camera.rows(self._heights)
         first = calibration_or_nominal(rig.tracker.calibration, camera, len(self._names))
-        self._chain = MeasuringChain(camera, rig.tracker_parameters(), self._heights.tolist(), first)
+        self._chain = MeasuringChain(
+            camera, rig.tracker_parameters(), self._heights.tolist(), first, rig.beam_motion()
+        )
         if self._chain.calibration_fault:
             self.get_logger().error(self._chain.calibration_fault)
         self._procedure = CalibrationProcedure(len(self._names), camera)
@@ -76,6 +78,7 @@ class VisionTracker(RigNode):
             return
         self._hub_position, self._hub_heard = sample.position, time.monotonic()
         self._lateness.add_hub(sample.stamp_ns, sample.position)
+        self._chain.hear_hub(sample.stamp_ns, sample.position)
 
     # -- frames, from whichever source ---------------------------------------------------------------------
 
@@ -176,8 +179,7 @@ class VisionTracker(RigNode):
         # u is absolute: where the hub stands away from home, the markers' zero is that much further back.
         away_m = self._hub_position_now()
         calibration = self._chain.calibration
-        scales = np.asarray(calibration.pixels_per_metre) * calibration.direction
-        columns = np.asarray(frames.columns) - scales * away_m
+        columns = np.asarray(frames.columns) - calibration.scales * away_m
         self._chain.calibration = calibration.tare(columns, frames.sigmas)
         return f"zero from {len(frames.columns)} frames, the hub at {away_m * 1e3:+.3f} mm"
 

@@ -206,7 +206,7 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     render = rendered(rig, film)
     camera = film.camera
     calibration = calibration_or_nominal(rig.tracker.calibration, camera, len(names))
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, calibration)
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, calibration, rig.beam_motion())
     if chain.calibration_fault or chain.lens_fault:
         raise CalibrationError(f"{rig.tracker.calibration}: {chain.calibration_fault or chain.lens_fault}")
 

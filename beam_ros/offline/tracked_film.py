@@ -174,7 +174,7 @@ def _track_markers(
     """Track the markers; returns their record, and what calibration or exposure do not say of the camera."""
     names, heights = rig.markers.names, rig.markers.heights
     chosen = calibration or LinearCalibration.from_camera(camera, len(names))
-    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen)
+    chain = MeasuringChain(camera, rig.tracker_parameters(), heights, chosen, rig.beam_motion())
     if "lens" in chosen.provenance:
         chain.lens = Lens.from_dict(chosen.provenance["lens"])
     if chain.calibration_fault:
@@ -200,7 +200,12 @@ def _track_markers(
             np.array([frame.displacement.sigma_m for frame in measured]),
             reasons,
         ),
-        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt) if doubt],
+        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt) if doubt]
+        + [
+            f"{name} was told from other spots by the beam's model in {n} frames (tracker.prediction beam)"
+            for name, n in zip(names, chain.foretold_frames, strict=True)
+            if n
+        ],
     )
 
 

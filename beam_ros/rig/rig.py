@@ -6,6 +6,7 @@ the camera and the tracker want. Rooms are imported only when their part is aske
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from beam_ros.hub.link_parameters import CsvColumns, OdriveParameters, TrajectoryParameters
     from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
     from beam_ros.hub.simulated.plant import Plant
+    from beam_ros.vision.measurement.motion_prediction import BeamMotion
     from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 
 
@@ -359,6 +361,22 @@ class Rig(RigParameters):
             latency_s=self.camera.latency,
             name=self.camera.name,
             focus=self.camera.focus,
+        )
+
+    def beam_motion(self) -> BeamMotion | None:
+        """What foretells the markers' places; None where ``tracker.prediction`` is none."""
+        if self.tracker.prediction == "none":
+            return None
+        from beam_ros.vision.measurement.motion_prediction import BeamMotion
+
+        model = self.beam_model()
+        return BeamMotion(
+            model.natural_frequencies,
+            model.damping_ratios,
+            model.participation_factors,
+            model.shape(self.markers.heights),
+            self.hub.max_acceleration,
+            self.hub.encoder_resolution / math.sqrt(12.0),
         )
 
     def tracker_parameters(self) -> TrackerParameters:

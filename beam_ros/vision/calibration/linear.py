@@ -157,6 +157,11 @@ class LinearCalibration:
         """Sign of du/dx."""
         return -1 if self.flip else 1
 
+    @property
+    def scales(self) -> FloatArray:
+        """Scale of each marker, negative where +x points to the left, shape (n_markers,) [px/m]."""
+        return np.asarray(self.pixels_per_metre, dtype=np.float64) * self.direction
+
     def travel_axes(self, u_px: npt.ArrayLike, v_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Turn places in the image, any shape [px], to places along and across the hub's travel [px].
 

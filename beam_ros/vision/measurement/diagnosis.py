@@ -213,6 +213,9 @@ class Diagnosis:
             values["latency_median_ms"] = round(float(median), 3)
             values["latency_p99_ms"] = round(float(p99), 3)
         self._lateness.look()
+        if self._chain.prediction is not None:
+            self._chain.prediction.late_s = self._lateness.late_s
+            self._chain.prediction.late_sd_s = self._lateness.late_sd_s
         if math.isfinite(self._lateness.late_s):
             values["stamps_late_s"] = round(self._lateness.late_s, 6)
             values["stamps_late_sd_s"] = round(self._lateness.late_sd_s, 6)
@@ -220,6 +223,8 @@ class Diagnosis:
         for k, name in enumerate(self._names):
             values[f"{name} lost"] = sum(count for (who, _), count in self._lost.items() if who == name)
             values[f"{name} noise_grey"] = round(tracker.noise_grey[k], 2)
+            if self._chain.prediction is not None:
+                values[f"{name} foretold"] = int(self._chain.foretold_frames[k])
             if self._last is not None:
                 values[f"{name} sigma_px"] = round(float(self._last.sigma_px[k]), 5)
         values.update({f"{name} {reason}": count for (name, reason), count in sorted(self._lost.items())})

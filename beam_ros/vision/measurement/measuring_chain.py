@@ -18,8 +18,10 @@ from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration, MarkerDisplacements
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.continuity import FrameContinuity
+from beam_ros.vision.measurement.motion_prediction import BeamMotion, MotionPrediction
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.timing import FrameTiming
+from beam_ros.vision.tracking.marker_state import Foretold
 from beam_ros.vision.tracking.tracker import FrameResult, MarkerTracker
 
 _BELIEVED_AFTER_FRAMES = 20
@@ -68,10 +70,13 @@ class MeasuringChain:
     tracker : TrackerParameters
     marker_heights : sequence of float -- heights above the clamp, rising [m]
     calibration : LinearCalibration
+    motion : BeamMotion, optional -- foretells the markers' places; None: only their own motion does
 
     Attributes
     ----------
     tracker : MarkerTracker
+    prediction : MotionPrediction or None -- where the markers will be, by hub and beam
+    foretold_frames : ndarray of int, shape (n_markers,) -- frames in which that told a marker from other spots
     continuity : FrameContinuity
     clock_steps : int -- how often the camera's clock was set back
     """
@@ -82,17 +87,22 @@ class MeasuringChain:
         tracker: TrackerParameters,
         marker_heights: Sequence[float],
         calibration: LinearCalibration,
+        motion: BeamMotion | None = None,
     ) -> None:
         timing = FrameTiming(camera)
         self.tracker = MarkerTracker(tracker, len(marker_heights), timing)
         self.continuity = FrameContinuity(round(camera.period_s * 1e9))
         self.clock_steps = 0
+        self.foretold_frames = np.zeros(len(marker_heights), dtype=np.intp)
         self._past_frames = 0
         self._grey_type: np.dtype[Any] | None = None
         self._camera = camera
         self._timing = timing
         self._rows = camera.rows(marker_heights)
         self._lens: Lens | None = None
+        self.prediction = (
+            None if motion is None else MotionPrediction(motion, calibration.scales, camera.period_s)
+        )
         self.calibration = calibration
 
     # -- calibration and lens ------------------------------------------------------------------------------
@@ -153,6 +163,8 @@ class MeasuringChain:
                     f"calibration holds for {self._calibration.n_markers} markers; expected "
                     f"{self.tracker.n_markers}, as many as markers.names has: calibrate this beam"
                 )
+            if self.prediction is not None:
+                self.prediction.scales = self._calibration.scales
             provenance = self._calibration.provenance
             if "lens" in provenance and not self._is_same_lens(Lens.from_dict(provenance["lens"])):
                 self._lens_fault = (
@@ -177,6 +189,8 @@ class MeasuringChain:
         """Forget the markers and the last stamp; calibration and lens stay."""
         self.tracker.reset()
         self.continuity.restart()
+        if self.prediction is not None:
+            self.prediction.reset()
 
     def admit(self, stamp_ns: int) -> bool:
         """Judge a frame by its stamp; False for one that was seen before or comes from the past.
@@ -196,6 +210,11 @@ class MeasuringChain:
         if step.is_usable:
             self._past_frames = 0
         return step.is_usable
+
+    def hear_hub(self, stamp_ns: int, position_m: float) -> None:
+        """Take note of where the hub was, for what foretells the markers' places."""
+        if self.prediction is not None:
+            self.prediction.add_hub(stamp_ns, position_m)
 
     def measure(self, stamp_ns: int, image: ImageArray) -> Measurement:
         """Measure a frame that was admitted.
@@ -220,11 +239,17 @@ class MeasuringChain:
             # 8 and 16 bits are other grey levels of the same markers.
             self.tracker.reset()
             self._grey_type = image.dtype
-        result = self.tracker.process(image, stamp_ns)
+        foretold: Sequence[Foretold] = ()
+        if self.prediction is not None:
+            foretold = self.prediction.foretell(self._row_middles(stamp_ns))
+        result = self.tracker.process(image, stamp_ns, foretold)
         markers = result.markers
         u = np.array([marker.u_px for marker in markers])
         v = np.array([marker.v_px for marker in markers])
         sigma = np.array([marker.sigma_px for marker in markers])
+        if self.prediction is not None:
+            self.prediction.correct(u, sigma)
+            self.foretold_frames[list(result.foretold)] += 1
         perfect_u, perfect_v = u, v
         if self._lens is not None:
             # The lens also stretches: its slope along u carries the standard deviation over.
@@ -250,7 +275,7 @@ class MeasuringChain:
         nowhere = self._nowhere()
         return Measurement(
             stamp_ns,
-            tuple(self._timing.row_middle(stamp_ns, float(row)) for row in self._rows),
+            self._row_middles(stamp_ns),
             nowhere.x_m,
             nowhere.x_m,
             nowhere.x_m,
@@ -260,6 +285,9 @@ class MeasuringChain:
             ("unreadable",) * self.tracker.n_markers,
             None,
         )
+
+    def _row_middles(self, stamp_ns: int) -> tuple[int, ...]:
+        return tuple(self._timing.row_middle(stamp_ns, float(row)) for row in self._rows)
 
     def _nowhere(self) -> MarkerDisplacements:
         nothing = np.full(self.tracker.n_markers, np.nan)

@@ -13,7 +13,13 @@ from statistics import median
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.tracking.appearance import Light
-from beam_ros.vision.tracking.marker_state import SAME_PLACE_PX, MarkerState, beam_reach, is_taken
+from beam_ros.vision.tracking.marker_state import (
+    CONFIRMED_FRAMES,
+    SAME_PLACE_PX,
+    MarkerState,
+    beam_reach,
+    is_taken,
+)
 from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
 from beam_ros.vision.tracking.spot_search import one_disc
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
@@ -148,16 +154,16 @@ class Acquisition:
             ]
             beside = [(u, v) for u, v in others if left <= u <= right and abs(v - row) <= tolerance]
             self._follow_company(marker, [spot for spot, _ in near], left, right)
-            swings = self._swinging(k)
-            if swings is not None:
+            told = self._told(k, [spot for spot, _ in near])
+            if told is not None:
                 # What moves as the beam does is the marker, whatever else is or was there.
-                near = [candidate for candidate in near if candidate[0].u == swings.u]
+                near = [candidate for candidate in near if candidate[0].u == told]
                 marker.clutter, beside = [], []
-            if len(near) == 1 and (swings is not None or not marker.rivals):
+            if len(near) == 1 and (told is not None or not marker.rivals):
                 reasons[k] = self._doubt(marker, *near[0], beside)
                 if reasons[k] == "ok":
                     chosen[k] = near[0]
-                    marker.rivals = [track for track in marker.rivals if track is not swings]
+                    marker.rivals = [track for track in marker.rivals if track.u != told]
                     del reasons[k]
             else:
                 marker.sighting = None
@@ -166,10 +172,20 @@ class Acquisition:
                     reasons[k] = "ambiguous"
         return chosen, reasons
 
-    def _swinging(self, k: int) -> Track | None:
-        """Choose among the spots in a marker's row the one that moves as the beam does; the lowest one may rest."""
+    def _told(self, k: int, spots: list[Spot]) -> float | None:
+        """Column of the one spot of several in a marker's row that moves as the beam does; None where none does."""
+        marker = self._markers[k]
+        # The lowest marker may rest while the beam swings.
         ways = [other.way for other in self._markers if other.is_followed]
-        return swinging(self._markers[k].rivals, ways, self._frame) if k > 0 else None
+        swings = swinging(marker.rivals, ways, self._frame) if k > 0 else None
+        foretold = marker.foretold_among(spots, self._frame, self._parameters)
+        marker.told_frames = 0 if foretold is None else marker.told_frames + 1
+        if swings is not None:
+            return swings.u
+        if foretold is None or not marker.rivals or marker.told_frames < CONFIRMED_FRAMES:
+            return None
+        marker.is_foretold = True
+        return foretold.u
 
     def _follow_company(self, marker: MarkerState, spots: list[Spot], left: float, right: float) -> None:
         """Follow all spots of a marker's kind in its row, until one is left because the others have gone out of it.

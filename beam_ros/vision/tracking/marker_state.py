@@ -12,9 +12,11 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
+from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.rivals import COURSE_FRAMES, Course, Place, Track
+from beam_ros.vision.tracking.rivals import APART, COURSE_FRAMES, Course, Place, Track, on_course
 from beam_ros.vision.tracking.spots import Gates, Spot
 
 TOGETHER_FRAMES = 5
@@ -29,6 +31,20 @@ LONELY_FRAMES = 25
 """Frames in which a spot must be the only one of its kind in its row, or what else is there must rest."""
 SAME_PLACE_PX = 2.0
 """What lies so near to where something was seen before is the same [px]."""
+CONFIRMED_FRAMES = 3
+"""What tells a marker from other spots must have done so in so many frames in a row."""
+
+
+class Foretold(NamedTuple):
+    """Where a marker should be, by what moves it, and how far from there it may be (three sd) [px]."""
+
+    u_px: float
+    doubt_px: float
+
+    def admits(self, u: float) -> bool:
+        """True for a column where the marker may be, give or take as much again."""
+        return abs(u - self.u_px) <= 2.0 * self.doubt_px
+
 
 Move = tuple[float, float]
 """How far along u and across the rows a marker, or what may be it, lies from where it was last seen [px]."""
@@ -72,6 +88,7 @@ class MarkerState:
     is_blind : bool -- since they met, nothing of the two was to be seen for a while
     lost_at : int -- number of the frame in which it last was not where it should have been
     company_u, company_v : tuple of float -- where all markers had been seen before that [px]
+    company_ways : list of list of Place -- where all markers were in the frames of late before that
     is_pulled : bool -- in the last frame that showed it, a second image of it may have lain over it
     behind : float -- how far, most likely, that frame showed it behind its true place [px]
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
@@ -81,6 +98,8 @@ class MarkerState:
     acquired_at : int -- number of the frame in which it was acquired
     sighting : (int, float, float) or None -- before that: frame, column and excess of the spot in its row [px, px^2]
     clutter : list of Thing -- what else was in its row then
+    foretold : Foretold or None -- where it should be in this frame; None where nobody foretells that
+    is_foretold : bool -- in this frame that told it from other spots
     """
 
     known_row: float | None
@@ -109,6 +128,7 @@ class MarkerState:
     lost_at: int = NEVER
     company_u: tuple[float, ...] = ()
     company_v: tuple[float, ...] = ()
+    company_ways: list[list[Place]] = field(default_factory=list)
     is_pulled: bool = False
     behind: float = 0.0
     shown: float = math.nan
@@ -118,6 +138,8 @@ class MarkerState:
     acquired_at: int = NEVER
     sighting: tuple[int, float, float] | None = None
     clutter: list[Thing] = field(default_factory=list)
+    foretold: Foretold | None = None
+    is_foretold: bool = False
 
     @property
     def is_followed(self) -> bool:
@@ -127,7 +149,25 @@ class MarkerState:
     @property
     def predicted(self) -> float:
         """Column where it should be in the frame after that in which it was last seen [px]."""
+        if self.foretold is not None and self.foretold.doubt_px < self.usual_error:
+            return self.foretold.u_px
         return self.u + (self.velocity if self.linear_error < self.hold_error else 0.0)
+
+    @property
+    def usual_error(self) -> float:
+        """How far it is from where it should be, by its own motion of late [px]."""
+        return min(self.hold_error, self.linear_error)
+
+    def foretold_among(self, spots: list[Spot], frame: int, parameters: TrackerParameters) -> Spot | None:
+        """Choose the one spot where it was foretold in a frame, out of reach of every rival that is not seen."""
+        if self.foretold is None or 2 * self.foretold.doubt_px > parameters.marker_diameter_px:
+            return None
+        at, doubt = self.foretold
+        unseen = [track for track in self.rivals if track.frame < frame]
+        places = [place for track in unseen for place in (track.u, track.predicted(frame))]
+        if any(abs(place - at) <= APART * doubt + SAME_PLACE_PX for place in places):
+            return None
+        return on_course(spots, at, doubt)
 
     def speed(self, u: float, frame: int) -> tuple[float, float]:
         """How fast it moves in a frame that shows it in a column, and how far that may be wrong [px per frame].

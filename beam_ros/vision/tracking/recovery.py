@@ -16,9 +16,11 @@ from typing import NamedTuple
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.tracking.appearance import Light
 from beam_ros.vision.tracking.marker_state import (
+    CONFIRMED_FRAMES,
     LONELY_FRAMES,
     SAME_PLACE_PX,
     TOGETHER_FRAMES,
+    Foretold,
     MarkerState,
     beam_reach,
     is_common,
@@ -28,10 +30,12 @@ from beam_ros.vision.tracking.marker_state import (
 from beam_ros.vision.tracking.rivals import (
     APART,
     FORGET_AFTER_FRAMES,
+    LEVERAGE,
     REST_PX,
     Course,
     Track,
     associated,
+    carried,
     continued,
     is_bound_for,
     left_over,
@@ -56,10 +60,6 @@ _GAINS = 0.25, 4.0
 """Least and largest change of the light while a marker is lost."""
 _STEPS = 3.0
 """A marker may have moved by so many of its usual steps with every frame since it was lost."""
-_LEVERAGE = 2.5
-"""A marker may have moved by so many times as much as the others."""
-_CONFIRMED_FRAMES = 3
-"""Rivals have gone on their ways, and the marker is what remains, once that has been so for so many frames."""
 _LASTING_FRAMES = 2
 """The only marker of a beam has changed its brightness with the light where that lasts for so many frames."""
 _EQUAL_LIGHT = 0.15
@@ -78,6 +78,7 @@ class Witness(NamedTuple):
     nearest_unlike : float -- how far from there the nearest thing of another look is [px]
     moved : float -- how far the camera moved across the rows [px]
     is_at_rest : bool -- the markers that are seen are where they were
+    expected : Foretold or None -- where it must be by those
     """
 
     left: float
@@ -86,6 +87,7 @@ class Witness(NamedTuple):
     nearest_unlike: float
     moved: float
     is_at_rest: bool
+    expected: Foretold | None
 
 
 class Recovery:
@@ -133,6 +135,7 @@ class Recovery:
         marker.lost_at = frame
         marker.company_u = tuple(other.u for other in self._markers)
         marker.company_v = tuple(other.v for other in self._markers)
+        marker.company_ways = [list(other.way) for other in self._markers]
         marker.company_contrast = tuple(other.shown for other in self._markers)
         if self.before is not None:
             beside = [spot for spot, _ in self.in_row(self.before, k, own=marker.u).alike]
@@ -186,6 +189,7 @@ class Recovery:
                 nearest_unlike,
                 shift or 0.0,
                 max(moves, default=math.inf) <= REST_PX,
+                self._carried(k, seen) if lit else None,
             )
             # What lies in another row is no marker, and is followed for the frames in which that does not show.
             strangers = [track for track in marker.rivals if not self._is_in_row(marker, track, shift)]
@@ -204,6 +208,7 @@ class Recovery:
                 reasons[k] = row.nearest(marker.u) if failed == "hidden" else failed
             if len(lit) == 1 and not marker.is_doubtful and self._is_common_loss(k):
                 elsewhere[k] = lit[0]
+        self._take_back_what_is_apart(lost, spots, reasons)
         moved = moved_together(
             {k: (spot.u - markers[k].u, spot.v - markers[k].v) for k, (spot, _) in elsewhere.items()},
             {k: (spot.u - markers[k].u, spot.v - markers[k].v) for k, spot in spots.items()},
@@ -228,6 +233,23 @@ class Recovery:
                 marker.rivals = [*others, Track(marker.u, 0.0, self._frame)] if others else []
                 marker.forget()
 
+    def _take_back_what_is_apart(
+        self, lost: list[int], spots: dict[int, Spot], reasons: dict[int, Reason]
+    ) -> None:
+        """Take back what was found farther from the other markers than a beam bends, from most of them first."""
+        while True:
+            apart = {
+                k: sum(abs(spots[k].u - other.u) > self._parameters.max_bend_px for other in spots.values())
+                for k in lost
+                if k in spots
+            }
+            most = max(apart.values(), default=0)
+            if most == 0:
+                return
+            for k in (k for k, count in apart.items() if count == most):
+                self._markers[k].rivals.append(Track.of(spots.pop(k), self._frame))
+                reasons[k] = "ambiguous"
+
     def _is_clipped_anew(self, image: ImageArray, k: int, row: RowSpots) -> bool:
         """True when the sensor cuts off a marker's light which it did not in the frame before, or the reverse.
 
@@ -251,6 +273,17 @@ class Recovery:
         # Nobody says how far the beam bends: no farther than a lost marker is believed, from where the others went.
         middle, reach = marker.u + median(moves), parameters.max_gate_px + 3 * parameters.marker_diameter_px
         return middle - reach, middle + reach
+
+    def _carried(self, k: int, seen: dict[int, float]) -> Foretold | None:
+        """Where a lost marker must be by the model, or by those that are seen in these columns [px]."""
+        marker = self._markers[k]
+        told = carried(
+            marker.company_ways[k], [(marker.company_ways[j], u) for j, u in seen.items() if j != k]
+        )
+        places = [] if told is None else [Foretold(*told)]
+        if marker.foretold is not None:
+            places.append(marker.foretold)
+        return min(places, key=lambda place: place.doubt_px, default=None)
 
     def _row_reach(self, marker: MarkerState, u: float) -> float:
         """How far from its row a marker is in a column, at most [px].
@@ -282,7 +315,7 @@ class Recovery:
         if not moves:
             return math.inf
         own = _STEPS * marker.hold_error * (marker.lost_frames + 1)
-        return self._parameters.marker_diameter_px + own + _LEVERAGE * max(moves)
+        return self._parameters.marker_diameter_px + own + LEVERAGE * max(moves)
 
     @staticmethod
     def _moves(marker: MarkerState, spots: dict[int, Spot], reasons: dict[int, Reason]) -> list[float]:
@@ -344,7 +377,12 @@ class Recovery:
             gate if marker.is_mixed else parameters.max_jump_px,
             math.nan if marker.is_mixed or marker.lost_frames else marker.predicted,
         )
-        near = [spot for spot in free if abs(spot.u - marker.u) <= gate]
+        expected = None if is_anywhere else witness.expected
+        near = [
+            spot
+            for spot in free
+            if abs(spot.u - marker.u) <= gate and (expected is None or expected.admits(spot.u))
+        ]
         returned, free = recognised(hidden, free, near, self._frame, gate)
         tracks += returned
         near = [spot for spot in near if spot in free]
@@ -384,14 +422,16 @@ class Recovery:
             marker.is_mixed = len(near) > 1
         if chosen is None:
             told = self._told(marker, spots, is_at_rest=witness.is_at_rest)
-            if told is not None and abs(told.u - marker.u) <= min(witness.farthest, parameters.max_gate_px):
+            if told is not None and (
+                marker.is_foretold or abs(told.u - marker.u) <= min(witness.farthest, parameters.max_gate_px)
+            ):
                 chosen = told
                 marker.rivals = [track for track in marker.rivals if track.u != told.u]
         return None if chosen is None else (chosen, light_of[chosen])
 
     def _goes_on(self, marker: MarkerState, spots: list[Spot], gate: float) -> Spot | None:
         """Choose the spot that goes on as the marker went until now, where no rival was bound for there."""
-        doubt = REST_PX + _STEPS * min(marker.hold_error, marker.linear_error)
+        doubt = REST_PX + _STEPS * marker.usual_error
         spot = on_course(spots, marker.predicted, doubt)
         others = [track for track in marker.rivals if track.u != marker.u]
         if (
@@ -409,7 +449,10 @@ class Recovery:
         return spot
 
     def _told(self, marker: MarkerState, spots: list[Spot], *, is_at_rest: bool) -> Spot | None:
-        """Choose what swings with the beam, rests where it did with a beam at rest, or remains of known ways."""
+        """Choose what swings with the beam, rests where it did with a beam at rest, or remains of known ways.
+
+        Or what is where it was foretold, where nothing else of its kind may be.
+        """
         if marker.is_mixed and marker is not self._markers[0]:
             ways = [other.way for other in self._markers if other is not marker]
             track = swinging(marker.rivals, ways, self._frame)
@@ -418,8 +461,13 @@ class Recovery:
         told = left_over(marker.courses, spots, self._frame) if marker.courses else None
         if told is None and is_at_rest and marker.swing <= REST_PX:
             told = on_course(spots, marker.u, REST_PX)
+        foretold = marker.foretold_among(spots, self._frame, self._parameters) if told is None else None
+        told = told or foretold
         marker.told_frames = 0 if told is None else marker.told_frames + 1
-        return told if marker.told_frames >= _CONFIRMED_FRAMES else None
+        if marker.told_frames < CONFIRMED_FRAMES:
+            return None
+        marker.is_foretold = told is foretold
+        return told
 
     def _contrasts(
         self,

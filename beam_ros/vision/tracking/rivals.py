@@ -34,6 +34,8 @@ _MIN_BEND_PX = 1.0
 """A motion that departs from a straight line by so much (RMS) shows that of the beam [px]."""
 _EXPLAINED = 0.4
 """What the beam moves departs from its motion by less than this share of that (RMS)."""
+LEVERAGE = 2.5
+"""A marker moves at most so many times as much as the others."""
 APART = 3.0
 """A spot so many times farther from where a rival leads than that is known cannot be the rival."""
 
@@ -270,3 +272,43 @@ def _bends(columns: FloatArray) -> FloatArray:
     times = np.arange(columns.shape[1])
     lines = np.polyfit(times, columns.T, 1)
     return np.asarray(columns - np.outer(lines[0], times) - lines[1][:, None])
+
+
+def carried(
+    own: Sequence[Place], companies: Sequence[tuple[Sequence[Place], float]]
+) -> tuple[float, float] | None:
+    """Tell where a marker is by where the others are, as all moved together until it was lost.
+
+    Parameters
+    ----------
+    own : sequence of Place -- where it was in the last frames that showed it
+    companies : sequence of (sequence of Place, float) -- where each of the others was then, and is now [px]
+
+    Returns
+    -------
+    (float, float) or None -- its column, and three standard deviations [px]; None where no other was seen with it
+
+    Notes
+    -----
+    Its column is a linear function of the others', u = c + sum_j b_j u_j. All that is known of b before is that a
+    marker moves as another one does, give or take ``LEVERAGE`` times; the last frames tell the rest, as well as what
+    they leave allows. A motion of another kind than in these frames is told poorly, and the deviation says so.
+    """
+    ways = [dict(way) for way, _ in companies]
+    frames = [frame for frame, _ in own if all(frame in way for way in ways)]
+    if len(frames) < _MIN_PLACES or not companies:
+        return None
+    last = dict(own)[frames[-1]]
+    moved = np.array([[way[frame] - way[frames[-1]] for way in ways] for frame in frames])
+    now = np.array([1.0, *(at - way[frames[-1]] for (_, at), way in zip(companies, ways, strict=True))])
+    columns = np.array([dict(own)[frame] - last for frame in frames])
+    design = np.column_stack([np.ones(len(frames)), moved])
+    before = np.array([0.0, *[1.0 / len(ways)] * len(ways)])
+    precision = np.diag([0.0, *[LEVERAGE**-2] * len(ways)])
+    noise = REST_PX**2
+    for _ in range(2):
+        information = design.T @ design / noise + precision
+        found = before + np.linalg.solve(information, design.T @ (columns - design @ before) / noise)
+        noise = max(noise, float(np.sum((columns - design @ found) ** 2)) / max(1, len(frames) - len(now)))
+    variance = noise + now @ np.linalg.solve(information, now)
+    return last + float(now @ found), 3.0 * math.sqrt(float(variance))

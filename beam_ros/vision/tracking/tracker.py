@@ -12,8 +12,8 @@ frame (``vision.tracking.recovery``). Other spots of its kind in its row (rivals
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from itertools import repeat
+from collections.abc import Iterator, Sequence
+from itertools import repeat, zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.disc_model import DiscFit
 from beam_ros.vision.tracking.marker_state import (
     SAME_PLACE_PX,
+    Foretold,
     MarkerState,
 )
 from beam_ros.vision.tracking.recovery import Recovery
@@ -80,10 +81,12 @@ class FrameResult(NamedTuple):
     ----------
     stamp_ns : int -- stamp of the frame [ns]
     markers : tuple of MarkerMeasurement -- lowest marker first
+    foretold : tuple of int -- numbers of those that were told from other spots by where they were foretold
     """
 
     stamp_ns: int
     markers: tuple[MarkerMeasurement, ...]
+    foretold: tuple[int, ...] = ()
 
     @property
     def is_complete(self) -> bool:
@@ -196,13 +199,14 @@ class MarkerTracker:
 
     # -- frames --------------------------------------------------------------------------------------------
 
-    def process(self, image: ImageArray, stamp_ns: int) -> FrameResult:
+    def process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold] = ()) -> FrameResult:
         """Measure every marker in a frame.
 
         Parameters
         ----------
         image : ndarray, shape (height, width), uint8 or uint16 -- grey image
         stamp_ns : int -- stamp of the frame [ns]
+        foretold : sequence of Foretold, one per marker -- where the markers should be; empty where nobody foretells
 
         Returns
         -------
@@ -225,6 +229,8 @@ class MarkerTracker:
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
         # Stamps may come late, and frames be missing: of period and elapsed time it is the less.
         self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
+        for marker, place in zip_longest(self._markers, foretold):
+            marker.foretold, marker.is_foretold = place, False
         reasons: dict[int, Reason] = {}
         if not self.is_acquired:
             reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
@@ -254,7 +260,8 @@ class MarkerTracker:
             for sight in found
         ]
         self._recovery.before = image
-        return FrameResult(stamp_ns, tuple(results))
+        told = tuple(k for k, marker in enumerate(self._markers) if marker.is_foretold)
+        return FrameResult(stamp_ns, tuple(results), told)
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
@@ -311,6 +318,8 @@ class MarkerTracker:
         if spot is None or reason != "ok" or light is None or appearance is None:
             invalid = self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
             if appearance is not None and appearance.frames < _KNOWN_FRAMES:
+                if marker.rivals:  # one of these, or what was taken for it, is the marker
+                    marker.rivals.append(Track(marker.u, 0.0, self._frame - marker.lost_frames, v=marker.v))
                 marker.forget()
             return invalid
         is_fresh = marker.lost_frames > 0 or self._frame in (marker.lost_at, marker.acquired_at)

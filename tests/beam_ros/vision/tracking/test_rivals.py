@@ -11,6 +11,7 @@ from beam_ros.vision.tracking.rivals import (
     Course,
     Track,
     associated,
+    carried,
     continued,
     left_over,
     may_be,
@@ -394,3 +395,24 @@ def test_a_dim_bar_that_passes_over_a_marker_is_no_twin_that_touched_it():
     # The bar covers the marker from frame 13 to 25, and is within its surroundings for some frames before and after.
     assert len(errors) >= 40
     assert np.abs(errors).max() < 0.2
+
+
+def test_the_others_tell_where_a_marker_is_and_how_well():
+    frames = range(20)
+    low, middle = (
+        [(k, 300.0 + 3.0 * np.sin(0.5 * k)) for k in frames],
+        [(k, 200.0 + 8.0 * np.cos(0.3 * k)) for k in frames],
+    )
+    tip = [
+        (k, 100.0 + 1.5 * (a - 300.0) + 0.7 * (b - 200.0)) for (k, a), (_, b) in zip(low, middle, strict=True)
+    ]
+    u, doubt = carried(tip, [(low, 310.0), (middle, 190.0)])
+    assert u == pytest.approx(100.0 + 15.0 - 7.0, abs=0.5)
+    assert abs(u - 108.0) < doubt < 8.0
+    # Of a beam that rested nobody knows how it bends.
+    still = [(k, 100.0) for k in frames]
+    u, doubt = carried(still, [(still, 140.0)])
+    assert doubt > 2.0 * 40.0
+    assert carried(still, [(still, 100.0)])[1] < 2.0
+    assert carried(still[:3], [(still, 100.0)]) is None
+    assert carried(still, []) is None

@@ -510,6 +510,10 @@ def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
         ("ghost", 91033, 3),  # of another one, that crept, it was forgotten from one frame to the next
         ("ghost", 53033, 3),  # it crept away from a marker that had been found with it, in much noise
         ("ghost", 53064, 3),  # it lay over markers that were found anew every few frames
+        ("appearing", 7001, 3),  # a disc that came while a marker was hidden was taken for it
+        ("appearing", 7005, 3),
+        ("appearing", 7012, 3),
+        ("appearing", 7039, 3),
         ("twin_resting", 9000000, 13),  # of two spots the one that swings with the beam was not acquired
     ],
 )
@@ -518,6 +522,22 @@ def test_scenes_of_the_benchmark_that_once_were_wrong_or_waited(kind, seed, most
     judge("suite", kind, seed, verdict)
     assert verdict.wrong == 0
     assert max(verdict.waits + verdict.ambiguous, default=0) <= most
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        (
+            "hidden",
+            2,
+        ),  # of a twin at rest and a marker that was covered at once after it had been told from it
+        ("leaving", 500021),  # a twin came in while all markers were out of the picture
+    ],
+)
+def test_scenes_with_a_beam_on_a_hub_that_once_were_wrong(kind, seed):
+    verdict = Verdict()
+    judge("suite", kind, seed, verdict, is_driven=True)
+    assert verdict.wrong == 0
 
 
 @pytest.mark.parametrize("seed", [9000006, 9000009, 9000010, 9200009])
