@@ -192,10 +192,12 @@ class Recovery:
                 self._carried(k, seen) if lit else None,
             )
             # What lies in another row is no marker, and is followed for the frames in which that does not show.
-            strangers = [track for track in marker.rivals if not self._is_in_row(marker, track, shift)]
+            strangers = [
+                track for track in marker.rivals if not self._is_in_row(marker, track, witness.moved)
+            ]
             marker.rivals = [track for track in marker.rivals if track not in strangers]
             chosen = self._choose(marker, lit, witness)
-            self._follow_strangers(marker, strangers, [spot for spot, _ in row.alike], shift)
+            self._follow_strangers(marker, strangers, [spot for spot, _ in row.alike], witness.moved)
             if chosen is not None:
                 spots[k], marker.light = chosen
                 reasons[k] = "ok"
@@ -327,7 +329,7 @@ class Recovery:
         ]
 
     def _follow_strangers(
-        self, marker: MarkerState, strangers: list[Track], spots: list[Spot], moved: float | None
+        self, marker: MarkerState, strangers: list[Track], spots: list[Spot], moved: float
     ) -> None:
         """Follow what lies in another row beside a marker's rivals."""
         others = [spot for spot in spots if not self._is_in_row(marker, spot, moved)]

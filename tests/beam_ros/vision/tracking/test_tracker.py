@@ -489,6 +489,11 @@ def test_two_discs_that_touch_are_never_acquired_as_one(aside_px):
         ("cover_and_twin", 4000003, 3),  # a twin was found for a covered marker
         ("cover_and_twin", 7039, 3),  # the same, while the beam swung away from where the marker had vanished
         ("leaving", 4000003, 25),  # a twin that went on its way was taken for the marker that had left
+        (
+            "leaving",
+            700031,
+            10,
+        ),  # the same, of one that was known, while all markers jumped from frame to frame
         ("leaving", 9000013, 3),  # a twin in another row was taken for a marker that had just left
         (
             "twin_resting",
