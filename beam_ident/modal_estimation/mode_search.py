@@ -340,14 +340,17 @@ class ModeSearch(ABC, Generic[ProblemT]):
         if len(inside.omegas) != len(self.chosen.omegas):
             return False
         fit = self.fit(inside.omegas, inside.zetas, inside.clock, _ITERATIONS)
-        hertz = fit.omegas / (2.0 * np.pi)
-        is_outside = bool(np.any((hertz < self.band.low_hz) | (hertz > self.band.high_hz)))
-        doubts = len(self._doubtful(fit)) + is_outside  # what left the band stands for no mode
-        if not fit.cost < self.chosen.cost or doubts > len(self._doubtful(self.chosen)):
+        if not fit.cost < self.chosen.cost or self._doubts(fit) > self._doubts(self.chosen):
             return False
         self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
         self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
         return True
+
+    def _doubts(self, fit: ModalFit) -> int:
+        """Return how many modes of a fit do not pass the gates, and one more where any has left the band."""
+        hertz = fit.omegas / (2.0 * np.pi)
+        is_outside = bool(np.any((hertz < self.band.low_hz) | (hertz > self.band.high_hz)))
+        return len(self._doubtful(fit)) + is_outside
 
     def _doubtful(self, fit: ModalFit) -> list[int]:
         """Return the modes of a fit that do not pass the gates."""

@@ -56,6 +56,9 @@ _FEW = 1500  # stamps that tell a jump from lost samples
 _IN_MOTION = 1e-3  # chance to call a record that begins at rest one that begins in motion
 _MANY_STAMPS = 100_000  # of an output: from here on the search begins with some of them
 
+_End = tuple[TimeSearch, Weighed[ModalRegression]]
+"""A search, and what it found, weighed by the noise."""
+
 
 @dataclass(frozen=True)
 class IdentificationTask:
@@ -288,9 +291,10 @@ class IdentificationTask:
         has_asked = False  # every output by itself
         looks_inside = is_persistent = True
         end_inside: ModalFit | None = None
-        known: tuple[TimeSearch, Weighed[ModalRegression]] | None = None
+        known: _End | None = None
         best = known  # of all turns
         before_idle, dropped = known, set[str]()
+        before_new = known  # without low-passes
         low_passes: dict[str, LowPass] = {}
         unsettled: list[str] = []
         start: ModalFit | None = None
@@ -353,7 +357,7 @@ class IdentificationTask:
                 search, weighed = before_idle  # without them they are asked for again
                 break
             if new:
-                most += _CLOCK_TURNS * len(new)
+                before_new, most = before_new or known, most + _CLOCK_TURNS * len(new)
                 better = {name: own.low_pass for name, own in new.items()}
                 clearest = min(new, key=lambda name: new[name].left)
                 start = new[clearest].modes
@@ -373,6 +377,8 @@ class IdentificationTask:
             clocks |= {
                 name: clocks.get(name, OwnClock()).moved(own.delay, own.rate) for name, own in further.items()
             }
+        if before_new is not None and _leaves_more((search, weighed), before_new):
+            search, weighed = before_new
         result = search.result(weighed, self.n_modes)
         if unsettled:
             said = (
@@ -504,3 +510,13 @@ def _begins_in_motion(
     )
     freedom = with_motion.n_parameters - without.n_parameters
     return bool(2.0 * (without.cost - with_motion.cost) > chi_squared_isf(freedom, _IN_MOTION))
+
+
+def _leaves_more(end: _End, other: _End) -> bool:
+    """Return whether no fewer modes leave more of the outputs than at another end, before and behind the noise."""
+
+    def log_power(fit: ModalFit) -> float:
+        return sum(len(left) * math.log(max(float(left @ left), 1e-300)) for left in fit.residuals)
+
+    least = [min(log_power(search.chosen), log_power(weighed.fit)) for search, weighed in (end, other)]
+    return len(end[1].fit.omegas) >= len(other[1].fit.omegas) and least[0] > least[1]
