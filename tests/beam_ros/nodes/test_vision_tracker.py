@@ -64,6 +64,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrackerScene]:
             tracker__save_calibration=folder / "new.yaml",
             camera__name="lab",
         )
+        scene.start("foretold", tracker__prediction="beam")
         scene.start("film", tracker__source="file", tracker__video=folder / "film.avi")
         names = {("tracker", f"/{namespace}") for namespace in scene.processes}
         graph.wait(lambda: names <= set(graph.node.get_node_names_and_namespaces()), "every tracker", 40.0)
@@ -315,6 +316,20 @@ def test_a_video_is_measured_to_its_end_and_the_end_is_said(scene) -> None:
     # Compressed: 0.1 px.
     assert found == pytest.approx(np.tile(truth[:, None], (1, 3)), abs=7e-5)
     assert np.all(np.diff([d.stamp_ns for d in seen.displacements]) == 20_000_000)
+
+
+def test_a_tracker_that_foretells_hears_the_hub_and_tells_how_often_that_was_needed(scene) -> None:
+    graph = scene.graph
+    hub = graph.publisher("hub/state", namespace="/foretold")
+    graph.wait(lambda: hub.get_subscription_count() > 0, "hub/state's listener")
+    for k in range(40):
+        x = 2e-5 * k
+        hub.publish(messages.hub_state(graph.types, messages.HubSample(scene.stamp(), x)))
+        assert _is_seen(scene.answer("foretold", scene.image(scene.pixels(x)))) == [True] * 3
+    health = scene.seen["foretold"].health
+    graph.wait(lambda: health and "z285 sigma_px" in health[-1].values, "diagnostics of the frames")
+    assert [health[-1].values[f"{name} foretold"] for name in ("z010", "z225", "z285")] == ["0"] * 3
+    graph.node.destroy_publisher(hub)
 
 
 def test_a_hub_state_that_cannot_be_read_is_left_out(scene) -> None:
