@@ -44,6 +44,7 @@ from beam_ident.modal_identification.clock_search import (
     OwnClocks,
 )
 from beam_ident.modal_identification.fit_tests import THINNED
+from beam_ident.modal_identification.sensor_low_passes import Sensor
 from beam_ident.modal_identification.signal_clocks import SignalClocks
 from beam_ident.modal_identification.time_search import LongSearch, TimeSearch
 from beam_ident.sensing.still_noise import StillNoise
@@ -58,6 +59,90 @@ _MANY_STAMPS = 100_000  # of an output: from here on the search begins with some
 
 _End = tuple[TimeSearch, Weighed[ModalRegression]]
 """A search, and what it found, weighed by the noise."""
+
+
+@dataclass
+class _Turns:
+    """Where the turns of a search stand: each finds modes with what is known of the outputs' clocks and low-passes.
+
+    Attributes
+    ----------
+    clocks, low_passes : dict -- of outputs by name, as far as they are known
+    most : int -- turns, at most
+    start : ModalFit or None -- where the next one begins
+    has_asked : bool -- every output by itself
+    looks_inside, is_persistent : bool -- whether the next one looks where simpler structures end, and goes on past
+        orders that are not believed
+    end_inside : ModalFit or None -- where simpler structures led to
+    known, best : (TimeSearch, Weighed) or None -- the last end, and the likeliest
+    before_new, before_idle : the same or None -- without low-passes, and with clocks that were not needed
+    dropped : set of str -- outputs whose own clock was left out again
+    unsettled : list of str -- outputs that would have moved on after the last turn
+    """
+
+    clocks: dict[str, OwnClock]
+    most: int
+    low_passes: dict[str, LowPass] = field(default_factory=dict)
+    start: ModalFit | None = None
+    has_asked: bool = False
+    looks_inside: bool = True
+    is_persistent: bool = True
+    end_inside: ModalFit | None = None
+    known: _End | None = None
+    best: _End | None = None
+    before_new: _End | None = None
+    before_idle: _End | None = None
+    dropped: set[str] = field(default_factory=set)
+    unsettled: list[str] = field(default_factory=list)
+
+    def instruct(self, search: TimeSearch) -> None:
+        """Tell a search what the turns before it have looked for in vain."""
+        search.is_in_doubt, search.looks_inside = self.has_asked, self.looks_inside
+        search.is_persistent, search.end_before = self.is_persistent, self.end_inside
+
+    def note(self, end: _End) -> None:
+        """Take note of where a turn ended.
+
+        A clock that moves a little leaves in vain what was in vain, and a better end where it was.
+        """
+        search, weighed = self.known = end
+        if self.best is None or weighed.fit.cost < self.best[1].fit.cost:
+            self.best = end
+        self.is_persistent = search.is_worth_persisting
+        if search.is_better_inside:
+            self.end_inside = search.chosen
+        self.looks_inside = self.end_inside is not None
+
+    def look_behind(self, new: Mapping[str, Sensor], end: _End) -> None:
+        """Look behind low-passes that are likely."""
+        self.before_new = self.before_new or self.known
+        self.most += _CLOCK_TURNS * len(new)
+        clearest = min(new, key=lambda name: new[name].left)
+        self.start = new[clearest].modes
+        if clearest in self.clocks:
+            self.start = replace(self.start, clock=end[1].fit.clock)
+        for name in new.keys() & self.clocks.keys():
+            self.clocks[name] = OwnClock(new[name].modes.clock.latency - self.start.clock.latency)
+        self.low_passes |= {name: own.low_pass for name, own in new.items()}
+
+    def go_on(self, further: Mapping[str, OwnClock], better: Mapping[str, LowPass], end: _End) -> None:
+        """Go on with clocks that move further, and better low-passes."""
+        if better:
+            self.start = end[1].fit
+        self.low_passes |= better
+        self.clocks |= {
+            name: self.clocks.get(name, OwnClock()).moved(own.delay, own.rate)
+            for name, own in further.items()
+        }
+
+    def leaves_out_idle(self, end: _End) -> bool:
+        """Leave out clocks of outputs that do not differ from the common one; False where there are none."""
+        search, weighed = end
+        idle = set(search.clocks.idle(weighed.fit)) - self.dropped
+        if idle:
+            self.before_idle, self.dropped = self.known, self.dropped | idle
+            self.clocks = {name: own for name, own in self.clocks.items() if name not in idle}
+        return bool(idle)
 
 
 @dataclass(frozen=True)
@@ -287,103 +372,83 @@ class IdentificationTask:
     def _outcome(self, records: list[TimeRecord], jumps: tuple[ClockJump, ...]) -> IdentificationResult:
         """Return what is found in some records with the jumps of their clocks, and outputs late by themselves."""
         measured = [without_jumps(own, k, jumps) for k, own in enumerate(records)]
-        clocks = {**self.first_clocks, **self._known_clocks(measured)}
-        has_asked = False  # every output by itself
-        looks_inside = is_persistent = True
-        end_inside: ModalFit | None = None
-        known: _End | None = None
-        best = known  # of all turns
-        before_idle, dropped = known, set[str]()
-        before_new = known  # without low-passes
-        low_passes: dict[str, LowPass] = {}
-        unsettled: list[str] = []
-        start: ModalFit | None = None
-        most = _CLOCK_TURNS * len(records[0].outputs)
+        turns = _Turns(
+            {**self.first_clocks, **self._known_clocks(measured)}, _CLOCK_TURNS * len(records[0].outputs)
+        )
         for turn in itertools.count():
-            shifted = with_low_passes([on_common_clock(one, clocks) for one in measured], low_passes)
+            shifted = with_low_passes(
+                [on_common_clock(one, turns.clocks) for one in measured], turns.low_passes
+            )
+            further, better, new = dict[str, OwnClock](), dict[str, LowPass](), dict[str, Sensor]()
             try:
                 regression = ModalRegression(shifted, self.terms, self.input_names)
                 _refuse_hopeless(regression, self.n_modes)
                 search = self._begun(
-                    shifted, regression, clocks=clocks, jumps=jumps, low_passes=low_passes, start=start
+                    shifted,
+                    regression,
+                    clocks=turns.clocks,
+                    jumps=jumps,
+                    low_passes=turns.low_passes,
+                    start=turns.start,
                 )
-                search.is_in_doubt, search.looks_inside = has_asked, looks_inside
-                search.is_persistent, search.end_before = is_persistent, end_inside
+                turns.instruct(search)
                 if turn == 0 and (result := self._untangled(regression, search)) is not None:
                     return result
                 try:
-                    search, weighed = self._finished(search, regression)
+                    end = self._finished(search, regression)
                 except EstimationError as err:
-                    if known is not None:  # no mode was believed without the clocks that it needs
-                        search, weighed = known
+                    if turns.known is not None:  # no mode was believed without the clocks that it needs
+                        end = turns.known
                         break
                     gaps = gap_sentences(search.plain)
                     if not gaps:
                         raise
                     raise EstimationError(f"{err}. {' '.join(gaps)}") from err
-                if search.stopped_by is not None and known is not None:
+                search, weighed = end
+                if search.stopped_by is not None and turns.known is not None:
                     raise search.stopped_by
-                known = search, weighed
-                if best is None or weighed.fit.cost < best[1].fit.cost:
-                    best = known
-                # A clock that moves a little leaves in vain what was in vain, and a better end where it was.
-                is_persistent = search.is_worth_persisting
-                if search.is_better_inside:
-                    end_inside = search.chosen
-                looks_inside = end_inside is not None
+                turns.note(end)
                 is_done = search.stopped_by is None
-                goes_on = is_done and turn + 1 < most
+                goes_on = is_done and turn + 1 < turns.most
                 further = search.further_clocks(weighed) if is_done else {}
                 better = search.better_low_passes(weighed) if is_done else {}
                 if (further or better) and not goes_on:
-                    unsettled = sorted({*further, *better})
-                    search, weighed = best  # the last turn may have got worse
+                    turns.unsettled = sorted({*further, *better})
+                    end = turns.best or end  # the last turn may have got worse
                     break
-                new = (
-                    search.further_low_passes(weighed, measured)
-                    if goes_on and not (further or better)
-                    else {}
-                )
+                if goes_on and not (further or better):
+                    new = search.further_low_passes(weighed, measured)
             except OwnClocks as own:
-                clocks, has_asked = own.clocks, True
+                turns.clocks, turns.has_asked = own.clocks, True
                 continue
             except Stopped as stop:
-                if known is None:
+                if turns.known is None:
                     raise
-                search, weighed = known
+                search, weighed = turns.known
                 missing = "a further look for clocks that outputs have of their own"
-                weighed, further, better, new = search.unfinished(weighed, stop, missing), {}, {}, {}
-            if before_idle is not None and further and dropped.issuperset(further):
-                search, weighed = before_idle  # without them they are asked for again
+                end, goes_on = (search, search.unfinished(weighed, stop, missing)), False
+            if turns.before_idle is not None and further and turns.dropped.issuperset(further):
+                end = turns.before_idle  # without them they are asked for again
                 break
             if new:
-                before_new, most = before_new or known, most + _CLOCK_TURNS * len(new)
-                better = {name: own.low_pass for name, own in new.items()}
-                clearest = min(new, key=lambda name: new[name].left)
-                start = new[clearest].modes
-                if clearest in clocks:
-                    start = replace(start, clock=weighed.fit.clock)
-                for name in new.keys() & clocks.keys():
-                    clocks[name] = OwnClock(new[name].modes.clock.latency - start.clock.latency)
-            elif better:
-                start = weighed.fit
-            low_passes |= better
-            if not (further or better):
-                idle = set(search.clocks.idle(weighed.fit)) - dropped if goes_on else set()
-                if not idle:
-                    break
-                before_idle, dropped = known, dropped | idle
-                clocks = {name: own for name, own in clocks.items() if name not in idle}
-            clocks |= {
-                name: clocks.get(name, OwnClock()).moved(own.delay, own.rate) for name, own in further.items()
-            }
-        if before_new is not None and _leaves_more((search, weighed), before_new):
-            search, weighed = before_new
+                turns.look_behind(new, end)
+            elif further or better:
+                turns.go_on(further, better, end)
+            elif not (goes_on and turns.leaves_out_idle(end)):
+                break
+        return self._said(turns, end)
+
+    def _said(self, turns: _Turns, end: _End) -> IdentificationResult:
+        """Return the result of the last turn, or of the one before its low-passes, and whether the clocks settled."""
+        if turns.before_new is not None and _leaves_more(end, turns.before_new):
+            end = turns.before_new
+        search, weighed = end
         result = search.result(weighed, self.n_modes)
-        if unsettled:
+        if turns.unsettled:
             said = (
-                f"The clocks of {', '.join(unsettled)} did not settle: the likeliest of {most} fits is taken. "
-                "State latency, clock rate or low_pass of these outputs where they are known, or identify them alone."
+                f"The clocks of {', '.join(turns.unsettled)} did not settle: the likeliest of {turns.most} fits is "
+                "taken. State latency, clock rate or low_pass of these outputs where they are known, or identify "
+                "them alone."
             )
             result = replace(result, warnings=(*result.warnings, said))
         return result
