@@ -146,7 +146,9 @@ def modes(seed: int) -> Found:
             continue
         sizes = tuple(len(own.residuals) for own in fit.outputs)
         entry = next(own for own in fit.orders if own.is_chosen)
-        found[n, n, terms] = sizes, entry.bic - entry.n_parameters * float(np.log(sum(sizes)))
+        # What is seen through a low-pass, or late by itself, has a term more.
+        seen = (*fit.model.low_passes, *(f"clock of {name}" for name in fit.model.own_clocks))
+        found[n, n, (*terms, *seen)] = sizes, entry.bic - entry.n_parameters * float(np.log(sum(sizes)))
     return found
 
 
