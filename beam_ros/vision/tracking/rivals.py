@@ -294,14 +294,17 @@ def carried(
     marker moves as another one does, give or take ``LEVERAGE`` times; the last frames tell the rest, as well as what
     they leave allows. A motion of another kind than in these frames is told poorly, and the deviation says so.
     """
-    ways = [dict(way) for way, _ in companies]
-    frames = [frame for frame, _ in own if all(frame in way for way in ways)]
-    if len(frames) < _MIN_PLACES or not companies:
+    places = dict(own)
+    known = [(dict(way), at) for way, at in companies]
+    beside = [(way, at) for way, at in known if len(places.keys() & way) >= _MIN_PLACES]
+    ways = [way for way, _ in beside]
+    frames = [frame for frame in places if all(frame in way for way in ways)]
+    if len(frames) < _MIN_PLACES or not ways:
         return None
-    last = dict(own)[frames[-1]]
+    last = places[frames[-1]]
     moved = np.array([[way[frame] - way[frames[-1]] for way in ways] for frame in frames])
-    now = np.array([1.0, *(at - way[frames[-1]] for (_, at), way in zip(companies, ways, strict=True))])
-    columns = np.array([dict(own)[frame] - last for frame in frames])
+    now = np.array([1.0, *(at - way[frames[-1]] for way, at in beside)])
+    columns = np.array([places[frame] - last for frame in frames])
     design = np.column_stack([np.ones(len(frames)), moved])
     before = np.array([0.0, *[1.0 / len(ways)] * len(ways)])
     precision = np.diag([0.0, *[LEVERAGE**-2] * len(ways)])

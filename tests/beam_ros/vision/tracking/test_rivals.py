@@ -414,5 +414,6 @@ def test_the_others_tell_where_a_marker_is_and_how_well():
     u, doubt = carried(still, [(still, 140.0)])
     assert doubt > 2.0 * 40.0
     assert carried(still, [(still, 100.0)])[1] < 2.0
+    assert carried(still, [(still, 100.0), ([], 300.0)]) == carried(still, [(still, 100.0)])
     assert carried(still[:3], [(still, 100.0)]) is None
     assert carried(still, []) is None
