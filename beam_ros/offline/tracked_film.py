@@ -202,7 +202,7 @@ def _track_markers(
         ),
         [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt) if doubt]
         + [
-            f"{name} was told from other spots by the beam's model in {n} frames (tracker.prediction beam)"
+            f"{name} was told apart from other spots by the beam's model in {n} frames (tracker.prediction beam)"
             for name, n in zip(names, chain.foretold_frames, strict=True)
             if n
         ],

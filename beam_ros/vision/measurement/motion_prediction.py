@@ -25,7 +25,7 @@ from beam_ros.vision.tracking.marker_state import Foretold
 
 _MEMORY_S = 1.0
 """So much of the hub's motion is remembered."""
-_LONGEST_STEP = 20.0
+_MAX_STEP = 20.0
 """After so many periods without a frame nothing is known."""
 _MODEL_ERROR = 0.05
 """A mode's frequency is known to this share."""
@@ -82,7 +82,7 @@ class MotionPrediction:
         shown = max(1, int(np.count_nonzero(motion.frequencies < 0.8 * math.pi / period_s)))
         self._omega, damping = motion.frequencies[:shown], motion.damping_ratios[:shown]
         self._shapes = motion.shapes[:, :shown]
-        self._longest_s = _LONGEST_STEP * period_s
+        self._longest_s = _MAX_STEP * period_s
         self._encoder_sd_m = motion.encoder_sd_m
         self.scales = scales
         n, rate = shown, float(self._omega[0])

@@ -292,7 +292,7 @@ def carried(
     -----
     Its column is a linear function of the others', u = c + sum_j b_j u_j. All that is known of b before is that a
     marker moves as another one does, give or take ``LEVERAGE`` times; the last frames tell the rest, as well as what
-    they leave allows. A motion of another kind than in these frames is told poorly, and the deviation says so.
+    they leave allows. A motion of another kind than in these frames is foreseen poorly, and the deviation says so.
     """
     places = dict(own)
     known = [(dict(way), at) for way, at in companies]
