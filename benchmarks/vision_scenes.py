@@ -150,7 +150,7 @@ def driven_motion(
 ) -> tuple[np.ndarray, list[list[tuple[int, float]]]]:
     """Positions as of ``motion``, of a beam that a hub drives, and what the hub's encoder says before every frame.
 
-    The beam is up to 5 % stiffer or softer than the rig's model says, and the camera's stamps are up to 3 ms late.
+    The beam is up to 10 % stiffer or softer than the rig's model says, and the camera's stamps are up to 3 ms off.
     """
     tick, frame = 1e-3, PERIOD_NS * 1e-9
     before = 2.0

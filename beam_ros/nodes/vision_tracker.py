@@ -245,6 +245,9 @@ class VisionTracker(RigNode):
         now = time.monotonic()
         elapsed_s, self._reported = now - self._reported, now
         report = self._diagnosis.report(elapsed_s, self._source.complaints(), self._source.silence)
+        if self._chain.prediction is not None:
+            self._chain.prediction.late_s = self._lateness.late_s
+            self._chain.prediction.late_sd_s = self._lateness.late_sd_s
         return report.level, report.sentence, {"driver": self.rig.camera.driver, **report.values}
 
     def close(self) -> None:

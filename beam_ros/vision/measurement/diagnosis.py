@@ -213,9 +213,6 @@ class Diagnosis:
             values["latency_median_ms"] = round(float(median), 3)
             values["latency_p99_ms"] = round(float(p99), 3)
         self._lateness.look()
-        if self._chain.prediction is not None:
-            self._chain.prediction.late_s = self._lateness.late_s
-            self._chain.prediction.late_sd_s = self._lateness.late_sd_s
         if math.isfinite(self._lateness.late_s):
             values["stamps_late_s"] = round(self._lateness.late_s, 6)
             values["stamps_late_sd_s"] = round(self._lateness.late_sd_s, 6)

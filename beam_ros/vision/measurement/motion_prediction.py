@@ -137,13 +137,12 @@ class MotionPrediction:
         tuple of Foretold, one per marker -- empty while what was foretold has not been tried
         """
         now_ns = sum(stamps_ns) // len(stamps_ns)
-        step_s = 0.0 if self._time_ns is None else (now_ns - self._time_ns) * 1e-9
-        if self._time_ns is not None and not 0.0 < step_s <= self._longest_s:
-            self.reset()
-            step_s = 0.0
-        self._time_ns = now_ns
-        if step_s > 0.0:
+        step_s = math.inf if self._time_ns is None else (now_ns - self._time_ns) * 1e-9
+        if 0.0 < step_s <= self._longest_s:
             self._step(step_s)
+        else:
+            self.reset()
+        self._time_ns = now_ns
         self._observe_hub(now_ns)
         offsets = np.array([(stamp - now_ns) * 1e-9 for stamp in stamps_ns])
         self._design = self._seen_by_markers(offsets)
