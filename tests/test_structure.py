@@ -97,7 +97,6 @@ TESTED_IN = (
     ("beam_ros/hub/line", "connection", "hub/line/test_client"),
     ("beam_ros/hub", "link_parameters", "hub/links/test_odrive"),
     ("beam_ros/hub", "errors", "hub/line/test_driver"),
-    ("beam_ros/hub/line", "transport", "hub/line/test_driver"),
     ("beam_ros/cli/offline", "axis", "hub/links/test_probe"),
     ("beam_ros/hub/emulated", "line_board", "hub/links/test_csv_board"),
     ("beam_ros/hub/emulated", "odrive servo", "hub/links/test_odrive"),

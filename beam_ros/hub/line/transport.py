@@ -22,6 +22,8 @@ from beam_ros.hub.errors import HubConnectionError, PortDeniedError
 from beam_ros.hub.faults import fault
 
 WRITE_TIMEOUT_S = 0.25
+WRITE_WAIT_S = 0.01
+"""Longest wait for a port to take more [s], and the most that counts of it: a frozen process does not wait."""
 BLOCKING_READ_S = 0.005
 """Longest wait in a port that has no descriptor to wait on [s]; nothing ends it early."""
 MOST_AT_ONCE = 16_384
@@ -54,6 +56,7 @@ class SerialTransport:
         self._most_bytes = most_bytes
         self._serial: Any = None
         self._descriptor: int | None = None
+        self._is_plain = False
         self._counted_since_ns = 0
         self._n_counted = 0
         if not port:
@@ -84,6 +87,7 @@ class SerialTransport:
             port.open()
             self._serial = port
             self._descriptor = _descriptor_of(port)
+            self._is_plain = self._descriptor is not None and _is_plain(port)
             if self._descriptor is None:
                 port.timeout = BLOCKING_READ_S
             else:
@@ -109,16 +113,19 @@ class SerialTransport:
         self._woken.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; takes ``WRITE_TIMEOUT_S`` at the most.
+        """Send bytes; takes ``WRITE_TIMEOUT_S`` at the most, and for as long as the process is frozen.
 
         Raises
         ------
         HubConnectionError
-            The port vanished or takes nothing.
+            The port vanished, or does not take the bytes in time.
         """
         if data:
             try:
-                self._serial.write(data)
+                if self._descriptor is not None and self._is_plain:
+                    _write(self._descriptor, data)
+                else:
+                    self._serial.write(data)
             except Exception as err:
                 raise self._lost(err) from err
 
@@ -216,6 +223,43 @@ def _descriptor_of(port: Any) -> int | None:
         return int(port.fileno())
     except (AttributeError, io.UnsupportedOperation):
         return None
+
+
+def _is_plain(port: Any) -> bool:
+    """Say whether a port is a device and nothing else: ``spy://`` and others do more with bytes than send them."""
+    import serial
+
+    return os.name == "posix" and type(port) is serial.Serial
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    """Write to a descriptor that does not block.
+
+    pyserial looks at its time-out also when all bytes were taken, so that a process that is frozen within its
+    ``write`` loses a port that works. Here the port is asked once more before it is given up, and of a time in which
+    the process was frozen ``WRITE_WAIT_S`` counts at the most.
+
+    Raises
+    ------
+    TimeoutError
+        The port did not take the bytes in time.
+    OSError
+        The port vanished.
+    """
+    waited_s, last_s, rest = 0.0, time.monotonic(), memoryview(data)
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            rest = rest[os.write(descriptor, rest) :]
+        if not rest:
+            return
+        if waited_s >= WRITE_TIMEOUT_S:
+            raise TimeoutError(
+                f"it took {len(data) - len(rest)} of {len(data)} bytes within {WRITE_TIMEOUT_S:g} s"
+            )
+        select.select([], [descriptor], [], WRITE_WAIT_S)
+        now_s = time.monotonic()
+        waited_s += min(now_s - last_s, WRITE_WAIT_S)
+        last_s = now_s
 
 
 def _number_of(err: BaseException | None) -> int | None:
