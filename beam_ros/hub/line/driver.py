@@ -154,7 +154,9 @@ class DriverHub:
 
     def _talk(self) -> None:
         with self._lock:
-            output = self._client.transmit(time.monotonic_ns())
+            # Silence is judged by this time, too: what comes while the process is frozen after it is read first.
+            now_ns = time.monotonic_ns()
+            output = self._client.transmit(now_ns)
         self._transport.write(output)
         with self._lock:
             query = self._client.clock_query(time.monotonic_ns())
@@ -163,7 +165,7 @@ class DriverHub:
         with self._lock:
             self._client.receive(data, arrived_ns)
             has_news = self._client.has_news
-            is_silent = self._client.is_silent(time.monotonic_ns())
+            is_silent = self._client.is_silent(now_ns)
         if has_news:
             self._tell_news()
         if is_silent:

@@ -26,6 +26,7 @@ from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.host.motion_watch import CertainMotion
 from beam_ros.hub.host.receipt_clock import ReceiptClock
+from beam_ros.hub.host.silence import Silence
 from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
@@ -86,7 +87,7 @@ class CsvHub:
         self._sequences: list[SequenceReport] = []
         self._completed: list[tuple[int, Outcome]] = []
         self._n_requests = 0
-        self._heard_ns: int | None = None
+        self._silence = Silence(SILENCE_NS)
         self._last_stamp_ns = 0
         self._position = self._velocity = 0.0
         self._fault: Fault = fault("no_answer")
@@ -199,13 +200,13 @@ class CsvHub:
         return ReceiptClock(columns.clock_tick * 1e9, modulus, self._supervisor.report)
 
     def _lose(self, name: str, reason: str) -> None:
-        if self._heard_ns is not None or self._fault.name != name:
+        if self._silence.is_connected or self._fault.name != name:
             self._journal.tell("error", reason)
-        self._heard_ns = None
+        self._silence.lose()
         self._fault, self._reason = fault(name), reason
 
     def _look_for_silence(self, now_ns: int) -> None:
-        if self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS:
+        if self._silence.is_too_long(now_ns):
             self._lose(
                 "controller_silent",
                 f"no line with {self._columns.last} numbers came for 1 s; check the board",
@@ -220,11 +221,11 @@ class CsvHub:
 
     def _note_row(self, row: tuple[float, ...], came_ns: int) -> None:
         columns = self._columns
-        if self._heard_ns is None:
+        if not self._silence.is_connected:
             self._fault, self._reason = NO_FAULT, ""
             self._journal.counters["connections"] += 1
             self._journal.tell("info", f"connected: lines of {len(row)} numbers on {self._link.serial_port}")
-        self._heard_ns = time.monotonic_ns()
+        self._silence.end()
         scale = columns.position_scale
         self._position = row[columns.position - 1] * scale
         self._velocity = row[columns.velocity - 1] * scale if columns.velocity else 0.0

@@ -120,15 +120,18 @@ class Odrive:
         self._buffer = b""
         self.tell(command)
         end_ns = sent_ns + round(ANSWER_S * 1e9)
+        is_over = False
         while b"\n" not in self._buffer:
-            left_s = (end_ns - time.monotonic_ns()) * 1e-9
-            if left_s <= 0.0 or len(self._buffer) > ascii_protocol.MAX_LINE:
+            if is_over or len(self._buffer) > ascii_protocol.MAX_LINE:
                 self.drain()
                 raise HubProtocolError(
                     f"no answer to {command!r} within {ANSWER_S:g} s: expected one line; check the cable and "
                     "serial.baud"
                 )
-            data, came_ns = self._transport.read(left_s)
+            # An answer that came while this process was frozen is there, although the time is over.
+            left_s = (end_ns - time.monotonic_ns()) * 1e-9
+            is_over = left_s <= 0.0
+            data, came_ns = self._transport.read(max(0.0, left_s))
             self._buffer += data
         line, _, rest = self._buffer.partition(b"\n")
         if rest:
@@ -290,15 +293,16 @@ class OdriveHub(HostPacedHub):
         odrive, n = self._odrive, self._settings.axis
         patience = self._parameters.watchdog_s
         odrive.tell(f"u {n}")
-        start = time.monotonic()
+        start = asked = time.monotonic()
         while not int(odrive.read("error")) & ascii_protocol.WATCHDOG_EXPIRED:
-            if time.monotonic() - start > 1.5 * patience + ANSWER_S:
+            if asked - start > 1.5 * patience + ANSWER_S:
                 raise _UnprovedError(
                     f"the ODrive's watchdog was set to {patience:g} s and did not act on "
-                    f"{time.monotonic() - start:.2f} s of silence: expected WATCHDOG_TIMER_EXPIRED; update its "
+                    f"{asked - start:.2f} s of silence: expected WATCHDOG_TIMER_EXPIRED; update its "
                     "firmware to 0.5.1 or later"
                 )
             self._ending.wait(patience / 20)
+            asked = time.monotonic()
         took = time.monotonic() - start
         if took < 0.5 * patience:
             raise _UnprovedError(

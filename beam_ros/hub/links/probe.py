@@ -124,9 +124,11 @@ def best(findings: list[Finding]) -> Finding:
 def _listen(line: Line, seconds: float) -> tuple[bytes, list[int]]:
     """Gather what comes in a time; return it, and when each end of a line came [ns]."""
     heard, times = b"", []
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0.0:
-        data, came_ns = line.read(min(left, 0.05))
+    end, left = time.monotonic() + seconds, seconds
+    while left > 0.0:
+        # The last look is one without waiting: at what came while this process was frozen.
+        left = end - time.monotonic()
+        data, came_ns = line.read(min(max(left, 0.0), 0.05))
         heard += data
         times += [came_ns] * data.count(b"\n")
     return heard, times

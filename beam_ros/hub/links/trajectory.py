@@ -22,6 +22,7 @@ import numpy as np
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.contract import HostTime, HubCapabilities, SampleBatch
 from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.host.silence import Silence
 from beam_ros.hub.host.stamp_watch import StampWatch
 from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.host_axis import HostAxis
@@ -148,7 +149,7 @@ class TrajectoryHub(HostPacedHub):
         self._settings = trajectory
         self._send = send
         self._sent_revision = 0
-        self._heard_ns: int | None = None
+        self._silence = Silence(SILENCE_NS)
         self._last: tuple[int, float] | None = None
         self._stamps = StampWatch(self._blame_clock)
         self._ages_ns: deque[int] = deque(maxlen=AGES)
@@ -198,11 +199,11 @@ class TrajectoryHub(HostPacedHub):
             self.axis.observe(metres, speed)
             force = None if effort is None else effort / unit
             self.axis.add_measured(stamp_ns, metres, speed, force)
-            if self._heard_ns is None:
+            if not self._silence.is_connected:
                 self.axis.connect()
                 self.axis.journal.counters["connections"] += 1
                 self.axis.journal.tell("info", "connected: joint states come")
-            self._heard_ns = now.steady_ns
+            self._silence.end()
 
     def _blame_clock(self, name: str, reason: str) -> None:
         self._ages_ns.clear()
@@ -220,13 +221,14 @@ class TrajectoryHub(HostPacedHub):
     def _turn(self, now_ns: int) -> Knots | None:
         """Let time do its work; return a trajectory that is to be published."""
         axis = self.axis
-        if self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS:
+        if self._silence.is_too_long(now_ns):
             reason = "no joint states came for 0.5 s: is the broadcaster active?"
             if axis.is_powered:
                 # The controller may be alive, and follow a sequence that nobody sees any more.
                 axis.fail("telemetry_stopped", reason, now_ns)
             else:
-                self._heard_ns = self._last = None
+                self._silence.lose()
+                self._last = None
                 self._ages_ns.clear()
                 self._stamps.forget()
                 axis.disconnect("controller_silent", reason)

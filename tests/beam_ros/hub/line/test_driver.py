@@ -20,6 +20,7 @@ from beam_ros.hub.contract import SequenceChunk
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.line.connection import SILENCE_NS
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
@@ -550,6 +551,27 @@ def _unplug_again_and_again(rig: DriverRig, cycles: int) -> None:
 
 def test_a_port_that_is_unplugged_again_and_again_comes_back_every_time(start):
     _unplug_again_and_again(start(PATIENT), 4)
+
+
+def test_a_host_that_is_frozen_behind_its_look_at_the_port_does_not_take_the_controller_for_silent(
+    start, monkeypatch
+):
+    rig = start(PATIENT)
+    before = rig.reports[-1].status.counters["connections"]
+    read, frozen = rig.hub._transport.read, threading.Event()
+
+    def read_and_freeze(timeout_s: float) -> tuple[bytes, int]:
+        answer = read(timeout_s)
+        if not frozen.is_set():
+            frozen.set()
+            time.sleep(1.2e-9 * SILENCE_NS)
+        return answer
+
+    monkeypatch.setattr(rig.hub._transport, "read", read_and_freeze)
+    reports = rig.run(2.0)
+    assert frozen.is_set()
+    assert all(r.status.state != "disconnected" for r in reports), told(rig)
+    assert reports[-1].status.counters["connections"] == before
 
 
 @pytest.mark.verify

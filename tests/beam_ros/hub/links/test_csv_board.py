@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.link_parameters import CsvColumns
-from beam_ros.hub.links.csv_board import REFUSAL, CsvHub
+from beam_ros.hub.links.csv_board import REFUSAL, SILENCE_NS, CsvHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
@@ -125,6 +127,26 @@ def test_a_board_that_falls_silent_and_one_that_is_pulled_are_lost_and_come_back
     assert status.fault.name in ("controller_silent", "port_lost")
     rig.emulator.plug()
     rig.until(lambda r: r.status.state == "identified")
+
+
+def test_a_process_that_was_frozen_does_not_take_its_board_for_silent(start, monkeypatch) -> None:
+    """Its executor wakes before the thread that reads, and judges a time in which nobody could hear."""
+    rig = start()
+    transport, frozen_s = rig.hub._transport, 1.2e-9 * SILENCE_NS
+    read, begun = transport.read, threading.Event()
+
+    def freeze_and_read(timeout_s: float) -> tuple[bytes, int]:
+        if not begun.is_set():
+            begun.set()
+            time.sleep(frozen_s + 0.1)
+        return read(timeout_s)
+
+    monkeypatch.setattr(transport, "read", freeze_and_read)
+    assert begun.wait(2.0)
+    time.sleep(frozen_s)
+    reports = rig.run(0.5)
+    assert all(r.status.state == "identified" for r in reports)
+    assert reports[-1].status.counters["connections"] == 1
 
 
 def test_lines_with_too_few_columns_are_no_connection(tmp_path) -> None:

@@ -15,9 +15,11 @@ import pytest
 
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
+from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.link_parameters import OdriveParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
-from beam_ros.hub.links.odrive import OdriveHub
+from beam_ros.hub.links.odrive import ANSWER_S, Odrive, OdriveHub
+from beam_ros.hub.links.odrive_protocol import encode_line
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
@@ -98,6 +100,45 @@ def test_a_watchdog_that_is_set_and_does_not_run_is_never_connected(start) -> No
     assert reports[-1].status.state == "disconnected"
     assert "did not act on" in reports[-1].status.reason
     assert not rig.ask("enable").success
+
+
+def test_a_host_that_is_frozen_while_it_proves_the_watchdog_looks_once_more(start, monkeypatch) -> None:
+    watchdog_s, freezes = 0.5, []
+    read = Odrive.read
+
+    def read_and_freeze(odrive: Odrive, path: str) -> float:
+        value = read(odrive, path)
+        if path == "error" and not value and not freezes:
+            freezes.append(path)
+            time.sleep(1.5 * watchdog_s + 2.0 * ANSWER_S)
+        return value
+
+    monkeypatch.setattr(Odrive, "read", read_and_freeze)
+    rig = connected(start(AxisParameters(watchdog_s=watchdog_s)))
+    assert freezes
+    assert "watchdog_unproved" not in {r.status.fault.name for r in rig.reports}
+
+
+def test_an_answer_that_came_while_the_host_was_frozen_is_read() -> None:
+    class Line:
+        """Answers at once; the host is frozen behind its question."""
+
+        answers = (encode_line("12.5"),)
+
+        def write(self, _data: bytes) -> None:
+            self.waiting = list(self.answers)
+            time.sleep(1.2 * ANSWER_S)
+
+        def read(self, timeout_s: float) -> tuple[bytes, int]:
+            assert timeout_s >= 0.0
+            return self.waiting.pop(0) if self.waiting else b"", time.monotonic_ns()
+
+    line = Line()
+    assert Odrive(line, 0).read("error") == 12.5
+    # Half an answer, whose other half came only after the last look.
+    line.answers = (line.answers[0][:3], line.answers[0][3:])
+    with pytest.raises(HubProtocolError, match=r"no answer to 'r axis0.error' within 0\.1 s"):
+        Odrive(line, 0).read("error")
 
 
 def test_the_axis_runs_a_sequence_and_reports_what_was_written_and_when(start) -> None:

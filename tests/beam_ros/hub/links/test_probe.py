@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.line_board import LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.line import protocol
+from beam_ros.hub.links.probe import ANSWER_S, probe_line
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.rig.rig import Rig
@@ -127,6 +129,30 @@ def test_what_is_no_axis_is_said_so(answer, kind: str, words: str, capsys, tmp_p
         )
     finally:
         speaker.close()
+
+
+def test_an_answer_that_came_while_the_host_was_frozen_is_read() -> None:
+    class Line:
+        """Answers a greeting at once; the host is frozen when it listens."""
+
+        answer = b""
+
+        def write(self, data: bytes) -> None:
+            self.answer = _old_firmware(data)
+            self.is_frozen = True
+
+        def read(self, timeout_s: float) -> tuple[bytes, int]:
+            assert timeout_s >= 0.0
+            answer = b""
+            if self.answer and self.is_frozen:
+                time.sleep(1.2 * ANSWER_S)
+                self.is_frozen = False
+            else:
+                answer, self.answer = self.answer, b""
+                time.sleep(0.01)
+            return answer, time.monotonic_ns()
+
+    assert probe_line(Line(), 115_200).kind == "beam_other_version"
 
 
 def test_a_file_that_exists_and_a_port_that_does_not_are_refused(tmp_path: Path, capsys) -> None:

@@ -15,7 +15,7 @@ from beam_ros.hub.emulated.trajectory_controller import (
 )
 from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
-from beam_ros.hub.links.trajectory import Knots, TrajectoryHub
+from beam_ros.hub.links.trajectory import SILENCE_NS, Knots, TrajectoryHub
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
@@ -250,6 +250,19 @@ def test_joint_states_that_stop_are_a_lost_controller_and_it_comes_back(start) -
     rig.run(0.3)
     for step in status.way_back:
         assert rig.ask(step).success
+
+
+def test_a_process_that_was_frozen_does_not_take_its_controller_for_silent(start) -> None:
+    """Its thread wakes before the executor has the joint states that came meanwhile."""
+    rig = start()
+    with rig.hub.lock:
+        rig.is_running = False
+        time.sleep(1.2e-9 * SILENCE_NS)
+    time.sleep(0.05)
+    rig.is_running = True
+    reports = rig.run(0.3)
+    assert all(r.status.state == "identified" for r in reports)
+    assert reports[-1].status.counters["connections"] == 1
 
 
 def test_joint_states_that_stop_under_a_sequence_stop_it(start) -> None:
