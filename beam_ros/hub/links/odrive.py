@@ -309,8 +309,9 @@ class OdriveHub(HostPacedHub):
                 f"the ODrive's watchdog acted after {took:.3f} s: expected {patience:g} s; look for another program "
                 "on the same ODrive"
             )
-        odrive.tell("sc")
+        # Fed first: a watchdog that is cleared while it is overdue acts again at once.
         odrive.tell(f"u {n}")
+        odrive.tell("sc")
         left = int(odrive.read("error"))
         if left & ascii_protocol.WATCHDOG_EXPIRED:
             raise _UnprovedError(
@@ -422,8 +423,8 @@ class OdriveHub(HostPacedHub):
     def _power_on(self) -> None:
         """Let the ODrive take the motor where it stands, for what waits for it."""
         odrive, n = self._odrive, self._settings.axis
-        odrive.tell("sc")
         odrive.tell(f"u {n}")
+        odrive.tell("sc")
         seen = odrive.feedback()
         with self.lock:
             self._observe(seen)

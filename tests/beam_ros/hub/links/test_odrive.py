@@ -119,6 +119,21 @@ def test_a_host_that_is_frozen_while_it_proves_the_watchdog_looks_once_more(star
     assert "watchdog_unproved" not in {r.status.fault.name for r in rig.reports}
 
 
+def test_a_watchdogs_fault_is_cleared_for_good_however_far_apart_the_commands_are(start, monkeypatch) -> None:
+    """A watchdog that is cleared before it is fed acts again at once."""
+    tell = Odrive.tell
+
+    def tell_slowly(odrive: Odrive, command: str) -> None:
+        tell(odrive, command)
+        if command == "sc":
+            time.sleep(0.02)
+
+    monkeypatch.setattr(Odrive, "tell", tell_slowly)
+    rig = connected(start())
+    assert "watchdog_unproved" not in {r.status.fault.name for r in rig.reports}
+    rig.enable()
+
+
 def test_an_answer_that_came_while_the_host_was_frozen_is_read() -> None:
     class Line:
         """Answers at once; the host is frozen behind its question."""
