@@ -42,7 +42,9 @@ class Light:
     background, contrast, noise : float -- [grey levels]
     level : float -- what is subtracted (for dark markers: subtracted from), a whole grey level
     above : float -- distance of this level from the background
-    floor : float -- a whole grey level beyond the background, away from the markers, that noise does not reach
+    height : float -- of a marker above this level, at least 1
+    bounds : (float, float) -- whatever lies outside counts as the nearer one: a whole grey level beyond the
+        background, away from the markers, that noise does not reach; and infinity
     speck : float -- mean grey level that noise alone leaves beyond the level
     speck_variance : float -- its variance
     """
@@ -68,11 +70,12 @@ class Light:
         if self._is_dark:
             self.level = float(math.floor(self.background - above))
             self.above = self.background - self.level
-            self.floor = float(math.ceil(self.background + below))
+            self.bounds = -math.inf, float(math.ceil(self.background + below))
         else:
             self.level = float(math.ceil(self.background + above))
             self.above = self.level - self.background
-            self.floor = float(math.floor(self.background - below))
+            self.bounds = float(math.floor(self.background - below)), math.inf
+        self.height = max(self.contrast - self.above, 1.0)
         self.speck = self.speck_variance = 0.0
         depth = self.above / self.noise if self.noise > 0 else math.inf
         if depth < 4.0:
@@ -97,7 +100,7 @@ class Light:
         self.settle()
 
 
-@dataclass
+@dataclass(slots=True)
 class Appearance:
     """A marker as it was acquired: what later frames are compared with.
 
@@ -113,6 +116,7 @@ class Appearance:
     tilt : float -- twice the second moment along u and v [px^2]
     radius, edge : float -- of the disc, and the standard deviation of its rim's blur [px]
     disc : tuple of int -- the two, as the apertures are tabulated
+    is_settled : bool -- it is averaged over enough frames
     model : DiscModel -- what is fitted to it, and learns its noise
     """
 
@@ -129,16 +133,12 @@ class Appearance:
     radius: float = field(init=False)
     edge: float = field(init=False)
     disc: tuple[int, int] = field(init=False)
+    is_settled: bool = field(init=False)
     model: DiscModel = field(init=False, default_factory=DiscModel)
 
     def __post_init__(self) -> None:
         self.disc = (0, 0)
         self.derive()
-
-    @property
-    def is_settled(self) -> bool:
-        """True once it is averaged over enough frames."""
-        return self.frames >= _SETTLING_FRAMES
 
     def derive(self) -> None:
         """Derive the disc from the present averages."""
@@ -150,6 +150,7 @@ class Appearance:
         seen = math.sqrt(max(squared - rim, 1.0))
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
         self.disc = disc_steps(self.radius, self.edge, self.disc)
+        self.is_settled = self.frames >= _SETTLING_FRAMES
 
     def changes(self, level: float) -> tuple[float, float]:
         """Changes of the area and of both second moments where another level is subtracted [px^2]."""

@@ -104,14 +104,14 @@ def aperture_at(
     Returns
     -------
     aperture : Aperture
-    column, row : int -- the whole pixel that ``aperture.left`` and ``top`` count from [px]
+    left, top : int -- the first column and row that carry weight [px]
     u, v : float -- the aperture's centre [px]
     """
     at_u, at_v = round(u * _PHASES_U), round(v * _PHASES_V)
-    column, row = at_u // _PHASES_U, at_v // _PHASES_V
     smear_steps = round(smear / _SMEAR_STEP_PX) if smear > 0.0 else 0
     aperture = _tabulated(at_u % _PHASES_U, at_v % _PHASES_V, disc[0], disc[1], smear_steps)
-    return aperture, column, row, at_u / _PHASES_U, at_v / _PHASES_V
+    left, top = at_u // _PHASES_U + aperture.left, at_v // _PHASES_V + aperture.top
+    return aperture, left, top, at_u / _PHASES_U, at_v / _PHASES_V
 
 
 def has_flat_top(image: ImageArray | Float32Array, column: int, row: int, *, is_dark: bool) -> bool:

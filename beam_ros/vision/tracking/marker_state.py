@@ -9,6 +9,7 @@ lie as a beam may lie, is not to be expected.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -63,7 +64,7 @@ class Thing:
         return self.last != frame or self.last - self.first < LONELY_FRAMES
 
 
-@dataclass
+@dataclass(slots=True)
 class MarkerState:
     """State of one marker between frames.
 
@@ -79,7 +80,7 @@ class MarkerState:
     lost_frames : int -- frames in a row in which it was not valid
     centre, swing : float -- slow average of u, and how far it has been from there of late [px]
     row, row_swing : float -- the same of v [px]
-    way : list of Place -- where it was in the frames of late
+    way : deque of Place -- where it was in the frames of late
     rivals : list of Track -- other spots of its kind in its row
     courses : list of Course -- the ways of those that were known when it was lost
     told_frames : int -- frames in a row in which these ways told which spot it is
@@ -118,7 +119,7 @@ class MarkerState:
     swing: float = 0.0
     row: float = math.nan
     row_swing: float = 0.0
-    way: list[Place] = field(default_factory=list)
+    way: deque[Place] = field(default_factory=lambda: deque(maxlen=COURSE_FRAMES))
     rivals: list[Track] = field(default_factory=list)
     courses: list[Course] = field(default_factory=list)
     told_frames: int = 0
@@ -211,19 +212,19 @@ class MarkerState:
             self.is_mixed = self.is_joined = self.is_blind = False
         else:
             step = u - self.u
+            change = step - self.velocity
             self.hold_error += 0.2 * (abs(step) - self.hold_error)
-            self.linear_error += 0.2 * (abs(step - self.velocity) - self.linear_error)
-            self.acceleration = step - self.velocity
-            self.velocity = step
+            self.linear_error += 0.2 * (abs(change) - self.linear_error)
+            self.velocity, self.acceleration = step, change
             self.steps += 1
         self.u, self.v = u, v
         self.centre += 0.01 * (u - self.centre)
-        self.swing = max(0.99 * self.swing, abs(u - self.centre))
         self.row += 0.1 * (v - self.row)
-        self.row_swing = max(0.99 * self.row_swing, abs(v - self.row))
+        away, across = abs(u - self.centre), abs(v - self.row)
+        swing, row_swing = 0.99 * self.swing, 0.99 * self.row_swing
+        self.swing = swing if swing > away else away
+        self.row_swing = row_swing if row_swing > across else across
         self.way.append((frame, u))
-        if len(self.way) > COURSE_FRAMES:
-            del self.way[0]
 
     def introduce(self, spot: Spot, light: Light, appearance: Appearance, gates: Gates, frame: int) -> None:
         """Start to follow a spot as this marker, as if it had always rested there."""
@@ -231,7 +232,7 @@ class MarkerState:
         self.acquired_at, self.shown = frame, light.contrast
         self.u, self.v, self.centre, self.row = spot.u, spot.v, spot.u, spot.v
         self.swing = self.row_swing = 0.0
-        self.way = []
+        self.way.clear()
         self.hold_error = self.linear_error = 1.0
         self.lost_frames = self.alone_frames = 0
         self.is_mixed = self.is_joined = self.is_blind = False

@@ -73,7 +73,7 @@ def is_explained(found: DiscFit, appearance: Appearance, step: float, exposed: f
     """True where a step [px], a share of which is exposed, leaves nothing but noise that tells of no second image."""
     excess, tilt = found.excess - appearance.excess, found.tilt - appearance.tilt
     squared, sigma = step * step, found.sigma_excess
-    excess = max(excess, 0.0) - exposed * exposed * squared / 12
+    excess = (excess if excess > 0.0 else 0.0) - exposed * exposed * squared / 12
     moment = math.sqrt(excess * excess + tilt * tilt)
     is_telling = _SUSPECT_STEPS[0] * sigma < squared < _SUSPECT_STEPS[1] * sigma
     return (
@@ -94,8 +94,9 @@ def _unexplained(found: DiscFit, motion: Motion, appearance: Appearance | Disc) 
     """Excess and tilt that are left of a marker that moved by so much at most [px^2]."""
     excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
     if motion is not AT_REST:
-        excess = max(excess, 0.0) - motion.smear**2 / 12
-        tilt = max(tilt - 2 * appearance.variance_v * motion.shear, 0.0)
+        tilt -= 2 * appearance.variance_v * motion.shear
+        excess = (excess if excess > 0.0 else 0.0) - motion.smear**2 / 12
+        tilt = tilt if tilt > 0.0 else 0.0
     return excess, tilt
 
 
@@ -226,7 +227,7 @@ class SecondImages:
     @property
     def is_usual(self) -> bool:
         """True where a second image may have been there of late."""
-        return self._odds > _MIN_ODDS or self._is_reflected
+        return self._odds > _MIN_ODDS or self._unreflected_frames < _MEMORY_FRAMES
 
     @property
     def _is_reflected(self) -> bool:
@@ -247,7 +248,7 @@ class SecondImages:
             motion = self._motion((speed + doubt) / since_s)
             px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
             is_longer = px > 0.0
-            is_too_far = px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
+            is_too_far = is_longer and px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
             if math.isnan(step) and pull(found, AT_REST, appearance) > 0.0:
                 # Whether it moved, or a second image lies over it, nobody knows.
                 px = max(px, usual_pull(found, AT_REST, appearance))
@@ -257,7 +258,7 @@ class SecondImages:
                 aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
                 if was_pulled and aside > abs(step):
                     self._unreflected_frames = 0
-            pulls.append(Pull(motion, math.inf if is_too_far and is_longer else px, is_longer or aside > 0.0))
+            pulls.append(Pull(motion, math.inf if is_too_far else px, is_longer or aside > 0.0))
             if px > 0.0 and doubt < _STEADY * speed:
                 smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
                 if smear_s <= since_s:

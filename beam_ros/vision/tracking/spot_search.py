@@ -123,7 +123,7 @@ def one_disc(spot: Spot, light: Light, parameters: TrackerParameters) -> OneDisc
     S / (4 pi q) + b^2 along v, b the blur. A smear of length s adds s^2 / 12 along u and leaves the area and the
     moment along v as they are. A second disc that touches adds area, which the moment along v does not follow.
     """
-    scatter = light.noise / (max(light.contrast - light.above, 1.0) * math.sqrt(spot.area))
+    scatter = light.noise / (light.height * math.sqrt(spot.area))
     tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * spot.variance_v
     uniform = spot.area / (4 * math.pi)
     excess = spot.variance_u - spot.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)

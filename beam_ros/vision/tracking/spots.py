@@ -12,7 +12,8 @@ position over the exposure however far the marker moved.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import repeat
 from typing import Literal, NamedTuple
 
 import cv2
@@ -76,6 +77,8 @@ _SIGNIFICANT = 5.0
 _DIP = 2.5
 """Whatever is further than so many noise standard deviations from the background, away from the markers or beyond
 their rim, counts as no more than that to the disc model."""
+_EXCESS_SCATTER = math.sqrt(2.0) * 1.6
+"""Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
 _ALIKE = 9.0
 """Either side shows the same noise and texture where its variance is no more than so many times the other one's: a
 coarse texture has few grains in so few columns."""
@@ -153,7 +156,7 @@ def _scatter(light: Light, area: float) -> float:
 
     The standard deviations of area, second moments and asymmetry are this number times 1, 1.6 and 2.2.
     """
-    return light.noise / (max(light.contrast - light.above, 1.0) * math.sqrt(area))
+    return light.noise / (light.height * math.sqrt(area))
 
 
 class SpotMeter:
@@ -184,32 +187,34 @@ class SpotMeter:
         return self.measure_all(image, [(u, v, light, is_narrow)])[0]
 
     def measure_all(
-        self, image: ImageArray, places: Sequence[tuple[float, float, Light, bool]]
+        self, image: ImageArray, places: Collection[tuple[float, float, Light, bool]]
     ) -> list[tuple[Spot | None, Reason]]:
         """Measure the spots near some places.
 
         Parameters
         ----------
         image : ndarray, shape (height, width), uint8 or uint16
-        places : sequence of (float, float, Light, bool) -- where to look, u and v [px]; background, contrast
+        places : collection of (float, float, Light, bool) -- where to look, u and v [px]; background, contrast
             and noise there; and whether to leave no room for smear, because another spot is near
 
         Returns
         -------
         list of (Spot or None, Reason) -- "ok", or "hidden" or "border" with None
         """
-        firsts: Sequence[Sequence[float]] = [UNKNOWN] * len(places)
-        if self._compiled is None and len(places) > 1 and not any(is_narrow for *_, is_narrow in places):
-            centres, levels = [(u, v) for u, v, _, _ in places], [light.level for _, _, light, _ in places]
-            firsts = first_moments(image, centres, self.half, levels, self._is_dark)
-        measure = self._compiled or spot_numbers
+        is_dark, measure = self._is_dark, self._compiled or spot_numbers
+        sums: Iterator[Sequence[float]] = repeat(UNKNOWN)
+        if self._compiled is None:
+            wide = [(u, v, light.level) for u, v, light, is_narrow in places if not is_narrow]
+            if len(wide) == len(places) > 1:
+                sums = iter(first_moments(image, wide, self.half, is_dark))
         found: list[tuple[Spot | None, Reason]] = []
-        reach = self.radius + 1.0
-        for (u, v, light, is_narrow), first in zip(places, firsts, strict=True):
-            half = self.narrow_half if is_narrow else self.half
-            least = self._least_area * light.contrast
-            numbers = measure(image, u, v, half, light.level, light.speck, least, reach, self._is_dark, first)
-            found.append((Spot._make(numbers[1:]) if numbers[0] == SEEN else None, _REASONS[numbers[0]]))
+        reach, least_area = self.radius + 1.0, self._least_area
+        for u, v, light, is_narrow in places:
+            half, least = self.narrow_half if is_narrow else self.half, least_area * light.contrast
+            seen, numbers = measure(
+                image, u, v, half, light.level, light.speck, least, reach, is_dark, next(sums)
+            )
+            found.append((Spot._make(numbers) if seen == SEEN else None, _REASONS[seen]))
         return found
 
     def sides(self, image: ImageArray, spot: Spot) -> Sides:
@@ -246,10 +251,10 @@ class SpotMeter:
             return bool(edges.min() > light.background - even)
         return bool(edges.max() < light.background + even)
 
-    def _smear(self, spot: Spot, appearance: Appearance) -> float:
+    def _smear(self, variance_u: float, unsmeared: float) -> float:
         """Length of a spot's motion in the exposure by its second moments, a sixth too short for the level [px]."""
-        excess = min(spot.variance_u - appearance.variance_v, self.smear_variance)
-        return math.sqrt(12.0 * max(excess, 0.0))
+        excess, most = variance_u - unsmeared, self.smear_variance
+        return math.sqrt(12.0 * (excess if excess < most else most)) if excess > 0.0 else 0.0
 
     def centre(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
         """Centre of gravity in a smooth aperture about a spot, with its standard deviation along u.
@@ -259,29 +264,28 @@ class SpotMeter:
         DiscFit; or "border" where the edge of the image cuts the aperture, "hidden" where it is
             empty
         """
-        smear = self._smear(spot, appearance)
-        aperture, column, row, u, v = aperture_at(spot.u, spot.v, appearance.disc, smear)
-        left, top = column + aperture.left, row + aperture.top
-        right, bottom = left + aperture.width, top + aperture.height
-        if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+        smear = self._smear(spot.variance_u, appearance.variance_v)
+        aperture, left, top, u, v = aperture_at(spot.u, spot.v, appearance.disc, smear)
+        _, _, width, height, weights, beyond, (sum_w, sum_u, sum_v), gain_u, gain_v, noise = aperture
+        right, bottom, (rows, columns), (low, high) = left + width, top + height, image.shape, light.bounds
+        if left < 0 or top < 0 or right > columns or bottom > rows:
             return "border"
-        low, high = (-math.inf, light.floor) if self._is_dark else (light.floor, math.inf)
         mass, first_u, first_v = self._clipped_sums(
-            image, left, top, right, bottom, aperture.weights, aperture.beyond, low, high, self._is_dark
+            image, left, top, right, bottom, weights, beyond, low, high, self._is_dark
         ).tolist()
-        base, (sum_w, sum_u, sum_v) = light.background, aperture.sums
+        base = light.background
         mass -= base * sum_w
         if (-mass if self._is_dark else mass) < self._least_area * light.contrast:
             return "hidden"
         return DiscFit(
-            u + (first_u - base * sum_u) / (mass * aperture.gain_u),
-            v + (first_v - base * sum_v) / (mass * aperture.gain_v),
-            light.noise * aperture.noise / mass,
+            u + (first_u - base * sum_u) / (mass * gain_u),
+            v + (first_v - base * sum_v) / (mass * gain_v),
+            light.noise * noise / mass,
             light.contrast,
             0.0,
             spot.variance_u - spot.variance_v,
             2.0 * spot.covariance,
-            math.sqrt(2.0) * 1.6 * _scatter(light, appearance.area) * appearance.variance_v,
+            _EXCESS_SCATTER * _scatter(light, appearance.area) * appearance.variance_v,
         )
 
     def refine(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
@@ -292,7 +296,7 @@ class SpotMeter:
         DiscFit -- that of ``centre`` where the refinement fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
-        smear = _LONGER * self._smear(spot, appearance)
+        smear = _LONGER * self._smear(spot.variance_u, appearance.variance_v)
         least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
         found = appearance.model.fit(
             image,
@@ -336,7 +340,6 @@ class SpotMeter:
         """Bounds for a spot that is to pass for the marker in this light."""
         parameters = self.parameters
         contrast, noise = light.contrast, light.noise
-        height = max(contrast - light.above, 1.0)
         # Specks add to the asymmetry with the region's size.
         scatter = _scatter(light, appearance.area)
         area = parameters.area_tolerance + _SIGNIFICANT * (scatter + 0.4 * noise / contrast)
@@ -345,7 +348,7 @@ class SpotMeter:
         if light.speck_variance > 0.0:
             half = float(self.half)
             specks = math.sqrt(light.speck_variance * 4 * half * half / 7) * half**3
-            asymmetry += _SIGNIFICANT * specks / (height * appearance.area * appearance.variance_v**1.5)
+            asymmetry += _SIGNIFICANT * specks / (light.height * appearance.area * appearance.variance_v**1.5)
         dimming = parameters.brightness_tolerance * contrast + 2.0 * noise
         low, high = contrast - dimming, contrast + dimming
         if self._is_dark:
@@ -368,32 +371,29 @@ class SpotMeter:
 
     def _submersion(self, light: Light) -> float:
         """Area that sinks below the level with every pixel of smear [px]."""
-        return light.above / max(light.contrast - light.above, 1.0) * (2 * self.radius + 2.5)
+        return light.above / light.height * (2 * self.radius + 2.5)
 
     def _whole_area(self, spot: Spot, unsmeared: float, submersion: float) -> float:
         """Area of a spot without its smear, which lengthens it along u and sinks more below the level."""
-        excess = min(spot.variance_u - unsmeared, self.smear_variance)
-        return spot.area + submersion * math.sqrt(12.0 * excess) if excess > 0.0 else spot.area
+        return spot.area + submersion * self._smear(spot.variance_u, unsmeared)
 
     def judge(self, spot: Spot, gates: Gates) -> Reason:
         """Name the first gate that a spot fails."""
-        if not gates.row[0] <= spot.v <= gates.row[1]:
+        row, brightness, areas, of_v, of_u, correlation, of_skew_u, of_skew_v, unsmeared, submersion = gates
+        _, v, _, area, variance_u, variance_v, covariance, skew_u, skew_v, plateau, _ = spot
+        if not row[0] <= v <= row[1]:
             return "jump"
-        if not gates.brightness[0] <= spot.plateau <= gates.brightness[1]:
+        if not brightness[0] <= plateau <= brightness[1]:
             return "brightness"
-        area = self._whole_area(spot, gates.unsmeared, gates.submersion)
-        if not gates.area[0] <= area <= gates.area[1]:
+        if not areas[0] <= area + submersion * self._smear(variance_u, unsmeared) <= areas[1]:
             return "area"
         if not (
-            gates.variance_v[0] <= spot.variance_v <= gates.variance_v[1]
-            and gates.variance_u[0] <= spot.variance_u <= gates.variance_u[1]
-            and abs(spot.covariance) <= gates.correlation * math.sqrt(spot.variance_u * spot.variance_v)
+            of_v[0] <= variance_v <= of_v[1]
+            and of_u[0] <= variance_u <= of_u[1]
+            and abs(covariance) <= correlation * math.sqrt(variance_u * variance_v)
         ):
             return "shape"
-        if not (
-            gates.skew_u[0] <= spot.skew_u <= gates.skew_u[1]
-            and gates.skew_v[0] <= spot.skew_v <= gates.skew_v[1]
-        ):
+        if not (of_skew_u[0] <= skew_u <= of_skew_u[1] and of_skew_v[0] <= skew_v <= of_skew_v[1]):
             return "asymmetry"
         return "ok"
 

@@ -103,7 +103,6 @@ class Sight(NamedTuple):
     spot, found : Spot, DiscFit -- what is seen of it
     is_fresh : bool -- it was not seen in the frame before
     is_lit, is_due : bool -- its light, and its gates, are to be measured anew
-    is_plain : bool -- its mean speed explains what is seen
     """
 
     marker: MarkerState
@@ -114,7 +113,6 @@ class Sight(NamedTuple):
     is_fresh: bool
     is_lit: bool
     is_due: bool
-    is_plain: bool
 
 
 class MarkerTracker:
@@ -142,7 +140,8 @@ class MarkerTracker:
         self.parameters = parameters
         self.n_markers = n_markers
         self.timing = timing
-        self._meter = SpotMeter(parameters)
+        self._meter = meter = SpotMeter(parameters)
+        self._refined = meter.centre if parameters.refinement == "none" else meter.refine
         self._markers: list[MarkerState] = []
         self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
         self._shape: tuple[int, int] | None = None
@@ -235,33 +234,34 @@ class MarkerTracker:
         if not self.is_acquired:
             reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
         spots: dict[int, Spot] = {}
-        seen = [k for k, m in enumerate(self._markers) if m.lost_frames == 0 and k not in reasons]
-        places = [self._expected(self._markers[k]) for k in seen]
-        measured = self._meter.measure_all(image, places)
-        for k, place, (spot, reason) in zip(seen, places, measured, strict=True):
-            reasons[k] = reason
+        places = {
+            k: self._expected(marker)
+            for k, marker in enumerate(self._markers)
+            if marker.lost_frames == 0 and k not in reasons
+        }
+        measured = self._meter.measure_all(image, places.values())
+        for (k, place), (spot, reason) in zip(places.items(), measured, strict=True):
             if spot is not None:
-                spots[k], reasons[k] = spot, self._compare(image, self._markers[k], spot, place[0])
+                spots[k], reason = spot, self._compare(image, self._markers[k], spot, place[0])
+            reasons[k] = reason
         lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
         if lost:
             self._recovery.find(image, self._frame, lost, spots, reasons)
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
-        sights = [sight for sight in found if not isinstance(sight, MarkerMeasurement)]
+        sights = [sight for sight in found if isinstance(sight, Sight)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
-        if self._seconds.is_usual or not all(sight.is_plain for sight in sights):
+        if self._seconds.is_usual or not all(map(self._is_plain, sights)):
             is_seen = "smear" in reasons.values()
             pulls = iter(
                 self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
             )
         results = [
-            sight
-            if isinstance(sight, MarkerMeasurement)
-            else self._result(image, sight, next(pulls), stamp_ns)
+            self._result(image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
             for sight in found
         ]
         self._recovery.before = image
-        told = tuple(k for k, marker in enumerate(self._markers) if marker.is_foretold)
-        return FrameResult(stamp_ns, tuple(results), told)
+        told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
+        return FrameResult(stamp_ns, tuple(results), tuple(told))
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
@@ -283,8 +283,10 @@ class MarkerTracker:
     def _expected(self, marker: MarkerState) -> tuple[float, float, Light, bool]:
         """Where and in which light a marker should be, and whether another spot is near."""
         assert marker.light is not None
-        predicted, near = marker.predicted, self._meter.half + self._meter.radius + APART_PX
-        is_crowded = bool(marker.rivals) and any(abs(at - predicted) < near for at in self._beside(marker))
+        predicted, is_crowded = marker.predicted, False
+        if marker.rivals:
+            near = self._meter.half + self._meter.radius + APART_PX
+            is_crowded = any(abs(at - predicted) < near for at in self._beside(marker))
         return predicted, marker.v, marker.light, is_crowded
 
     def _compare(self, image: ImageArray, marker: MarkerState, spot: Spot, predicted: float) -> Reason:
@@ -322,8 +324,9 @@ class MarkerTracker:
                     marker.rivals.append(Track(marker.u, 0.0, self._frame - marker.lost_frames, v=marker.v))
                 marker.forget()
             return invalid
-        is_fresh = marker.lost_frames > 0 or self._frame in (marker.lost_at, marker.acquired_at)
-        is_new = self._frame - marker.acquired_at < _PROBATION_FRAMES
+        age = self._frame - marker.acquired_at
+        is_new = age < _PROBATION_FRAMES
+        is_fresh = age == 0 or marker.lost_at == self._frame or marker.lost_frames > 0
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
         is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
         if is_due or is_fresh or is_new or is_accompanied:
@@ -337,23 +340,26 @@ class MarkerTracker:
             if row.alike or marker.rivals:
                 others = [other for other, _ in row.alike]
                 marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
-        refined = meter.centre if self.parameters.refinement == "none" else meter.refine
-        found = refined(image, spot, light, appearance)
-        if isinstance(found, str):
+        found = self._refined(image, spot, light, appearance)
+        if not isinstance(found, DiscFit):
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
         if appearance.frames == 1:
             meter.begin(found, appearance)
-        is_plain = appearance.is_settled and not marker.is_pulled
-        if is_plain:
-            step = spot.u - marker.u if marker.lost_frames == 0 else 0.0
-            is_plain = is_explained(found, appearance, step, self._exposed_s / self._since_s)
         is_lit = is_due and not is_accompanied
-        return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due, is_plain)
+        return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
+
+    def _is_plain(self, sight: Sight) -> bool:
+        """True where a marker's mean speed explains what is seen of it."""
+        marker, appearance = sight.marker, sight.appearance
+        if marker.is_pulled or not appearance.is_settled:
+            return False
+        step = sight.spot.u - marker.u if marker.lost_frames == 0 else 0.0
+        return is_explained(sight.found, appearance, step, self._exposed_s / self._since_s)
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""
-        marker, _, appearance, spot, found, *_ = sight
+        marker, _, appearance, spot, found, _, _, _ = sight
         is_known = marker.lost_frames == 0 and marker.acquired_at < self._frame
         step = spot.u - marker.u - marker.behind if is_known else math.nan
         if abs(step) > self.parameters.marker_diameter_px:
@@ -364,19 +370,19 @@ class MarkerTracker:
 
     def _result(self, image: ImageArray, sight: Sight, pull: Pull, stamp_ns: int) -> MarkerMeasurement:
         """State where a marker is, and carry it into what is known of it."""
-        marker, light, appearance, spot, found, is_fresh, is_lit, is_due, _ = sight
+        marker, light, appearance, spot, found, is_fresh, is_lit, is_due = sight
         meter, (motion, pull_px, marker.is_pulled, marker.behind) = self._meter, pull
-        is_believed = pull_px < math.inf
-        marker.remember(spot.u, spot.v, self._frame, is_fresh=is_fresh)
-        appearance.row = spot.v
+        v, plateau, is_believed = spot.v, spot.plateau, pull_px < math.inf
+        marker.remember(spot.u, v, self._frame, is_fresh=is_fresh)
+        appearance.row = v
         if is_believed and not appearance.is_settled:
             meter.settle(spot, light, appearance, found, motion)
         if is_lit:
-            light.absorb(spot.plateau, *meter.sides(image, spot))
+            light.absorb(plateau, *meter.sides(image, spot))
         if is_due or is_fresh or not appearance.is_settled:
             marker.gates = meter.gates(light, appearance)
-        marker.shown = abs(spot.plateau - light.background)
-        stamp_ns = self._stamp(stamp_ns, spot.v)
+        marker.shown = abs(plateau - light.background)
+        stamp_ns = self._stamp(stamp_ns, v)
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)

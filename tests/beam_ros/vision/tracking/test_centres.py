@@ -30,8 +30,7 @@ def canvas(u: np.ndarray, v: float, weights: np.ndarray) -> np.ndarray:
 
 
 def centre(image: np.ndarray, near_u: float, near_v: float, edge: float = EDGE, smear: float = 0.0):
-    aperture, column, row, u, v = aperture_at(near_u, near_v, disc_steps(6.0, edge), smear)
-    top, left = row + aperture.top, column + aperture.left
+    aperture, left, top, u, v = aperture_at(near_u, near_v, disc_steps(6.0, edge), smear)
     grey = image[top : top + aperture.height, left : left + aperture.width].ravel()
     mass, first_u, first_v = aperture.weights.astype(float) @ grey
     return u + first_u / (mass * aperture.gain_u), v + first_v / (mass * aperture.gain_v), mass

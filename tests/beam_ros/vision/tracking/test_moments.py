@@ -44,14 +44,14 @@ def test_beyond_levels_is_what_saturated_subtraction_of_each_number_leaves(top, 
 @pytest.mark.parametrize("is_dark", [False, True])
 def test_moments_of_several_squares_are_those_of_each_and_unknown_where_an_edge_cuts_one(dtype, is_dark):
     image = RNG.integers(0, np.iinfo(dtype).max + 1, (60, 80)).astype(dtype)
-    places, levels = [(20.3, 14.2), (65.4, 30.0), (14.0, 45.4)], (60.0, 90.0, 10.0)
-    found = first_moments(image, places, 14, levels, is_dark)
-    for (u, v), level, sums in zip(places, levels, found, strict=True):
+    places = [(20.3, 14.2, 60.0), (65.4, 30.0, 90.0), (14.0, 45.4, 10.0)]
+    found = first_moments(image, places, 14, is_dark)
+    for (u, v, level), sums in zip(places, found, strict=True):
         region = round(u) - 14, round(v) - 14, round(u) + 15, round(v) + 15
         assert list(sums) == list(moments_beyond(image, *region, level, is_dark))
         assert list(sums) == list(moments_in_loops(image, *region, level, is_dark))
     for cut in ((13.0, 30.0), (66.0, 30.0), (30.0, 13.0), (30.0, 46.0)):
-        assert first_moments(image, [*places, cut], 14, (*levels, 9.0), is_dark) == [UNKNOWN] * 4
+        assert first_moments(image, [*places, (*cut, 9.0)], 14, is_dark) == [UNKNOWN] * 4
 
 
 @pytest.mark.parametrize("shape", [(29, 29), (19, 29), (31, 12), (1, 1)])
@@ -83,10 +83,10 @@ def egg(polarity: int = 1) -> np.ndarray:
 def test_the_numbers_of_a_spot_are_opencvs_central_moments(is_dark):
     image = egg(-1 if is_dark else 1)
     level = 240.0 if is_dark else 15.0
-    found = spot_numbers(image, 30.0, 30.0, 14, level, 0.0, 100.0, 7.0, is_dark)
-    assert found[0] == SEEN
-    u, v, mass, _, variance_u, variance_v, covariance, skew_u, skew_v, plateau = found[1:11]
-    left, top, right, bottom = found[11]
+    seen, numbers = spot_numbers(image, 30.0, 30.0, 14, level, 0.0, 100.0, 7.0, is_dark)
+    assert seen == SEEN
+    u, v, mass, _, variance_u, variance_v, covariance, skew_u, skew_v, plateau, region = numbers
+    left, top, right, bottom = region
     expected = cv2.moments(beyond(image[top:bottom, left:right], (level,), is_dark=is_dark))
     # Differences of sums some thousand times as large.
     assert u == pytest.approx(left + expected["m10"] / expected["m00"], rel=1e-12)
