@@ -193,18 +193,19 @@ def clipped_sums_in_loops(
     grey = np.empty(count, np.float32)
     lower, upper = np.float32(low), np.float32(high)
     for y in range(bottom - top):
+        row = image[top + y, left:right]
         for x in range(width):
-            at, level = y * width + x, np.float32(image[top + y, left + x])
+            at, level = y * width + x, np.float32(row[x])
             if is_dark:
                 grey[at] = max(min(level, upper), lower - beyond[at])
             else:
                 grey[at] = min(max(level, lower), beyond[at] + upper)
     sums = np.empty(weights.shape[0], np.float32)
-    for row in range(weights.shape[0]):
+    for k in range(len(sums)):
         total = np.float32(0.0)
         for at in range(count):
-            total += weights[row, at] * grey[at]
-        sums[row] = total
+            total += weights[k, at] * grey[at]
+        sums[k] = total
     return sums
 
 

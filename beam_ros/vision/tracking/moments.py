@@ -162,13 +162,14 @@ def spot_numbers(
                 return BORDER, _NOTHING
             sums = moments_beyond(image, left, top, right, bottom, level, is_dark)
         m00, m10, m01, m20, m11, m02, m30, m03 = sums
-        # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
-        grey = speck * ((right - left) * (bottom - top))
-        mass = m00 - grey
+        mass, u, v = m00, m10, m01
+        if speck > 0.0:
+            # Noise beyond the level everywhere pulls towards the region's centre; its mean is known.
+            grey = speck * ((right - left) * (bottom - top))
+            mass, u, v = m00 - grey, m10 - grey * (right - left - 1) / 2, m01 - grey * (bottom - top - 1) / 2
         if mass < least:
             return HIDDEN, _NOTHING
-        u = left + (m10 - grey * (right - left - 1) / 2) / mass
-        v = top + (m01 - grey * (bottom - top - 1) / 2) / mass
+        u, v = left + u / mass, top + v / mass
         if abs(u - column) <= _CENTRED_PX and abs(v - row) <= _CENTRED_PX:
             break
     if u - reach < 0 or v - reach < 0 or u + reach > width - 1 or v + reach > height - 1:
@@ -210,9 +211,9 @@ def moments_in_loops(
     zero, sign = int(level), -1 if is_dark else 1
     m00 = m10 = m01 = m20 = m11 = m02 = m30 = m03 = 0
     for y in range(bottom - top):
-        s0 = s1 = s2 = s3 = 0
+        row, s0, s1, s2, s3 = image[top + y, left:right], 0, 0, 0, 0
         for x in range(right - left):
-            grey = max(sign * (int(image[top + y, left + x]) - zero), 0)
+            grey = max(sign * (int(row[x]) - zero), 0)
             s0, s1, s2, s3 = s0 + grey, s1 + x * grey, s2 + x * x * grey, s3 + x * x * x * grey
         m00, m10, m20, m30 = m00 + s0, m10 + s1, m20 + s2, m30 + s3
         m01, m11, m02, m03 = m01 + y * s0, m11 + y * s1, m02 + y * y * s0, m03 + y * y * y * s0

@@ -258,12 +258,14 @@ class SecondImages:
                 aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
                 if was_pulled and aside > abs(step):
                     self._unreflected_frames = 0
-            pulls.append(Pull(motion, math.inf if is_too_far else px, is_longer or aside > 0.0))
+            is_suspect = is_longer or aside > 0.0
+            is_seen |= is_suspect
+            pulls.append(Pull(motion, math.inf if is_too_far else px, is_suspect))
             if px > 0.0 and doubt < _STEADY * speed:
                 smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
                 if smear_s <= since_s:
                     self._smears_s.append(smear_s)
-        if is_seen or self._is_reflected or any(each.is_seen for each in pulls):
+        if is_seen or self._is_reflected:
             for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
                 disc = Disc(flatness, 0.0, appearance.variance_v)
                 motion = self._motion(max(speed - doubt, 0.0) / since_s)
@@ -279,11 +281,12 @@ class SecondImages:
 
     def _with_frame_before(self, pull_: Pull, sighting: Sighting, share: float, mean: float) -> Pull:
         """Add what the frame before does to a marker: root mean square and mean of its pull over its step."""
-        found, appearance, _, step, *_ = sighting
+        step = sighting.step
         px, behind = share * abs(step), mean * step
         if math.isnan(step):
             # Its square times the share is what it adds to the second moment.
-            px, behind = math.sqrt(share * max(found.excess - appearance.excess, 0.0)), 0.0
+            excess = sighting.found.excess - sighting.appearance.excess
+            px, behind = math.sqrt(share * max(excess, 0.0)), 0.0
         px = math.hypot(pull_.centre_px, px) if px <= _MAX_PULL_PX else math.inf
         return Pull(pull_.motion, px, pull_.is_seen, behind)
 
