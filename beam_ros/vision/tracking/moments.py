@@ -25,7 +25,7 @@ from beam_ros.arrays import FloatArray, ImageArray
 
 SEEN, HIDDEN, BORDER = range(3)
 """What comes of looking for a spot."""
-_LEAST_VARIANCE = 1e-3
+_MIN_VARIANCE = 1e-3
 """No spot is narrower: its asymmetry is finite [px^2]."""
 _MAX_PASSES = 4
 """The region is centred anew on what it shows at most this often."""
@@ -181,8 +181,8 @@ def spot_numbers(
     mu20, mu02 = m20 - x * m10, m02 - y * m01
     mu30, mu03 = m30 - x * (3 * mu20 + x * m10), m03 - y * (3 * mu02 + y * m01)
     variance_u, variance_v = mu20 / mass, mu02 / mass
-    variance_u = variance_u if variance_u > _LEAST_VARIANCE else _LEAST_VARIANCE
-    variance_v = variance_v if variance_v > _LEAST_VARIANCE else _LEAST_VARIANCE
+    variance_u = variance_u if variance_u > _MIN_VARIANCE else _MIN_VARIANCE
+    variance_v = variance_v if variance_v > _MIN_VARIANCE else _MIN_VARIANCE
     return SEEN, (
         u,
         v,
