@@ -11,7 +11,7 @@ fit that follows on all of it.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -156,9 +156,9 @@ class ModalScan:
         self.regression = self._plain.weighed(levels)
         self._turned = self._candidates = None
 
-    def turn(self, turned: ModalRegression) -> None:
+    def turn(self, turned: Callable[[ModalRegression], ModalRegression]) -> None:
         """Look for modes in rows of the regression that are passed through linear maps."""
-        self._turned, self._candidates = turned, None
+        self._turned, self._candidates = turned(self._plain), None
 
     @property
     def is_tangled(self) -> bool:

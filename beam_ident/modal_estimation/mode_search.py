@@ -169,6 +169,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def reweigh(self) -> None:
         """Let what the present model leaves decide how the data weigh against each other."""
 
+    def looks_behind_noise(self) -> bool:
+        """Whiten the rows where the outputs' own noise may hide modes, and return whether it may."""
+        return False
+
     def doubt(self) -> None:
         """Look for what may be wrong with the data, once a mode that explains much is not believed."""
 
@@ -247,6 +251,12 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 return self._stopped(
                     stop, "a second look at orders that were not believed, and the weighing by the noise"
                 )
+        try:
+            self._extend_behind_noise(n_modes, limit)
+        except Stopped as stop:
+            return self._stopped(
+                stop, "a look behind the outputs' slow noise, and the weighing by the noise as it is"
+            )
         if n_modes is not None and self.looks_inside:
             try:
                 end = self.inside(len(self.chosen.omegas))
@@ -312,6 +322,23 @@ class ModeSearch(ABC, Generic[ProblemT]):
             if not is_better:
                 break
         return ended
+
+    def _extend_behind_noise(self, n_modes: int | None, limit: int) -> None:
+        """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt."""
+        if n_modes is not None and not self._doubts(self.chosen):
+            return
+        before = self.problem, self.chosen, self.chosen_entry, self._believed
+        is_persistent, self.is_persistent = self.is_persistent, False
+        if n_modes is not None:
+            self.chosen = self._without_doubtful(self.chosen)
+        is_better = self.looks_behind_noise()
+        if is_better:
+            self._believed = self.chosen, self.chosen_entry
+            self._extend(n_modes, limit)
+            is_better = n_modes is None or self._doubts(self.chosen) < len(self._doubtful(before[1]))
+        if not is_better:
+            self.problem, self.chosen, self.chosen_entry, self._believed = before
+        self.is_persistent = is_persistent
 
     def _without_doubtful(self, fit: ModalFit) -> ModalFit:
         """Return a fit without the modes that do not pass the gates, as long as one is left."""

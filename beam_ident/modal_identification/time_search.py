@@ -62,7 +62,7 @@ from beam_ident.modal_identification.fit_tests import (
     SampledFit,
     unrelated,
 )
-from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
+from beam_ident.modal_identification.search_weights import InputNoiseWeights, SlowNoiseWeights
 from beam_ident.modal_identification.sensor_low_passes import Sensor, likely_low_pass, suspected
 from beam_ident.modal_identification.signal_clocks import SignalClocks
 from beam_ident.modal_identification.time_result import Findings
@@ -106,6 +106,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         start: ModalFit | None = None,
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
     ) -> None:
+        self.is_behind_noise = False  # rows are whitened by the outputs' slow noise
         self.is_in_doubt = False  # since a mode that explains much was not believed
         self.end_before: ModalFit | None = (
             None  # of structures inside, with clocks that have moved a little since
@@ -341,6 +342,8 @@ class TimeSearch(ModeSearch[ModalRegression]):
         """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
         if self._is_driven_by_noise():
             self._whiten()
+        elif self.is_behind_noise:
+            self._whiten_slow(SlowNoiseWeights.of(self.plain, unweighed(self.problem, self.chosen)))
         elif len(self.records) > 1:
             levels = record_levels(self.problem, self.chosen)
             self.problem = self.plain.weighed(levels)
@@ -361,14 +364,16 @@ class TimeSearch(ModeSearch[ModalRegression]):
         ----------
         fit : ModalFit -- with residuals as measured
         """
-        if not self._may_weigh_input or not any(drive.sigma > 0.0 for drive in self.plain.drives):
+        if not (self._may_weigh_input and len(fit.omegas)) or not any(
+            d.sigma > 0.0 for d in self.plain.drives
+        ):
             return 0.0
         model = self.model(fit)
         return float(np.max([noise_shares(model.path(drive.name), drive) for drive in self.plain.drives]))
 
     def _is_driven_by_noise(self) -> bool:
         """Return whether noise on the input is seen in what the modes that are there leave."""
-        if not len(self.chosen.omegas) or len(self.plain.pieces) > 1:
+        if len(self.plain.pieces) > 1:
             return False
         return self._noise_share(unweighed(self.problem, self.chosen)) > VISIBLE_SHARE
 
@@ -382,7 +387,25 @@ class TimeSearch(ModeSearch[ModalRegression]):
             ModalRegression(weights.records, terms, self.input_names, restarts=restarts)
         )
         self.scan = ModalScan(weights.records, terms, self.input_names, self.band, restarts)
-        self.scan.turn(weights.turned(self.scan.regression))
+        self.scan.turn(weights.turned)
+
+    def looks_behind_noise(self) -> bool:
+        """Whiten the rows by slow noise that makes up most of what the modes so far leave, where there is such.
+
+        A long record has been searched so at some of its stamps; what is curved, or driven by the input's noise, has
+        no noise that a colour would describe.
+        """
+        if not self.band.is_excited or self.is_curved or len(self.plain.pieces) > 1:
+            return False
+        fit = unweighed(self.problem, self.chosen)
+        if self._noise_share(fit) > VISIBLE_SHARE:
+            return False
+        self.is_behind_noise = SlowNoiseWeights.of(self.plain, fit).is_loud
+        return self.is_behind_noise
+
+    def _whiten_slow(self, weights: SlowNoiseWeights) -> None:
+        self.problem = weights.turned(self.plain)
+        self.scan.turn(weights.turned)
 
     @property
     def _may_weigh_input(self) -> bool:

@@ -184,7 +184,7 @@ class ContinuousWhitening:
         memory : tuple of ndarray -- of the rows before; empty for the first ones
         """
         n, order = len(columns), self.noise.order
-        if not n:
+        if not columns.size:  # LAPACK writes where nothing is
             return columns, memory
         joined, known = columns, np.empty((0, *columns.shape[1:]))
         if memory:
@@ -207,6 +207,8 @@ class ContinuousWhitening:
     def score_covariance(self, design: FloatArray) -> FloatArray:
         """Return ``D^T R D`` for this noise's correlation R and the derivatives D, shape (n, n_parameters)."""
         n, order = len(design), self.noise.order
+        if not design.size:
+            return np.zeros((design.shape[1],) * 2)
         steps = np.zeros((order + 1, n))
         steps[0] = 1.0
         for lag, row in enumerate(self._predictors, start=1):
@@ -224,6 +226,7 @@ def continuous_noise(
     times_s: FloatArray,
     doubt: FloatArray | None = None,
     near: ContinuousNoise | None = None,
+    max_order: int = 2,
 ) -> ContinuousNoise | None:
     """Return the process that BIC prefers for residuals at stamps of any spacing, None for white noise.
 
@@ -235,6 +238,7 @@ def continuous_noise(
         U of (I.24), what the model that left these residuals is not known by; their mean then counts as well.
     near : ContinuousNoise or None
         What was chosen for residuals almost like these: its form stays, and its parameters are found from there.
+    max_order : int -- of the process; 1 has no resonance
     """
     every = np.reshape(residuals - np.mean(residuals), (-1, 1))
     if doubt is not None:
@@ -304,7 +308,7 @@ def continuous_noise(
         return best[1]
     slow = math.log(alone.decay) - 1.0
     offer(first_order, [[slow, 0.0], [slow + 1.0, -3.0], [slow, 2.0]])
-    if is_enough():
+    if max_order == 1 or is_enough():
         return best[1]
     places = []
     for decay in (slow + 1.5, slow - 1.0):

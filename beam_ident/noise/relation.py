@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from beam_ident.noise.scores import are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
 _MAX_ORDER = 40
+_GROWTH = 1.3  # of the distance, from one mean of values before that to the next
+_MAX_ROWS, _CHUNKS = 40_000, 8  # of a long record: so many, in so many stretches
 _ROWS_PER_LAG = 10
 _SINGULAR = 1e-11  # of a column's power: what rounding leaves
 
@@ -34,9 +37,10 @@ def innovation_criterion(parts: Sequence[FloatArray]) -> float:
 
     Notes
     -----
-    Least squares on the lags (the covariance method): with biased autocorrelations, narrow lines would look less
-    predictable than they are.  One Cholesky factor of the Gram matrix of all lags and the present has, in its last
-    row, what every further lag explains.
+    Least squares (the covariance method: with biased autocorrelations, narrow lines would look less predictable than
+    they are) on the values before, one by one, and on means of those before them, over times that grow with the
+    distance: noise that rings or drifts slowly beside the sampling is known by nothing less.  One Cholesky factor of
+    the Gram matrix of all these and the present has, in its last row, what every further one explains.
     """
     return sum(_criterion(np.asarray(part, dtype=np.float64)) for part in parts)
 
@@ -49,29 +53,28 @@ def _criterion(values: FloatArray) -> float:
     if not power > 0.0:
         return -math.inf
     scaled = values / math.sqrt(power)
-    # Inner products of lags 0 .. most over the same rows for every order: from one lag to the next of both factors
-    # a row comes in at the beginning and one goes at the end. So they add up along the diagonals, (lag, lag + apart).
-    present = scaled[most:]
-    first = np.array([float(present @ scaled[most - lag : n - lag]) for lag in range(most + 1)])
-    before, after = scaled[most - 1 :: -1][:most], scaled[: n - most - 1 : -1]
-    gram = np.zeros((most + 1, 2 * most + 2))
-    diagonals = np.lib.stride_tricks.as_strided(
-        gram, (most + 1, most + 1), (gram.strides[0] + gram.strides[1], gram.strides[1])
-    )
-    gram[1:, 1 : most + 1] = np.outer(before, before) - np.outer(after, after)
-    diagonals[0] = first
-    np.cumsum(diagonals, axis=0, out=diagonals)
-    upper = gram[:, : most + 1]
-    gram = np.triu(upper) + np.triu(upper, 1).T
-    order = np.roll(np.arange(most + 1), -1)  # the present last
-    gram = gram[np.ix_(order, order)] / (n - most)
+    borders = [most]
+    while most and (following := math.ceil(_GROWTH * borders[-1])) <= n // _ROWS_PER_LAG:
+        borders.append(following)
+    rows = np.arange(borders[-1], n)
+    if len(rows) > _MAX_ROWS:
+        chunks = np.array_split(rows, _CHUNKS)
+        rows = np.concatenate([own[: _MAX_ROWS // _CHUNKS] for own in chunks])
+    sums = np.cumsum(scaled)
+    columns = np.empty((most + len(borders), len(rows)))
+    for lag in range(1, most + 1):
+        np.take(scaled, rows - lag, out=columns[lag - 1])
+    for k, (near, far) in enumerate(pairwise(borders), start=most):
+        columns[k] = (sums[rows - near - 1] - sums[rows - far - 1]) / (far - near)
+    np.take(scaled, rows, out=columns[-1])
+    gram = columns @ columns.T / len(rows)
     try:
-        last = np.linalg.cholesky(gram + _SINGULAR * np.eye(most + 1))[-1]
+        last = np.linalg.cholesky(gram + _SINGULAR * np.eye(len(gram)))[-1]
     except np.linalg.LinAlgError:
         return -math.inf
-    # After p lags the squares left over are those of the entries from p on.
+    # After p regressors the squares left over are those of the entries from p on.
     left = np.cumsum(np.square(last)[::-1])[::-1]
-    by_order = n * np.log(left * power) + np.arange(most + 1) * math.log(n)
+    by_order = n * np.log(left * power) + np.arange(len(left)) * math.log(n)
     return float(np.min(by_order))
 
 

@@ -74,6 +74,13 @@ def test_a_process_is_found_again_at_scattered_stamps(name, words):
     assert found.white == pytest.approx(PROCESSES[name].white, abs=0.08)
 
 
+def test_no_columns_are_whitened_to_no_columns():
+    # LAPACK writes past the end of what has no column, which ends the process sooner or later.
+    whitening = ContinuousWhitening(ContinuousNoise(3.0, white=0.1), 0.01 * np.arange(500))
+    assert whitening.apply(np.empty((500, 0))).shape == (500, 0)
+    assert whitening.score_covariance(np.empty((500, 0))).shape == (0, 0)
+
+
 def test_white_noise_has_no_process():
     rng = np.random.default_rng(2)
     times = np.sort(rng.uniform(0.0, 100.0, 500))

@@ -35,6 +35,24 @@ def test_drift_that_a_model_has_beside_the_input_does_not_count_for_it():
     assert not is_related([(TIMES, 40.0 + 3.0 * TIMES + noise)], [noise], 5, True, True)
 
 
+@pytest.mark.parametrize("seed", [11, 12, 101, 155])
+def test_noise_that_rings_slowly_beside_the_sampling_on_a_drift_is_no_response(seed):
+    # One period is 160 samples, four times as long as the longest autoregression.
+    rng, times = np.random.default_rng(seed), 0.002 * np.arange(10_000)
+    zeta = rng.choice([0.003, 0.006, 0.012])
+    pole = np.exp(2.0 * np.pi * 3.1 / 500.0 * (-zeta + 1j * math.sqrt(1.0 - zeta**2)))
+    ringing = [1.0, -2.0 * pole.real, abs(pole) ** 2]
+    measured = lfilter([1.0], ringing, rng.standard_normal(30_000))[20_000:]
+    measured = measured / np.std(measured) + 0.003 * rng.standard_normal(10_000)
+    measured += np.cumsum(rng.standard_normal(10_000)) * 10.0 ** rng.uniform(-3.0, -1.5)
+    forced = lfilter([1.0], ringing, np.sign(rng.standard_normal(1000)).repeat(10))
+    free = pole ** np.arange(10_000)
+    model = np.stack([forced, np.append(0.0, forced[:-1]), free.real, free.imag], axis=1)
+    model /= np.linalg.norm(model, axis=0)
+    left = measured - model @ np.linalg.lstsq(model, measured, rcond=None)[0]
+    assert not is_related([(times, measured)], [left], 6, False, False)
+
+
 @pytest.mark.parametrize("seed", [2, 3, 6, 13])
 def test_noise_that_rings_is_no_model_of_an_unrelated_input(seed):
     record = unrelated_record(seed)
