@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +92,8 @@ class StackedRegression:
         self._keys = [tuple((part.basis, part.weights.tobytes()) for part in own) for own in outputs]
         self._find_blocks([b""] * len(outputs))
         self._absent: AnyArray | None = None
+        self.turns: tuple[Callable[[FloatArray], FloatArray], ...] = ()
+        self.unturned = self
         self.segments: list[list[tuple[int, slice]]] = []  # of every output: basis and its rows
         for own in outputs:
             ends = np.cumsum([len(part.values) for part in own]).tolist()
@@ -117,6 +119,19 @@ class StackedRegression:
         result = copy.copy(self)
         result._absent = absent
         result._find_blocks([own.tobytes() for own in absent])
+        return result
+
+    def turned(self, turns: Sequence[Callable[[FloatArray], FloatArray]]) -> StackedRegression:
+        """Return the regression with rows and values passed through a linear map for every output.
+
+        Parameters
+        ----------
+        turns : sequence of callable -- from columns of an output, shape (n_rows, n), to as many rows
+        """
+        result = copy.copy(self)
+        result.turns, result.unturned = tuple(turns), self
+        result._find_blocks([str(j).encode() for j in range(len(turns))])
+        result.values = [turn(own[:, None])[:, 0] for turn, own in zip(turns, self.values, strict=True)]
         return result
 
     @property
@@ -168,24 +183,29 @@ class StackedRegression:
             if self._absent is not None:
                 matrix[:, columns[self._absent[number]].ravel()] = 0.0
                 slopes[:, :, self._absent[number]] = 0.0
-            result.append(
-                ColumnBlock(
-                    matrix=matrix,
-                    mode_columns=columns,
-                    modes=tuple(ModeSlopes(slopes[:, 0, k], slopes[:, 1, k]) for k in range(n)),
-                    by_time=_weighed(output, by_time) if is_late else None,
-                    latency_factor=np.full(n_rows, -1.0),  # later stamps, earlier instants
-                    rate_factor=np.zeros(n_rows),
-                )
+            block = ColumnBlock(
+                matrix=matrix,
+                mode_columns=columns,
+                modes=tuple(ModeSlopes(slopes[:, 0, k], slopes[:, 1, k]) for k in range(n)),
+                by_time=_weighed(output, by_time) if is_late else None,
+                latency_factor=np.full(n_rows, -1.0),  # later stamps, earlier instants
+                rate_factor=np.zeros(n_rows),
             )
+            result.append(block.turned(self.turns[number]) if self.turns else block)
         return result
 
     def candidates(self, omegas: FloatArray, zetas: FloatArray, clock: ClockState) -> list[FloatArray]:
         """Return the columns of single modes in every block, each (n_candidates, n_columns of a mode, n_rows)."""
         found = [basis.scanned(omegas, zetas, clock.latency) for basis in self.bases]
+        plain = [
+            np.concatenate([found[part.basis] * part.weights for part in self.outputs[number]], axis=2)
+            for number in self._blocks
+        ]
+        if not self.turns:
+            return plain
         return [
-            np.concatenate([found[part.basis] * part.weights for part in output], axis=2)
-            for output in (self.outputs[number] for number in self._blocks)
+            np.reshape(self.turns[number](own.reshape(-1, own.shape[2]).T).T, own.shape)
+            for number, own in zip(self._blocks, plain, strict=True)
         ]
 
     def modelled(self, fit: ModalFit) -> list[FloatArray]:

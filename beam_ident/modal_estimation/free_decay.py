@@ -32,6 +32,7 @@ from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, Stac
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, rivals
 from beam_ident.modal_estimation.mode_search import MAX_MODES, SHORT, ModeSearch, Weighed, checked_limit
+from beam_ident.modal_estimation.record_levels import SlowNoiseWeights, unturned
 from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
 from beam_ident.noise.scores import Scores, Whiteness, colour_warning
@@ -273,6 +274,17 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         grid, damping = np.meshgrid(self.omegas[peaks], np.array(_DAMPING), indexing="ij")
         return rivals(self.problem, fit, [(grid.ravel(), damping.ravel())], excluded)
 
+    def looks_behind_noise(self) -> bool:
+        """Return whether slow noise makes up most of what the modes so far leave."""
+        return not self.is_curved and SlowNoiseWeights.of(self.plain, self.chosen).is_loud
+
+    def reweigh(self) -> None:
+        """Look at rows in which slow noise is white, once the search is behind it."""
+        if self.is_behind_noise:
+            weights = SlowNoiseWeights.of(self.plain, unturned(self.problem, self.chosen))
+            self.problem = weights.turned(self.plain)
+            self._refit()
+
     def weighed(self, fit: ModalFit) -> Weighed[StackedRegression]:
         """Return the fit, weighed by the colour of the noise, each mode at the outputs where it shows.
 
@@ -281,6 +293,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         Amplitudes of a mode that does not ring at an output follow the noise there, and poles follow them: with many
         such outputs they scatter more than their information says.
         """
+        fit, self.problem = unturned(self.problem, fit), self.plain
         limits = 2.0 * np.log([len(values) for values in self.plain.values])
         absent = _explained(fit) < limits[:, None]
         absent[:, np.all(absent, axis=0)] = False

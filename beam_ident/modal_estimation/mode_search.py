@@ -140,6 +140,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.is_better_inside = False  # whether one of them led to a better end
         self.is_persistent = True  # whether the search goes on past orders that are not believed
         self.is_worth_persisting = False  # whether that has led to one that is
+        self.is_behind_noise = False  # whether rows are whitened by the outputs' slow noise
         self.is_curved = False  # whether poles crowd where one that goes with the amplitude may stand
 
     @abstractmethod
@@ -170,8 +171,15 @@ class ModeSearch(ABC, Generic[ProblemT]):
         """Let what the present model leaves decide how the data weigh against each other."""
 
     def looks_behind_noise(self) -> bool:
-        """Whiten the rows where the outputs' own noise may hide modes, and return whether it may."""
+        """Return whether the outputs' slow noise is so loud that it may hide modes from rows that weigh alike."""
         return False
+
+    def _refit(self) -> None:
+        """Fit the present model anew to rows that weigh otherwise."""
+        before = self.chosen
+        self.chosen = self.fit(before.omegas, before.zetas, before.clock)
+        if self._believed[0] is before:
+            self._believed = self.chosen, self._believed[1]
 
     def doubt(self) -> None:
         """Look for what may be wrong with the data, once a mode that explains much is not believed."""
@@ -325,18 +333,21 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def _extend_behind_noise(self, n_modes: int | None, limit: int) -> None:
         """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt."""
-        if n_modes is not None and not self._doubts(self.chosen):
+        n_doubtful = len(self._doubtful(self.chosen))
+        if n_modes is not None and not n_doubtful:
             return
         before = self.problem, self.chosen, self.chosen_entry, self._believed
         is_persistent, self.is_persistent = self.is_persistent, False
         if n_modes is not None:
-            self.chosen = self._without_doubtful(self.chosen)
-        is_better = self.looks_behind_noise()
-        if is_better:
+            sure = self._without_doubtful(self.chosen)
+            self.chosen = self.without_modes if self._doubtful(sure) else sure
+        self.is_behind_noise = self.looks_behind_noise()
+        if self.is_behind_noise:
             self._believed = self.chosen, self.chosen_entry
             self._extend(n_modes, limit)
-            is_better = n_modes is None or self._doubts(self.chosen) < len(self._doubtful(before[1]))
-        if not is_better:
+            is_surer = self.chosen.converged and len(self._doubtful(self.chosen)) < n_doubtful
+            self.is_behind_noise = n_modes is None or is_surer
+        if not self.is_behind_noise:
             self.problem, self.chosen, self.chosen_entry, self._believed = before
         self.is_persistent = is_persistent
 

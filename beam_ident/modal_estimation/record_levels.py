@@ -1,6 +1,7 @@
 """What records bring of their own to a fit of modes: the level of their noise, and the gaps of their inputs.
 
-Several records are not equally noisy: every output weighs in each by its noise there.  The levels are those of the
+Several records are not equally noisy: every output weighs in each by its noise there, and slow noise less where it
+is loud.  The levels are those of the
 residuals of a fit; levels and fit take turns until neither moves.  What is not known of an input in its gaps
 moves the estimates like noise; where it moves them too far, the modes begin anew (``modal.restarts``).  Stamps may
 scatter, in each record by themselves.
@@ -10,8 +11,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import chdtri as chi_squared_isf
@@ -25,17 +27,22 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.identification_result import OutputFit
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.restarts import Restarts, bridge_amplitudes, bridge_effects
+from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import Observations
 from beam_ident.modal_estimation.variable_projection import designs, fit_modes
+from beam_ident.noise.continuous_noise import ContinuousNoise, ContinuousWhitening, continuous_noise
 from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.noise.scores import are_rounding
 from beam_ident.sensing.stamp_jitter import StampJitter
 
+_SLOW = 0.5  # of the residuals' power: where whitening leaves less, equal weights hide modes
 _MOST_FROM_BRIDGES = 0.05  # of the variance of a pole or of the clock
 _NO_ERROR = 1e-9  # of an output's noise: an error of a bridge is never taken to be less
 _SURPRISE = float(chi_squared_isf(1, 1e-3))  # mean square over what is expected: one restart in a thousand
 _TURNS = 6
 _SETTLED = 0.02  # standard deviations that a turn may still move a pole
+
+RegressionT = TypeVar("RegressionT", ModalRegression, StackedRegression)
 
 
 def weigh_records(
@@ -121,12 +128,19 @@ def output_speeds(
     return [np.concatenate(parts) for parts in speeds]
 
 
+def unturned(regression: ModalRegression | StackedRegression, fit: ModalFit) -> ModalFit:
+    """Return a fit of a regression whose rows may be turned, with residuals and noise as they are before that."""
+    if not regression.turns:
+        return fit
+    left = residuals_of(regression.unturned, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
+    powers = np.array([float(np.mean(np.square(own))) for own in left])
+    return dataclasses.replace(fit, residuals=tuple(left), sigmas=np.sqrt(powers))
+
+
 def unweighed(regression: ModalRegression, fit: ModalFit) -> ModalFit:
     """Return a fit of a weighed or turned regression with residuals and noise in the units of the outputs."""
     if regression.turns:
-        left = residuals_of(regression.unturned, fit.omegas, fit.zetas, fit.clock, fit.coefficients)
-        powers = np.array([float(np.mean(np.square(own))) for own in left])
-        return dataclasses.replace(fit, residuals=tuple(left), sigmas=np.sqrt(powers))
+        return unturned(regression, fit)
     levels = [regression.row_levels(j) for j in range(regression.n_outputs)]
     return dataclasses.replace(
         fit,
@@ -162,6 +176,72 @@ def record_levels(regression: ModalRegression, fit: ModalFit) -> list[FloatArray
         mean = float(np.average(logs, weights=sizes)) if len(logs) > 1 else logs[0]
         result.append(np.exp(np.array(logs) - mean))
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class SlowNoiseWeights:
+    """Weights of the search by the slow noise of every output, as a model with some of the modes leaves it.
+
+    A drift, or a camera that sways, is loudest where no mode is, and with equal weights it hides the modes that stand
+    out of it elsewhere.  Ornstein-Uhlenbeck noise beside white noise has no resonance, so that it takes no mode for
+    noise as an autoregression would, whose order rises with what a model lacks.
+
+    Attributes
+    ----------
+    processes : list of list of ContinuousNoise or None -- of every output in each of its segments; None is white
+    levels : list of ndarray -- of the innovations in each segment, their weighted geometric mean one
+    is_loud : bool -- whether some output would be whitened to less than half of its power
+    """
+
+    processes: list[list[ContinuousNoise | None]]
+    levels: list[FloatArray]
+    is_loud: bool
+
+    @staticmethod
+    def of(regression: ModalRegression | StackedRegression, fit: ModalFit) -> SlowNoiseWeights:
+        """Return those of a fit with residuals as measured."""
+        processes, levels, is_loud = [], [], False
+        for residuals, times, segments in zip(
+            fit.residuals, regression.times, regression.segments, strict=True
+        ):
+            found, logs, sizes, before = [], [], [], []
+            for _, part in segments:
+                left, stamps = residuals[part], times[part]
+                process = continuous_noise(left, stamps, max_order=1)
+                powers = [
+                    float(np.mean(np.square(own))) for own in (left, _slow_whitened(process, stamps, left))
+                ]
+                found.append(process)
+                before.append(np.log(max(powers[0], 1e-300)))
+                logs.append(np.log(max(powers[1], 1e-300)))
+                sizes.append(len(left))
+            mean = np.average(logs, weights=sizes)
+            is_loud |= bool(mean - np.average(before, weights=sizes) < np.log(_SLOW))
+            processes.append(found)
+            levels.append(np.exp(0.5 * (np.array(logs) - mean)))
+        return SlowNoiseWeights(processes, levels, is_loud)
+
+    def turned(self, regression: RegressionT) -> RegressionT:
+        """Return the regression of the same outputs, at these or at fewer stamps, with rows that are white."""
+        return regression.turned([self._turn(regression, j) for j in range(len(regression.values))])
+
+    def _turn(
+        self, regression: ModalRegression | StackedRegression, output: int
+    ) -> Callable[[FloatArray], FloatArray]:
+        """Return the map of an output's rows, of determinant one: costs before and after compare."""
+        times = regression.times[output]
+        parts = [part for _, part in regression.segments[output]]
+
+        def turn(columns: FloatArray) -> FloatArray:
+            owned = zip(parts, self.processes[output], self.levels[output], strict=True)
+            rows = [_slow_whitened(own, times[part], columns[part]) / level for part, own, level in owned]
+            return np.concatenate(rows)
+
+        return turn
+
+
+def _slow_whitened(process: ContinuousNoise | None, times_s: FloatArray, columns: FloatArray) -> FloatArray:
+    return columns if process is None else ContinuousWhitening(process, times_s).apply(columns)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from beam_ident.modal_identification.fit_tests import (
     no_body_alone,
     rate_warnings,
 )
-from beam_ident.modal_identification.search_weights import InputNoiseWeights
+from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
 from beam_ident.modal_identification.signal_clocks import SignalClocks, clock_sentences, hold_warnings
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.outliers import outlier_warning

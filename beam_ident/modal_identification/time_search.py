@@ -38,6 +38,7 @@ from beam_ident.modal_estimation.mode_search import (
 )
 from beam_ident.modal_estimation.record_levels import (
     BridgeUncertainty,
+    SlowNoiseWeights,
     record_levels,
     restart_priors,
     stamp_jitters,
@@ -62,7 +63,7 @@ from beam_ident.modal_identification.fit_tests import (
     SampledFit,
     unrelated,
 )
-from beam_ident.modal_identification.search_weights import InputNoiseWeights, SlowNoiseWeights
+from beam_ident.modal_identification.input_noise_weights import InputNoiseWeights
 from beam_ident.modal_identification.sensor_low_passes import Sensor, likely_low_pass, suspected
 from beam_ident.modal_identification.signal_clocks import SignalClocks
 from beam_ident.modal_identification.time_result import Findings
@@ -106,7 +107,6 @@ class TimeSearch(ModeSearch[ModalRegression]):
         start: ModalFit | None = None,
         found_noise: Mapping[int, StillNoise] = MappingProxyType({}),
     ) -> None:
-        self.is_behind_noise = False  # rows are whitened by the outputs' slow noise
         self.is_in_doubt = False  # since a mode that explains much was not believed
         self.end_before: ModalFit | None = (
             None  # of structures inside, with clocks that have moved a little since
@@ -343,19 +343,16 @@ class TimeSearch(ModeSearch[ModalRegression]):
         if self._is_driven_by_noise():
             self._whiten()
         elif self.is_behind_noise:
-            self._whiten_slow(SlowNoiseWeights.of(self.plain, unweighed(self.problem, self.chosen)))
+            weights = SlowNoiseWeights.of(self.plain, unweighed(self.problem, self.chosen))
+            self.problem = weights.turned(self.plain)
+            self.scan.turn(weights.turned)
         elif len(self.records) > 1:
             levels = record_levels(self.problem, self.chosen)
             self.problem = self.plain.weighed(levels)
             self.scan.weigh(levels)
         else:
             return
-        before, self.chosen = (
-            self.chosen,
-            self.fit(self.chosen.omegas, self.chosen.zetas, self.chosen.clock),
-        )
-        if self._believed[0] is before:
-            self._believed = self.chosen, self._believed[1]
+        self._refit()
 
     def _noise_share(self, fit: ModalFit) -> float:
         """Return how much of what a fit leaves at some output is noise on the input, behind the modes of it.
@@ -390,7 +387,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         self.scan.turn(weights.turned)
 
     def looks_behind_noise(self) -> bool:
-        """Whiten the rows by slow noise that makes up most of what the modes so far leave, where there is such.
+        """Return whether slow noise makes up most of what the modes so far leave.
 
         A long record has been searched so at some of its stamps; what is curved, or driven by the input's noise, has
         no noise that a colour would describe.
@@ -398,14 +395,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         if not self.band.is_excited or self.is_curved or len(self.plain.pieces) > 1:
             return False
         fit = unweighed(self.problem, self.chosen)
-        if self._noise_share(fit) > VISIBLE_SHARE:
-            return False
-        self.is_behind_noise = SlowNoiseWeights.of(self.plain, fit).is_loud
-        return self.is_behind_noise
-
-    def _whiten_slow(self, weights: SlowNoiseWeights) -> None:
-        self.problem = weights.turned(self.plain)
-        self.scan.turn(weights.turned)
+        return not self._noise_share(fit) > VISIBLE_SHARE and SlowNoiseWeights.of(self.plain, fit).is_loud
 
     @property
     def _may_weigh_input(self) -> bool:

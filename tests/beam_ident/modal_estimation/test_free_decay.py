@@ -128,6 +128,24 @@ def test_drift_is_no_mode_and_hides_none(shape):
     assert found.natural_frequency_sd == pytest.approx(still.natural_frequency_sd, rel=0.1)
 
 
+@pytest.mark.parametrize(("step", "n_modes"), [(2.0, None), (1.0, None), (0.6, 2), (1.0, 2)])
+def test_a_walk_that_is_louder_than_a_mode_does_not_hide_it(step, n_modes):
+    # With equal weights its own slow swings are the next modes, or the search ends at the first one.
+    signals = []
+    for seed, signal in enumerate(decays(0.0)):
+        steps = np.random.default_rng(seed).standard_normal(len(TIMES)) * np.sqrt(
+            np.diff(TIMES, prepend=TIMES[0])
+        )
+        signals.append(OutputSignal(signal.name, "m", TIMES, signal.values + step * np.cumsum(steps)))
+    found = fit_free_decay(signals, n_modes)
+    assert len(found.natural_frequencies) == 2
+    scores = [
+        (found.natural_frequencies - OMEGAS) / found.natural_frequency_sd,
+        (found.damping_ratios - ZETAS) / found.damping_ratio_sd,
+    ]
+    assert np.max(np.abs(scores)) < 3.6
+
+
 def test_points_that_share_their_stamps_share_their_columns():
     found = fit_free_decay(decays(0.02), n_modes=2)
     apart = decays(0.02)

@@ -1,4 +1,4 @@
-"""Weights of the search: rows whitened by what noise on the input does to the outputs, or by their own slow noise.
+"""Weights of the search where the input is noisy: rows whitened by what its noise does to the outputs.
 
 Noise on a measured input passes through the modes that are there, and behind them it looks like more modes beside
 them; and as it is in the columns too, modes that are not there can take some of it back.  So the search looks at the
@@ -7,10 +7,6 @@ of the disturbance (``input_disturbance``), for each output by itself, makes tha
 of the noise is left to the last fit, so that every output keeps linear parameters of its own.
 
 The same filter turns the residuals of the last fit white, before causes of a misfit are looked for in them.
-
-Slow noise of the outputs, a drift or a camera that sways, is loudest where no mode is, and with equal weights it
-hides the modes that stand out of it elsewhere.  Ornstein-Uhlenbeck noise beside white noise has no resonance, so that
-it takes no mode for noise as an autoregression would, whose order rises with what a model lacks.
 """
 
 from __future__ import annotations
@@ -28,12 +24,10 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, InputDisturbance, Observations
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
-from beam_ident.noise.continuous_noise import ContinuousNoise, ContinuousWhitening, continuous_noise
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.sensing.misfit_causes import Turn
 
 _MIN_SHARE = 1e-4  # of an output's noise variance: it is never taken to have less of its own
-_SLOW = 0.5  # of the residuals' power: where whitening leaves less, equal weights hide modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,66 +115,6 @@ class InputNoiseWeights:
             variance = self.variances[record, output : output + 1]
             found.append(self.disturbances[output][number].filter(seen, variance))
         return found
-
-
-@dataclass(frozen=True, eq=False)
-class SlowNoiseWeights:
-    """The slow noise of every output, as a model with some of the modes leaves it.
-
-    Attributes
-    ----------
-    processes : list of list of ContinuousNoise or None -- of every output in each of its segments; None is white
-    levels : list of ndarray -- of the innovations in each segment, their weighted geometric mean one
-    is_loud : bool -- whether some output would be whitened to less than half of its power
-    """
-
-    processes: list[list[ContinuousNoise | None]]
-    levels: list[FloatArray]
-    is_loud: bool
-
-    @staticmethod
-    def of(regression: ModalRegression, fit: ModalFit) -> SlowNoiseWeights:
-        """Return those of a fit with residuals as measured."""
-        processes, levels, is_loud = [], [], False
-        for residuals, times, segments in zip(
-            fit.residuals, regression.times, regression.segments, strict=True
-        ):
-            found, logs, sizes, before = [], [], [], []
-            for _, part in segments:
-                left, stamps = residuals[part], times[part]
-                process = continuous_noise(left, stamps, max_order=1)
-                powers = [
-                    float(np.mean(np.square(own))) for own in (left, _slow_whitened(process, stamps, left))
-                ]
-                found.append(process)
-                before.append(np.log(max(powers[0], 1e-300)))
-                logs.append(np.log(max(powers[1], 1e-300)))
-                sizes.append(len(left))
-            mean = np.average(logs, weights=sizes)
-            is_loud |= bool(mean - np.average(before, weights=sizes) < np.log(_SLOW))
-            processes.append(found)
-            levels.append(np.exp(0.5 * (np.array(logs) - mean)))
-        return SlowNoiseWeights(processes, levels, is_loud)
-
-    def turned(self, regression: ModalRegression) -> ModalRegression:
-        """Return the regression of the same outputs, at these or at fewer stamps, with rows that are white."""
-        return regression.turned([self._turn(regression, j) for j in range(regression.n_outputs)])
-
-    def _turn(self, regression: ModalRegression, output: int) -> Callable[[FloatArray], FloatArray]:
-        """Return the map of an output's rows, of determinant one: costs before and after compare."""
-        times = regression.times[output]
-        parts = [part for _, part in regression.segments[output]]
-
-        def turn(columns: FloatArray) -> FloatArray:
-            owned = zip(parts, self.processes[output], self.levels[output], strict=True)
-            rows = [_slow_whitened(own, times[part], columns[part]) / level for part, own, level in owned]
-            return np.concatenate(rows)
-
-        return turn
-
-
-def _slow_whitened(process: ContinuousNoise | None, times_s: FloatArray, columns: FloatArray) -> FloatArray:
-    return columns if process is None else ContinuousWhitening(process, times_s).apply(columns)
 
 
 def _by_output(
