@@ -339,8 +339,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         before = self.problem, self.chosen, self.chosen_entry, self._believed
         is_persistent, self.is_persistent = self.is_persistent, False
         if n_modes is not None:
-            sure = self._without_doubtful(self.chosen)
-            self.chosen = self.without_modes if self._doubtful(sure) else sure
+            self.chosen = self._without_doubtful(self.chosen)
         self.is_behind_noise = self.looks_behind_noise()
         if self.is_behind_noise:
             self._believed = self.chosen, self.chosen_entry
