@@ -871,11 +871,10 @@ class ModalRegression:
                 first += len(rows)
         if not self.turns:
             return found
-        turned = [
-            self.turns[own](columns.reshape(-1, columns.shape[2]).T).T
+        return [
+            turned_candidates(columns, self.turns[own])
             for columns, (_, own) in zip(found, self._block_keys, strict=True)
         ]
-        return [np.reshape(own, columns.shape) for own, columns in zip(turned, found, strict=True)]
 
     def _assemble(
         self,
@@ -977,6 +976,11 @@ class ModalRegression:
                     slopes[:, :, here] /= level
         modes = tuple(ModeSlopes(by_log_omega.T, by_zeta.T) for by_log_omega, by_zeta in touched)
         return ColumnBlock(matrix, mode_columns, modes, by_time, latency_factor, rate_factor)
+
+
+def turned_candidates(columns: FloatArray, turn: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return columns of single modes, (n_candidates, n_columns, n_rows), with rows passed through a linear map."""
+    return np.reshape(turn(columns.reshape(-1, columns.shape[2]).T).T, columns.shape)
 
 
 def _take_out(columns: FloatArray, free: ComplexArray) -> None:

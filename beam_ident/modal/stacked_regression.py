@@ -16,7 +16,7 @@ import numpy as np
 
 from beam_ident.arrays import AnyArray, FloatArray
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes
+from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes, turned_candidates
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ class StackedRegression:
         if not self.turns:
             return plain
         return [
-            np.reshape(self.turns[number](own.reshape(-1, own.shape[2]).T).T, own.shape)
+            turned_candidates(own, self.turns[number])
             for number, own in zip(self._blocks, plain, strict=True)
         ]
 

@@ -333,7 +333,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def _extend_behind_noise(self, n_modes: int | None, limit: int) -> None:
         """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt."""
-        n_doubtful = len(self._doubtful(self.chosen))
+        n_doubtful = 0 if n_modes is None else len(self._doubtful(self.chosen))
         if n_modes is not None and not n_doubtful:
             return
         before = self.problem, self.chosen, self.chosen_entry, self._believed
@@ -344,8 +344,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
         if self.is_behind_noise:
             self._believed = self.chosen, self.chosen_entry
             self._extend(n_modes, limit)
-            is_surer = self.chosen.converged and len(self._doubtful(self.chosen)) < n_doubtful
-            self.is_behind_noise = n_modes is None or is_surer
+            self.is_behind_noise = n_modes is None or (
+                self.chosen.converged and len(self._doubtful(self.chosen)) < n_doubtful
+            )
         if not self.is_behind_noise:
             self.problem, self.chosen, self.chosen_entry, self._believed = before
         self.is_persistent = is_persistent

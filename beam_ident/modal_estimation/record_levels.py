@@ -1,10 +1,9 @@
 """What records bring of their own to a fit of modes: the level of their noise, and the gaps of their inputs.
 
 Several records are not equally noisy: every output weighs in each by its noise there, and slow noise less where it
-is loud.  The levels are those of the
-residuals of a fit; levels and fit take turns until neither moves.  What is not known of an input in its gaps
-moves the estimates like noise; where it moves them too far, the modes begin anew (``modal.restarts``).  Stamps may
-scatter, in each record by themselves.
+is loud.  The levels are those of the residuals of a fit; levels and fit take turns until neither moves.  What is not
+known of an input in its gaps moves the estimates like noise; where it moves them too far, the modes begin anew
+(``modal.restarts``).  Stamps may scatter, in each record by themselves.
 """
 
 from __future__ import annotations

@@ -394,8 +394,9 @@ class TimeSearch(ModeSearch[ModalRegression]):
         """
         if not self.band.is_excited or self.is_curved or len(self.plain.pieces) > 1:
             return False
-        fit = unweighed(self.problem, self.chosen)
-        return not self._noise_share(fit) > VISIBLE_SHARE and SlowNoiseWeights.of(self.plain, fit).is_loud
+        if self._is_driven_by_noise():
+            return False
+        return SlowNoiseWeights.of(self.plain, unweighed(self.problem, self.chosen)).is_loud
 
     @property
     def _may_weigh_input(self) -> bool:

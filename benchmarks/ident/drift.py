@@ -70,13 +70,7 @@ class DriftingModes(AgainstBound):
         except EstimationError:
             return Outcome(time.perf_counter() - start)
         seconds = time.perf_counter() - start
-        if model.n_modes != len(_GAINS):
-            return Outcome(seconds)
-        return Outcome(
-            seconds,
-            np.append(model.natural_frequencies, model.damping_ratios),
-            np.append(model.natural_frequency_sd, model.damping_ratio_sd),
-        )
+        return Outcome.of_modes(seconds, model, len(_GAINS))
 
 
 STUDIES = {
