@@ -319,11 +319,13 @@ def _at_the_bound(
     rng, scale = np.random.default_rng([diameter, int(smear), int(noise), bits]), 256 if bits == 16 else 1
     nodes = np.polynomial.legendre.leggauss(renderer.sub_instants)[0] / 2
     alpha = noise**2
-    errors, stated = [], []
+    errors, stated, away = [], [], np.zeros(len(HEIGHTS))
     for k in range(n_frames + WARM_UP + 24):
         is_moving, phase = k > WARM_UP and smear > 0, (k - WARM_UP) % 48
         at = 1.01 * smear * (abs(phase - 24) - 12) if is_moving else 0.0
-        positions = at + rng.uniform(-0.5, 0.5, len(HEIGHTS)) + is_moving * smear * nodes[:, None]
+        if not is_moving or phase in (0, 24):
+            away = rng.uniform(-0.5, 0.5, len(HEIGHTS))  # no step without its smear
+        positions = at + away + is_moving * smear * nodes[:, None]
         light = renderer.light(positions / 1500)
         sd = np.sqrt(alpha + beta * light, dtype=np.float32)
         noisy = light + sd * rng.standard_normal(light.shape, dtype=np.float32)

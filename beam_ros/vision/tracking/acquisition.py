@@ -204,7 +204,8 @@ class Acquisition:
         self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
     ) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        disc, before = one_disc(spot, light, self._parameters), marker.sighting
+        disc = one_disc(spot, light, self._meter.appearance(spot, light), self._parameters)
+        before = marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
         marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]

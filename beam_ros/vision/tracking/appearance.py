@@ -1,16 +1,24 @@
 """What a marker looks like: the light about it, and the disc that later frames are compared with.
 
-Both are slow averages: the light follows lamps and clouds, the disc is averaged over a marker's first frames.
+Both are slow averages: the light follows lamps and clouds, the disc is averaged over a marker's first frames. How the
+disc looks when it moves far during the exposure follows from how it looks at rest.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from statistics import NormalDist
+from typing import NamedTuple
 
+import numpy as np
+
+from beam_ros.arrays import FloatArray
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.centres import disc_steps
+from beam_ros.vision.tracking.centres import cumulative_normal, disc_steps
 from beam_ros.vision.tracking.disc_model import DiscModel
 
 _NORMAL = NormalDist()
@@ -29,6 +37,24 @@ _SAME_LEVEL = 0.01
 """Levels that differ by less show the same disc [of the contrast]."""
 _MAX_LEVEL = 0.9
 """Of a contrast, at most so much is subtracted where a disc is derived."""
+_LOOK_STEP = 0.01
+"""Relative steps of area and second moment, and steps of level and noise [of the contrast], in which smeared markers
+are computed."""
+_DISC_STEPS, _DISC_STEP_PX, _DISC_MOST_PX = 5, 0.02, 1.0
+"""A disc is found by its look in so many steps of Gauss-Newton, by differences over this and no longer than [px]."""
+_DISC_LEAST_PX = 1.0, 0.3, 0.5
+"""Its radius, blur and smear are no less [px]."""
+_LOOK_DOUBT = 0.003
+"""Relative uncertainty of how a disc that is drawn looks."""
+_USUAL_EDGE_PX, _EDGE_SPREAD_PX = 0.8, 0.4
+"""Blur of a rim that is expected of an unknown lens, and its standard deviation [px]."""
+_LEAST_NOISE = 1e-3
+"""There is so much noise at least [of the contrast]."""
+_SAMPLES_PER_PX = 2
+"""Such discs are sampled so often per pixel, ..."""
+_RIM = 4.0
+"""... to so many standard deviations of the rim's blur beyond the radius."""
+_ROOT = math.sqrt(2 * math.pi)
 _SLOW = 0.15
 """Weight of a new value in the slow averages of brightness, background and noise."""
 QUANTISATION_VARIANCE = 1.0 / 12.0
@@ -100,6 +126,208 @@ class Light:
         self.settle()
 
 
+class Smeared(NamedTuple):
+    """What a smear makes of a disc, over what it is at rest.
+
+    Attributes
+    ----------
+    area, plateau, variance_v : float -- with the names of a ``Spot``
+    scatter : float -- of the area and of the moments by noise, relative
+    """
+
+    area: float
+    plateau: float
+    variance_v: float
+    scatter: float
+
+    def over(self, rest: Smeared) -> Smeared:
+        """Return this look over that at rest."""
+        return Smeared(*(own / other for own, other in zip(self, rest, strict=True)))
+
+
+AT_REST = Smeared(1.0, 1.0, 1.0, 1.0)
+
+
+def _drawn(radius: float, edge: float, room: float) -> FloatArray:
+    """Draw a blurred disc Phi((R - r) / e): a quarter of the plane, with so much room along u [px]."""
+    reach = (radius + _RIM * edge) * _SAMPLES_PER_PX
+    rows, columns = np.arange(reach), np.arange(reach + room * _SAMPLES_PER_PX)
+    away = np.hypot(columns, rows[:, None]) / _SAMPLES_PER_PX
+    return cumulative_normal((radius - away) / edge)
+
+
+def _integral(disc: FloatArray) -> FloatArray:
+    """Integral of a drawn disc along whole rows, from their middle [px]."""
+    half = np.cumsum(disc[:, 1:] + disc[:, :-1], axis=1) / (2 * _SAMPLES_PER_PX)
+    return np.hstack([-half[:, ::-1], np.zeros((len(disc), 1)), half])
+
+
+def _smeared(integral: FloatArray, length: float) -> FloatArray:
+    """Light of a smear, which is the difference of the integral over its length [px], as far as that is drawn."""
+    away, share = divmod(length * _SAMPLES_PER_PX / 2, 1.0)
+    middle, near = integral.shape[1] // 2, int(away)
+    light = np.zeros((len(integral), middle + 1))
+    at = middle + np.arange(middle - near)
+    ahead = (1.0 - share) * integral[:, at + near] + share * integral[:, at + near + 1]
+    behind = (1.0 - share) * integral[:, at - near] + share * integral[:, at - near - 1]
+    light[:, : at.size] = (ahead - behind) / length
+    return light
+
+
+def _seen(light: FloatArray, level: float, noise: float) -> tuple[Smeared, float]:
+    """Look of what is drawn above a level in noise, fractions of the contrast; and its second moment along u [px^2].
+
+    Noise is never nothing, as grey levels are whole. Of light a above the level, noise s leaves a mean of
+    a Phi(a / s) + s phi(a / s).
+    """
+    above, noise = light - level, max(noise, _LEAST_NOISE)
+    depth = above / noise
+    above = above * cumulative_normal(depth) + noise * np.exp(-0.5 * depth * depth) / _ROOT
+    above[1:] *= 2.0
+    above[:, 1:] *= 2.0
+    one = _SAMPLES_PER_PX
+    plateau = float(light[0, 0] + 2.0 * light[one, 0] + 2.0 * light[0, one]) / 5.0
+    if plateau <= level:
+        return Smeared(math.inf, plateau, math.inf, math.inf), math.inf
+    area = float(above.sum()) / one**2 / (plateau - level)
+    along, across = (
+        float(sums @ (np.arange(sums.size) / one) ** 2) / float(sums.sum())
+        for sums in (above.sum(axis=0), above.sum(axis=1))
+    )
+    return Smeared(area, plateau, across, 1.0 / ((plateau - level) * math.sqrt(area))), along
+
+
+def _solved(
+    look: Callable[[FloatArray], Sequence[float]],
+    seen: Sequence[float],
+    doubt: Sequence[float],
+    usual: Sequence[float],
+    spread: Sequence[float],
+) -> FloatArray:
+    """Sizes of a disc, and of its smear, that most likely look as something is seen [px].
+
+    Parameters
+    ----------
+    look : callable -- numbers by which discs of some sizes look
+    seen, doubt : sequence of float -- these numbers, and their relative standard deviations
+    usual, spread : sequence of float -- usual sizes, from which the search begins, and their standard deviations [px]
+    """
+    sizes, logs, known = np.array(usual), np.log(seen), np.diag(1.0 / np.array(spread))
+    weight = 1.0 / np.array(doubt)[:, None]
+    for _ in range(_DISC_STEPS):
+        now = np.log(look(sizes))
+        if not np.isfinite(now).all():  # nothing is left above the level
+            break
+        ahead = np.array([np.log(look(sizes + step)) - now for step in _DISC_STEP_PX * np.eye(sizes.size)])
+        rows = np.vstack([weight * ahead.T / _DISC_STEP_PX, known])
+        left = np.concatenate([weight[:, 0] * (logs - now), known @ (usual - sizes)])
+        step = np.linalg.lstsq(np.nan_to_num(rows), left, rcond=None)[0]
+        sizes = np.maximum(sizes + np.clip(step, -_DISC_MOST_PX, _DISC_MOST_PX), _DISC_LEAST_PX[: sizes.size])
+    return sizes
+
+
+class SmearedLooks:
+    """How a marker looks above a level however far it moved along u during the exposure.
+
+    Parameters
+    ----------
+    area, variance : float -- of the marker at rest, and its second moment along v [px^2]
+    level, noise : float -- what is subtracted, and the noise of a pixel, as fractions of the contrast
+    longest_px : float -- smear up to which it is needed [px]
+
+    Notes
+    -----
+    The marker is taken for the blurred disc that has its area and moment at rest. A smear lengthens it along u, sinks
+    its ends below the level, and takes light from its middle once it is about as long as a chord.
+    """
+
+    def __init__(self, area: float, variance: float, level: float, noise: float, longest_px: float) -> None:
+        self._area, self._variance, self._longest_px = area, variance, longest_px
+        self._level, self._noise = level, noise
+
+    @cached_property
+    def _table(self) -> tuple[list[float], list[Smeared]]:
+        """Growing second moments along u beyond that at rest [px^2], and what is seen with each."""
+        level, noise = self._level, self._noise
+
+        def look(size: FloatArray) -> tuple[float, float]:
+            seen, _ = _seen(_drawn(size[0], size[1], 0.0), level, noise)
+            return seen.area, seen.variance_v
+
+        radius = math.sqrt(self._area / math.pi)
+        usual, spread = (radius, _USUAL_EDGE_PX), (radius, _EDGE_SPREAD_PX)
+        size = _solved(look, (self._area, self._variance), (_LOOK_DOUBT, _LOOK_DOUBT), usual, spread)
+        disc = _drawn(size[0], size[1], self._longest_px / 2 + 1.0)
+        integral, (own, own_u) = _integral(disc), _seen(disc, level, noise)
+        excesses, looks = [0.0], [AT_REST]
+        for length in range(1, math.ceil(self._longest_px) + 1):
+            seen, along = _seen(_smeared(integral, length), level, noise)
+            if math.isinf(seen.area):
+                break
+            if along - own_u > excesses[-1]:
+                excesses.append(along - own_u)
+                looks.append(seen.over(own))
+        return excesses, looks
+
+    def at(self, excess: float) -> Smeared:
+        """Look of the smear that adds so much to the second moment along u [px^2]; the longest one's beyond it."""
+        excesses, looks = self._table
+        after = bisect_left(excesses, excess)
+        if after == 0:
+            return AT_REST
+        if after == len(excesses):
+            return looks[-1]
+        share = (excess - excesses[after - 1]) / (excesses[after] - excesses[after - 1])
+        before, beyond = looks[after - 1], looks[after]
+        return Smeared(*(low + share * (high - low) for low, high in zip(before, beyond, strict=True)))
+
+
+def smear_of(
+    area: float,
+    variance_u: float,
+    variance_v: float,
+    level: float,
+    noise: float,
+    radius: tuple[float, float],
+    longest_px: float,
+) -> Smeared:
+    """What a smear has most likely made of a disc of which nothing is known but its look, and about how large it is.
+
+    Parameters
+    ----------
+    area, variance_u, variance_v : float -- of what is seen [px^2]
+    level, noise : float -- what is subtracted, and the noise of a pixel, as fractions of the height that is seen
+    radius : (float, float) -- of the disc, and its standard deviation [px]
+    longest_px : float -- about the longest smear [px]
+    """
+
+    def drawn(size: FloatArray) -> tuple[Smeared, float]:
+        light = _smeared(_integral(_drawn(size[0], size[1], size[2] / 2 + 1.0)), size[2])
+        shown = float(light[0, 0])
+        return _seen(light, level * shown, noise * shown)
+
+    def look(size: FloatArray) -> tuple[float, float, float]:
+        seen, along = drawn(size)
+        return seen.area, seen.variance_v, along
+
+    scatter = noise / ((1.0 - level) * math.sqrt(area))
+    doubt = [_LOOK_DOUBT + part * scatter for part in (1.0, 1.6, 1.6)]
+    length = min(math.sqrt(12.0 * max(variance_u - variance_v, 0.0)), longest_px)
+    usual, spread = (radius[0], _USUAL_EDGE_PX, length), (radius[1], _EDGE_SPREAD_PX, longest_px)
+    size = _solved(look, (area, variance_v, variance_u), doubt, usual, spread)
+    seen, _ = drawn(size)
+    rest, _ = _seen(_drawn(size[0], size[1], 0.0), level * seen.plateau, noise * seen.plateau)
+    return seen.over(rest) if math.isfinite(seen.area) else AT_REST
+
+
+@lru_cache(maxsize=512)
+def _smeared_looks(
+    area_steps: int, variance_steps: int, level_steps: int, noise_steps: int, longest_px: float
+) -> SmearedLooks:
+    area, variance = (math.exp(steps * _LOOK_STEP) for steps in (area_steps, variance_steps))
+    return SmearedLooks(area, variance, level_steps * _LOOK_STEP, noise_steps * _LOOK_STEP, longest_px)
+
+
 @dataclass(slots=True)
 class Appearance:
     """A marker as it was acquired: what later frames are compared with.
@@ -151,6 +379,13 @@ class Appearance:
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
         self.disc = disc_steps(self.radius, self.edge, self.disc)
         self.is_settled = self.frames >= _SETTLING_FRAMES
+
+    def smeared(self, light: Light, longest_px: float) -> SmearedLooks:
+        """How it looks in a light, smeared by up to so much [px]."""
+        level, noise = light.above / light.contrast, light.noise / light.contrast
+        more_area, more_variance = self.changes(level)
+        known = math.log(self.area + more_area), math.log(self.variance_v + more_variance), level, noise
+        return _smeared_looks(*(round(number / _LOOK_STEP) for number in known), longest_px)
 
     def changes(self, level: float) -> tuple[float, float]:
         """Changes of the area and of both second moments where another level is subtracted [px^2]."""

@@ -485,9 +485,10 @@ class Recovery:
                 nearest = min(rows[k].alike, key=lambda seen: abs(seen[0].u - marker.u), default=None)
                 if nearest is not None:
                     contrasts[k] = nearest[1].contrast
-            elif k in spots and reasons[k] == "ok":
+            elif k in spots and reasons[k] == "ok" and marker.gates is not None:
                 sides = self._meter.sides(image, spots[k])
-                contrasts[k] = abs(spots[k].plateau - 0.5 * (sides.left + sides.right))
+                shown = abs(spots[k].plateau - 0.5 * (sides.left + sides.right))
+                contrasts[k] = shown / self._meter.lit_share(spots[k], marker.gates)
         return contrasts
 
     def _expected_contrast(self, k: int, contrasts: dict[int, float]) -> float:

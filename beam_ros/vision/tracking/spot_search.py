@@ -86,7 +86,7 @@ def spots_in_row(
             if candidate is None:
                 found.others.append((x, "shape"))
                 continue
-            spot, own_light = candidate
+            spot, own_light = candidate = meter.undimmed(image, *candidate, appearance, is_narrow=is_crowded)
             gates = meter.gates(own_light, appearance)
             why = meter.judge(spot, gates._replace(row=(row - reach, row + reach)))
             if why == "jump":
@@ -114,22 +114,23 @@ class OneDisc:
     tolerance: float
 
 
-def one_disc(spot: Spot, light: Light, parameters: TrackerParameters) -> OneDisc:
-    """Compare a spot with the image of one disc.
+def one_disc(spot: Spot, light: Light, disc: Appearance, parameters: TrackerParameters) -> OneDisc:
+    """Compare a spot with the image of one disc, and with what that would be at rest.
 
     Notes
     -----
     A blurred disc of area S, seen with the aspect q, has second moments q S / (4 pi) + b^2 along u and
-    S / (4 pi q) + b^2 along v, b the blur. A smear of length s adds s^2 / 12 along u and leaves the area and the
-    moment along v as they are. A second disc that touches adds area, which the moment along v does not follow.
+    S / (4 pi q) + b^2 along v, b the blur. A smear of length s adds s^2 / 12 along u, and leaves of the area and of
+    the moment along v what is known of it. A second disc that touches adds area, which the moment along v does not
+    follow.
     """
-    scatter = light.noise / (light.height * math.sqrt(spot.area))
-    tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * spot.variance_v
-    uniform = spot.area / (4 * math.pi)
-    excess = spot.variance_u - spot.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)
+    scatter = light.noise / (light.height * math.sqrt(disc.area))
+    tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * disc.variance_v
+    uniform = disc.area / (4 * math.pi)
+    excess = spot.variance_u - disc.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)
     is_round = (
         excess >= -tolerance
         and abs(spot.covariance) <= tolerance
-        and spot.variance_v - uniform / parameters.aspect >= -tolerance
+        and disc.variance_v - uniform / parameters.aspect >= -tolerance
     )
     return OneDisc("ok" if is_round else "shape", excess, tolerance)

@@ -21,7 +21,14 @@ import numpy as np
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.tracking.appearance import QUANTISATION_VARIANCE, Appearance, Light
+from beam_ros.vision.tracking.appearance import (
+    QUANTISATION_VARIANCE,
+    Appearance,
+    Light,
+    Smeared,
+    SmearedLooks,
+    smear_of,
+)
 from beam_ros.vision.tracking.centres import (
     aperture_at,
     clipped_sums,
@@ -79,6 +86,10 @@ _DIP = 2.5
 their rim, counts as no more than that to the disc model."""
 _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
 """Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
+_LONGEST = 1.5
+"""What has so many times the second moment of the longest smear is none."""
+_SMEARED = 2.0
+"""A second moment along u shows a smear beyond so many standard deviations of its noise."""
 _ALIKE = 9.0
 """Either side shows the same noise and texture where its variance is no more than so many times the other one's: a
 coarse texture has few grains in so few columns."""
@@ -128,6 +139,22 @@ class Sides(NamedTuple):
 Bounds = tuple[float, float]
 
 
+class Smears(NamedTuple):
+    """What is known of smears of a marker.
+
+    Attributes
+    ----------
+    own_u, scatter : float -- second moment along u without smear, and its standard deviation by noise [px^2]
+    background : float -- [grey levels]
+    looks : SmearedLooks
+    """
+
+    own_u: float
+    scatter: float
+    background: float
+    looks: SmearedLooks
+
+
 class Gates(NamedTuple):
     """Bounds between which a spot passes for the marker, in the units of ``Spot``.
 
@@ -135,8 +162,8 @@ class Gates(NamedTuple):
     ----------
     row, brightness, area, variance_v, variance_u, skew_u, skew_v : (float, float)
     correlation : float -- largest covariance over the geometric mean of the variances
-    unsmeared : float -- second moment along u without smear [px^2]
-    submersion : float -- area that sinks below the level with every pixel of smear [px]
+    plain_u : float -- second moment along u up to which noise explains it [px^2]
+    smears : Smears -- what a smear makes of the others beyond that
     """
 
     row: Bounds
@@ -147,8 +174,8 @@ class Gates(NamedTuple):
     correlation: float
     skew_u: Bounds
     skew_v: Bounds
-    unsmeared: float
-    submersion: float
+    plain_u: float
+    smears: Smears
 
 
 def _scatter(light: Light, area: float) -> float:
@@ -157,6 +184,16 @@ def _scatter(light: Light, area: float) -> float:
     The standard deviations of area, second moments and asymmetry are this number times 1, 1.6 and 2.2.
     """
     return light.noise / (light.height * math.sqrt(area))
+
+
+def _at_rest(value: float, bounds: Bounds, scatter: float, *shares: float) -> float:
+    """What a smeared spot would show at rest, by noise that is there so many times less.
+
+    Of what the smear may leave of it, between two shares, that counts which is nearest to the middle of its bounds.
+    """
+    usual = 0.5 * (bounds[0] + bounds[1])
+    below, above = sorted(value / share - usual for share in shares)
+    return usual + (below if below > 0.0 else min(above, 0.0)) / scatter
 
 
 class SpotMeter:
@@ -285,8 +322,12 @@ class SpotMeter:
             0.0,
             spot.variance_u - spot.variance_v,
             2.0 * spot.covariance,
-            _EXCESS_SCATTER * _scatter(light, appearance.area) * appearance.variance_v,
+            self._excess_scatter(light, appearance),
         )
+
+    def _excess_scatter(self, light: Light, appearance: Appearance) -> float:
+        """Standard deviation by noise of the second moment along u beyond that along v [px^2]."""
+        return _EXCESS_SCATTER * _scatter(light, appearance.area) * appearance.variance_v
 
     def refine(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
@@ -356,6 +397,7 @@ class SpotMeter:
         more_area, more_variance = appearance.changes(light.above / contrast)
         own_area, own_u = appearance.area + more_area, appearance.variance_u + more_variance
         own_v = appearance.variance_v + more_variance
+        noise_u = self._excess_scatter(light, appearance)
         return Gates(
             row=(appearance.row - parameters.row_gate_px, appearance.row + parameters.row_gate_px),
             brightness=(light.background + low, light.background + high),
@@ -365,27 +407,48 @@ class SpotMeter:
             correlation=shape,
             skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
-            unsmeared=own_u,
-            submersion=self._submersion(light),
+            plain_u=own_v + appearance.excess + _SMEARED * noise_u,
+            smears=Smears(
+                own_v + appearance.excess, noise_u, light.background, self._looks(light, appearance)
+            ),
         )
 
-    def _submersion(self, light: Light) -> float:
-        """Area that sinks below the level with every pixel of smear [px]."""
-        return light.above / light.height * (2 * self.radius + 2.5)
+    def _looks(self, light: Light, appearance: Appearance) -> SmearedLooks:
+        return appearance.smeared(light, self.parameters.max_smear_px)
 
-    def _whole_area(self, spot: Spot, unsmeared: float, submersion: float) -> float:
-        """Area of a spot without its smear, which lengthens it along u and sinks more below the level."""
-        return spot.area + submersion * self._smear(spot.variance_u, unsmeared)
+    def undimmed(
+        self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance, *, is_narrow: bool
+    ) -> tuple[Spot, Light]:
+        """Measure a spot again in the light that its marker has at rest, where a smear has taken some from it."""
+        share = self.lit_share(spot, self.gates(light, appearance))
+        if share == 1.0:
+            return spot, light
+        contrast = abs(spot.plateau - light.background) / share
+        whole = Light(self.parameters, light.background, contrast, light.noise)
+        return self.measure(image, spot.u, spot.v, whole, is_narrow=is_narrow)[0] or spot, whole
+
+    def lit_share(self, spot: Spot, gates: Gates) -> float:
+        """Share of its contrast that a smear has left to a spot."""
+        if spot.variance_u <= gates.plain_u:
+            return 1.0
+        return gates.smears.looks.at(spot.variance_u - gates.smears.own_u).plateau
 
     def judge(self, spot: Spot, gates: Gates) -> Reason:
         """Name the first gate that a spot fails."""
-        row, brightness, areas, of_v, of_u, correlation, of_skew_u, of_skew_v, unsmeared, submersion = gates
+        row, brightness, areas, of_v, of_u, correlation, of_skew_u, of_skew_v, plain_u, smears = gates
         _, v, _, area, variance_u, variance_v, covariance, skew_u, skew_v, plateau, _ = spot
         if not row[0] <= v <= row[1]:
             return "jump"
+        if variance_u > plain_u:
+            own_u, scatter, ground, looks = smears
+            most, least = looks.at(variance_u - own_u), looks.at(variance_u - own_u - _SIGNIFICANT * scatter)
+            plateau = ground + (plateau - ground) / most.plateau
+            area = _at_rest(area, areas, most.scatter, least.area, most.area)
+            variance_v = _at_rest(variance_v, of_v, most.scatter, least.variance_v, most.variance_v)
+            skew_u, skew_v = skew_u / most.scatter, skew_v / most.scatter
         if not brightness[0] <= plateau <= brightness[1]:
             return "brightness"
-        if not areas[0] <= area + submersion * self._smear(variance_u, unsmeared) <= areas[1]:
+        if not areas[0] <= area <= areas[1]:
             return "area"
         if not (
             of_v[0] <= variance_v <= of_v[1]
@@ -396,6 +459,13 @@ class SpotMeter:
         if not (of_skew_u[0] <= skew_u <= of_skew_u[1] and of_skew_v[0] <= skew_v <= of_skew_v[1]):
             return "asymmetry"
         return "ok"
+
+    def _seen_smear(self, spot: Spot, light: Light, appearance: Appearance) -> Smeared:
+        """What the smear that is seen beyond the noise makes of a marker."""
+        noise = _SMEARED * self._excess_scatter(light, appearance)
+        return self._looks(light, appearance).at(
+            spot.variance_u - appearance.variance_v - appearance.excess - noise
+        )
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
         """Take a marker's own excess and tilt from the first frame."""
@@ -420,9 +490,9 @@ class SpotMeter:
         """Average a marker's appearance over the first frames that show it, moved by so much at most."""
         appearance.frames += 1
         share = 1.0 / appearance.frames
-        area = self._whole_area(spot, appearance.variance_u, self._submersion(light))
-        appearance.area += share * (area - appearance.area)
-        appearance.variance_v += share * (spot.variance_v - appearance.variance_v)
+        look = self._seen_smear(spot, light, appearance)
+        appearance.area += share * (spot.area / look.area - appearance.area)
+        appearance.variance_v += share * (spot.variance_v / look.variance_v - appearance.variance_v)
         appearance.variance_u = min(appearance.variance_u, spot.variance_u)
         tilt = appearance.tilt + share * (found.tilt - appearance.tilt)
         excess = min(appearance.excess, found.excess + _BELOW * found.sigma_excess)
@@ -540,6 +610,7 @@ class SpotMeter:
         noise = 0.0
         light: Light | None = None
         spot: Spot | None = None
+        disc: Appearance | None = None
         sides = Sides(background, background, 0.0)
         for _ in range(2):
             contrast = background - plateau if self._is_dark else plateau - background
@@ -553,22 +624,23 @@ class SpotMeter:
                 return None
             sides = self.sides(image, spot)
             background, noise = 0.5 * (sides.left + sides.right), min(math.sqrt(sides.variance), known_noise)
-            plateau, u, v = spot.plateau, spot.u, spot.v
-        if spot is None or light is None:
+            disc, share = self._at_rest(spot, light)
+            plateau, u, v = background + (spot.plateau - background) / share, spot.u, spot.v
+        if spot is None or light is None or disc is None:
             return None
         aspect = parameters.aspect
         nominal = math.pi * self.radius**2 * aspect
         low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
         roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
         # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
-        uniform = spot.area / (4 * math.pi)
-        round_u = spot.variance_v - uniform * (1 / aspect - aspect)
+        uniform = disc.area / (4 * math.pi)
+        round_u = disc.variance_v - uniform * (1 / aspect - aspect)
         is_marker = (
-            low * nominal <= spot.area <= high * nominal
+            low * nominal <= disc.area <= high * nominal
             and spot.variance_u >= round_u * (1 - roundness)
             and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
-            and abs(spot.covariance) <= roundness * spot.variance_v
-            and spot.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
+            and abs(spot.covariance) <= roundness * disc.variance_v
+            and disc.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
             and abs(spot.skew_u) <= roundness
             and abs(spot.skew_v) <= roundness
             and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
@@ -576,9 +648,13 @@ class SpotMeter:
         return (spot, light) if is_marker else None
 
     def appearance(self, spot: Spot, light: Light) -> Appearance:
-        """Appearance of a marker that has just been acquired."""
+        """Appearance of a marker that has just been found."""
+        return self._at_rest(spot, light)[0]
+
+    def _at_rest(self, spot: Spot, light: Light) -> tuple[Appearance, float]:
+        """Appearance of a marker of which nothing is known, and the share of its contrast that a smear has left."""
         found = Appearance(
-            area=self._whole_area(spot, spot.variance_v, self._submersion(light)),
+            area=spot.area,
             variance_u=min(spot.variance_u, spot.variance_v),
             variance_v=spot.variance_v,
             skew_u=spot.skew_u,
@@ -587,4 +663,14 @@ class SpotMeter:
             level=light.above / light.contrast,
         )
         found.model = DiscModel(self.parameters.noise_line)
-        return found
+        variance_u = spot.variance_u - self.flatness(found)
+        excess, least = variance_u - spot.variance_v, _SMEARED * self._excess_scatter(light, found)
+        shown = abs(spot.plateau - light.background)
+        if not least < excess < _LONGEST * self.smear_variance or shown - light.above <= 1.0:
+            return found, 1.0
+        shares = light.above / shown, light.noise / shown
+        radius = self.radius, self.radius * self.parameters.diameter_tolerance / 2
+        seen = smear_of(spot.area, variance_u, spot.variance_v, *shares, radius, self.parameters.max_smear_px)
+        found.area, found.variance_v = spot.area / seen.area, spot.variance_v / seen.variance_v
+        found.derive()
+        return found, seen.plateau

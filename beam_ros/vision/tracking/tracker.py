@@ -372,7 +372,10 @@ class MarkerTracker:
         """State where a marker is, and carry it into what is known of it."""
         marker, light, appearance, spot, found, is_fresh, is_lit, is_due = sight
         meter, (motion, pull_px, marker.is_pulled, marker.behind) = self._meter, pull
-        v, plateau, is_believed = spot.v, spot.plateau, pull_px < math.inf
+        v, is_believed = spot.v, pull_px < math.inf
+        gates, ground, plateau = marker.gates, light.background, spot.plateau
+        if gates is not None and spot.variance_u > gates.plain_u:
+            plateau = ground + (plateau - ground) / meter.lit_share(spot, gates)
         marker.remember(spot.u, v, self._frame, is_fresh=is_fresh)
         appearance.row = v
         if is_believed and not appearance.is_settled:
