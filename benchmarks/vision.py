@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import json
 import math
 import sys
@@ -45,6 +46,7 @@ from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
@@ -309,37 +311,49 @@ def at_the_bound(n_frames: int) -> list[dict[str, Any]]:
     return rows
 
 
+def _to_and_fro(times: np.ndarray) -> np.ndarray:
+    """Place of what moves to and fro at a speed of one, turning within 24 of 96 periods; at first it rests."""
+    knots = np.linspace(0.0, 96.0, 1537)
+    speed = np.interp(knots, (0, 12, 36, 60, 84, 96), (0, 1, 1, -1, -1, 0))
+    place = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)]) * (knots[1] - knots[0])
+    return np.interp(np.maximum(times, 0.0) % 96, knots, place - place.max() / 2)
+
+
 def _at_the_bound(
     diameter: int, smear: float, noise: float, beta: float, bits: int, n_frames: int
 ) -> dict[str, float]:
-    """One cell: markers that rest but for parts of a pixel, then go to and fro at the speed of their smear."""
-    camera = replace(CAMERA, marker_diameter_m=diameter / 1500, noise_grey=0.0)
+    """One cell: markers that rest, or nearly so, then go to and fro at the speed of their smear."""
+    exposed = 1 / 1.01 if smear else 0.05
+    camera = replace(CAMERA, marker_diameter_m=diameter / 1500, noise_grey=0.0, readout_s=0.0)
+    camera = replace(camera, exposure_s=exposed * camera.period_s)
     renderer = SceneRenderer(camera, HEIGHTS, sub_instants=12)
-    tracker = MarkerTracker(expectations(camera, "disc_model"), len(HEIGHTS))
+    tracker = MarkerTracker(expectations(camera, "disc_model"), len(HEIGHTS), FrameTiming(camera))
     rng, scale = np.random.default_rng([diameter, int(smear), int(noise), bits]), 256 if bits == 16 else 1
-    nodes = np.polynomial.legendre.leggauss(renderer.sub_instants)[0] / 2
-    alpha = noise**2
-    errors, stated, away = [], [], np.zeros(len(HEIGHTS))
-    for k in range(n_frames + WARM_UP + 24):
-        is_moving, phase = k > WARM_UP and smear > 0, (k - WARM_UP) % 48
-        at = 1.01 * smear * (abs(phase - 24) - 12) if is_moving else 0.0
-        if not is_moving or phase in (0, 24):
-            away = rng.uniform(-0.5, 0.5, len(HEIGHTS))  # no step without its smear
-        positions = at + away + is_moving * smear * nodes[:, None]
+    nodes = np.polynomial.legendre.leggauss(renderer.sub_instants)[0] / 2 * exposed
+    phases, alpha = rng.uniform(0.0, 2 * np.pi, len(HEIGHTS)), noise**2
+    errors, stated = [], []
+    for k in itertools.count():
+        times = (k + nodes - WARM_UP)[:, None]
+        positions = smear / exposed * _to_and_fro(times) + 0.4 * np.sin(
+            phases + 0.13 * times * (smear == 0.0)
+        )
         light = renderer.light(positions / 1500)
         sd = np.sqrt(alpha + beta * light, dtype=np.float32)
         noisy = light + sd * rng.standard_normal(light.shape, dtype=np.float32)
         picture = np.clip(np.rint(scale * noisy), 0, 256 * scale - 1)
-        found = tracker.process(picture.astype(np.uint16 if bits == 16 else np.uint8), k).markers
-        if k >= WARM_UP + 24 and phase not in (0, 24):
+        picture = picture.astype(np.uint16 if bits == 16 else np.uint8)
+        found = tracker.process(picture, round(1e9 * k * camera.period_s)).markers
+        if k > WARM_UP + 24 and (smear == 0.0 or 14 <= (k - WARM_UP) % 48 <= 35):  # at an even speed
             errors.append(
                 [m.u_px for m in found] - (renderer.exposure_weights @ camera.columns(positions / 1500))
             )
             stated.append([m.sigma_px for m in found])
+            if len(errors) == n_frames:
+                break
     error, sigma = np.array(errors), np.array(stated)
     if not np.isfinite(error).any():
         return {"bounds": math.nan, "z": math.nan, "found": 0.0}
-    bound = information_bound(renderer, smear * nodes, alpha if bits == 8 else alpha - 1 / 12, beta)
+    bound = information_bound(renderer, smear / exposed * nodes, alpha if bits == 8 else alpha - 1 / 12, beta)
     return {
         "bounds": float(np.sqrt(np.nanmean((error / bound) ** 2))),
         "z": float(np.sqrt(np.nanmean((error / sigma) ** 2))),

@@ -55,13 +55,15 @@ _PHASES = 8
 _NEAR_PX = 0.125
 """A step that is longer is made again from where it led [px]."""
 _MAX_STEPS = 4
-_ALIKE_PX = 0.7
+_ALIKE_PX = 0.55
 """A smear that is longer or shorter by more than this is tabulated anew [px]."""
 _LOST_PX = 1.5
 """No disc is found further than this from the start [px]."""
 _SMEAR_STEP_PX = 1.0
 _POSITIONS_PER_STEP = 2
 """A smeared disc is modelled by so many positions for each step of its length."""
+_SMEARED = 2.0
+"""A disc that seems to rest moves where its second moment is so many standard deviations too large."""
 _RIM = 2.5
 _GROUND_PX = 2.0
 """The fit ends this far beyond so many standard deviations of the rim's blur outside of the radius [px]."""
@@ -85,7 +87,7 @@ _FAINT = 1e-6
 """What changes the image less than this fraction of what a move of the disc does is not looked for."""
 _OWN = 7
 """Columns of the model; first dT/du, dT/dv, T and 1."""
-_SLOPES, _BEND, _MODES, _LENGTH = (4, 5), 6, slice(7, 12), 12
+_SLOPES, _BEND, _MODES, _LENGTH, _TILT = (4, 5), 6, slice(7, 12), 12, 13
 """Rows of weights after those of u, v, A and B."""
 _UNLIKELY = 5.0
 """Waves of the rim are a disturbance beyond so many times their usual mean square: once in 5000 frames by chance."""
@@ -117,16 +119,16 @@ class DiscTable(NamedTuple):
     Attributes
     ----------
     left, top, width, height : int -- the pixels of the fit, relative to the whole pixel of the point [px]
-    weights : ndarray of float32, shape (13, height * width) -- A du, A dv, A, B; the slopes along u of the background
-        and of the disc; A times the bend, the modes of the rim, and what the smear is longer than tabulated (its
-        second moment where none is)
+    weights : ndarray of float32, shape (14, height * width) -- A du, A dv, A, B; the slopes along u of the background
+        and of the disc; A times the bend, the modes of the rim, what the smear is longer than tabulated (its second
+        moment where none is), and twice the second moment along u and v
     columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
     inverse : ndarray, shape (11, 11) -- of X' W X of all these
     gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
         [1/px]
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
     bent : tuple of 2 float -- change of A times the bend with the slopes
-    variances : list of 13 (float, float) -- of the sums for alpha = 1 and for beta = 1
+    variances : list of 14 (float, float) -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
     behind : ndarray of float32, shape (height, width) -- A du, the slopes taken off, by what the disc does not hide
@@ -186,6 +188,7 @@ def _tabulated(
     angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
     modes = [seen(slope * wave(n * angle)) for n, wave in _MODES_OF_RIM]
     bend = (instants**2 - 1 / 12) * along
+    turn = 0.5 * slope * dx * y / (distance * distance) * (1.0 / distance - depth / edge)  # d^2 T/(du dv) / 2
     outside, inside, bent = seen(x) * (1.0 - disc), seen(x) * disc, seen(bend)
 
     faint = _FAINT * float(np.sum(weight * own[0] * own[0]))
@@ -205,7 +208,7 @@ def _tabulated(
     inside_weights, (inside_pull,) = beside(inside[None, :], np.vstack([own, outside]))
     taken = np.vstack([own, bent]) if bend_pull else own
     rows = [outside_weights, *inside_weights, bend_weights, *beside(np.stack(modes), taken)[0]]
-    rows.append(solution[6])
+    rows += [solution[6], *beside(seen(turn)[None, :], taken)[0]]
     weights = np.vstack([solution[:4], rows])
     columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
     inverse = np.linalg.inv((columns * weight) @ columns.T)
@@ -262,7 +265,7 @@ class DiscFit(NamedTuple):
     wave : float -- by how much the rim is out of its usual round in this frame, beyond its noise; 0 where it is not
         [px]
     excess, tilt : float -- second moment along u beyond that of the disc at rest, and twice that along u and v [px^2]
-    sigma_excess : float -- standard deviation of either [px^2]
+    sigma_excess : float -- standard deviation of the less certain one of these two [px^2]
     """
 
     u: float
@@ -408,7 +411,11 @@ class DiscModel:
             gain = table.gain
             gains = 1.0 + gain[0] * (self._radius - disc[0] * RADIUS_STEP_PX)
             gains += gain[1] * (self._edge - disc[1] * EDGE_STEP_PX)
-            longer = sums[_LENGTH] / contrast if smear_steps else 0.0
+            longer = (
+                sums[_LENGTH] / contrast
+                if smear_steps
+                else self._unseen_smear(table, sums[_LENGTH], contrast)
+            )
             gains += gain[2] * longer
             step_u, step_v = sums[0] / (contrast * gains), sums[1] / contrast
             u, v = at_u / _PHASES + step_u, at_v / _PHASES + step_v
@@ -431,7 +438,7 @@ class DiscModel:
         # shows, and the remainder pulls as it lies there.
         fresh = min(self.rim, 1.0)
         behind = fresh * (noise[0] - self._behind * alpha) + self._beside
-        variance = max(self.rim * noise[0], behind)
+        variance = max(self.rim * noise[0], behind) / (gains * gains)
         # A texture adds to the second moments as to the place; waves of the rim may be a second image's own.
         rough = max(fresh, behind / noise[0])
         bend = sums[_BEND] / contrast
@@ -449,14 +456,28 @@ class DiscModel:
         # In the second moments, what the model leaves of a flat top shows.
         unit, lit = table.variances[_LENGTH]
         alpha, beta = (left / (contrast * contrast) for left in self._left)
-        excess, sigma_excess = sums[_LENGTH] / contrast, math.sqrt(rough * (alpha * unit + beta * lit))
+        # A disc that is a step away from the tabulated point has the moments of that step, too.
+        excess = sums[_LENGTH] / contrast - (step_u * step_u - step_v * step_v)
+        tilt = sums[_TILT] / contrast - 2.0 * step_u * step_v
+        sigma_excess = math.sqrt(rough * (alpha * unit + beta * lit))
         if smear_steps:
             # A motion of length s has the second moment s^2 / 12.
             length = smear_steps * _SMEAR_STEP_PX
             excess, sigma_excess = (length + longer) ** 2 / 12, length / 6 * sigma_excess
-        # Two waves around the rim, a high, add R a to twice the moment.
-        tilt = self._radius * sums[_MODES.start] / contrast
-        return DiscFit(u, v, max(math.sqrt(variance), wave), contrast, wave, excess, tilt, sigma_excess)
+        unit, lit = table.variances[_TILT]
+        sigma_tilt = math.sqrt(rough * (alpha * unit + beta * lit))
+        sigma = max(math.sqrt(variance), wave)
+        return DiscFit(u, v, sigma, contrast, wave, excess, tilt, max(sigma_excess, sigma_tilt))
+
+    def _unseen_smear(self, table: DiscTable, moment: float, contrast: float) -> float:
+        """Length of a smear that only the fit of a disc at rest shows, by its second moment along u [px]."""
+        unit, lit = table.variances[_LENGTH]
+        noise = math.sqrt(self._left[0] * unit + self._left[1] * lit)
+        return (
+            math.sqrt(12.0 * moment / contrast)
+            if moment / contrast > _SMEARED * noise / abs(contrast)
+            else 0.0
+        )
 
     def _look_closely(self, table: DiscTable, grey: Float32Array, light: int) -> None:
         """Take alpha and beta from the residuals, and radius and blur from the whole fit."""

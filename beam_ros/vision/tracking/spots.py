@@ -86,6 +86,8 @@ _DIP = 2.5
 their rim, counts as no more than that to the disc model."""
 _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
 """Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
+_BENT = 0.5 / 120
+"""A speed v that grows by a during the exposure adds v^2 a / 120 to the third moment; it may by half of itself."""
 _LONGEST = 1.5
 """What has so many times the second moment of the longest smear is none."""
 _SMEARED = 2.0
@@ -445,7 +447,9 @@ class SpotMeter:
             plateau = ground + (plateau - ground) / most.plateau
             area = _at_rest(area, areas, most.scatter, least.area, most.area)
             variance_v = _at_rest(variance_v, of_v, most.scatter, least.variance_v, most.variance_v)
-            skew_u, skew_v = skew_u / most.scatter, skew_v / most.scatter
+            bent = _BENT * (12.0 * (variance_u - own_u)) ** 1.5 / (variance_u * math.sqrt(variance_u))
+            skew_u = math.copysign(max(abs(skew_u) - bent, 0.0), skew_u) / most.scatter
+            skew_v = skew_v / most.scatter
         if not brightness[0] <= plateau <= brightness[1]:
             return "brightness"
         if not areas[0] <= area <= areas[1]:

@@ -65,7 +65,7 @@ class Film:
         self.smear = float(np.ptp(way)) * len(way) / max(1, len(way) - 1)
         self.half = math.ceil(self.radius + self.smear / 2 + 7)
         self.rng = np.random.default_rng(seed)
-        self.model = DiscModel()
+        self.model, self.found = DiscModel(), []
         self.places = self.rng.random((10, 2)) - 0.5
         self.discs = [drawn(self.radius, self.half, u, v, way) for u, v in self.places]
 
@@ -109,6 +109,7 @@ class Film:
             )
             errors.append(found.u - u)
             stated.append(found.sigma_u)
+            self.found.append(found)
         return np.array(errors[30:]), np.array(stated[30:])
 
 
@@ -159,6 +160,26 @@ def test_a_smear_that_the_moments_see_too_short_costs_nothing(diameter, smear):
     errors, stated = film.errors(1.0, seen=0.83)
     assert rms(errors) < 1.155 * bound(film.radius, film.half, film.way, 1.0, 0.0)
     assert 0.87 < rms(errors / stated) < 1.16
+
+
+@pytest.mark.parametrize("diameter", [12.0, 20.0, 30.0])
+def test_a_smear_that_the_moments_do_not_see_costs_nothing(diameter):
+    # At a noise of 10 the level lies so high that the moments of 9 px of smear are those of rest.
+    film = Film(diameter, even(9.0))
+    errors, stated = film.errors(10.0, seen=0.0)
+    assert rms(errors) < 1.155 * bound(film.radius, film.half, film.way, 100.0, 0.0)
+    assert 0.87 < rms(errors / stated) < 1.16
+
+
+@pytest.mark.parametrize("diameter", [6.0, 12.0, 30.0])
+@pytest.mark.parametrize("noise", [1.0, 10.0])
+def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, noise):
+    film = Film(diameter, even(0.0))
+    film.errors(noise)
+    found = film.found[30:]
+    sigma = np.array([own.sigma_excess for own in found])
+    for moment in ([own.excess for own in found], [own.tilt for own in found]):
+        assert 0.3 < rms((moment - np.median(moment)) / sigma) < 1.15
 
 
 def test_a_rim_of_another_blur_than_expected_costs_nothing_once_some_frames_have_shown_it():

@@ -98,8 +98,8 @@ def test_a_marker_smeared_by_more_than_it_is_wide_is_measured(diameter, refineme
     ratio = (np.array(errors) / np.array(stated))[40:]
     # At 6 px and a noise of 10 the fastest has eleven standard deviations of noise left in its middle.
     assert np.isfinite(ratio).mean() >= 0.98
-    # Where it turns in the exposure, what is stated allows for any bend.
-    assert 0.65 < np.sqrt(np.nanmean(ratio**2)) < 1.15
+    # Where it turns in an exposure of unknown length, what is stated allows for any bend.
+    assert 0.55 < np.sqrt(np.nanmean(ratio**2)) < 1.15
 
 
 @pytest.mark.parametrize("contrast", [180.0, -180.0])
