@@ -30,6 +30,9 @@ class OrderEntry:
     converged : bool
     refused_because : str -- empty when the order passed all gates
     is_chosen : bool
+    weighed_by : str
+        What the rows of this fit were weighed by; empty for equal weights. BIC and AIC, and scores, compare with
+        those of entries that were weighed by the same.
     """
 
     n_modes: int
@@ -42,6 +45,7 @@ class OrderEntry:
     converged: bool
     refused_because: str
     is_chosen: bool = False
+    weighed_by: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,14 @@ from beam_ident.modal.regression import modal_poles, pole_slopes
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, rivals
-from beam_ident.modal_estimation.mode_search import MAX_MODES, SHORT, ModeSearch, Weighed, checked_limit
+from beam_ident.modal_estimation.mode_search import (
+    MAX_MODES,
+    SHORT,
+    SLOW_NOISE,
+    ModeSearch,
+    Weighed,
+    checked_limit,
+)
 from beam_ident.modal_estimation.record_levels import SlowNoiseWeights, unturned
 from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_estimation.weighted_fit import WeightedFit
@@ -281,6 +288,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
     def reweigh(self) -> None:
         """Look at rows in which slow noise is white, once the search is behind it."""
         if self.is_behind_noise:
+            self.weighed_by = SLOW_NOISE
             weights = SlowNoiseWeights.of(self.plain, unturned(self.problem, self.chosen))
             self.problem = weights.turned(self.plain)
             self._refit()

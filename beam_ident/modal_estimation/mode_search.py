@@ -57,6 +57,7 @@ _MOST_LEFT_OUT = 3  # modes: where more of them are doubtful, the start was a po
 _CLOCKS = 2  # far from that which a search ended with, from which it is begun again
 _PATIENCE = 6  # orders past the last that was believed
 _SAME = 1e-3  # in log-likelihood: what two ways to one optimum may differ by
+SLOW_NOISE = "slow noise of the outputs"
 _SHORT_PATIENCE = 2  # the same where every fit converges: a disturbance may stand before a mode
 
 # What may end a search or a fit before its time without the loss of what it has found: a key pressed, or a signal;
@@ -110,6 +111,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     remedy = "Excite more, record longer"  # for data that show no mode
     trial_iterations = _ITERATIONS  # while the order is free
+    weighed_by = ""  # what rows weigh by that are not as measured
 
     def __init__(
         self,
@@ -577,6 +579,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
             condition=fit.information_condition,
             converged=fit.converged,
             refused_because=refusal,
+            weighed_by="" if self.problem is self.plain else self.weighed_by,
         )
 
     def _confirmed(self, weighed: Weighed[ProblemT]) -> Weighed[ProblemT]:

@@ -33,6 +33,7 @@ from beam_ident.modal_estimation.mode_scan import Candidate, ModalScan
 from beam_ident.modal_estimation.mode_search import (
     MANY_MODES,
     SHORT,
+    SLOW_NOISE,
     ModeSearch,
     Weighed,
 )
@@ -341,12 +342,15 @@ class TimeSearch(ModeSearch[ModalRegression]):
     def reweigh(self) -> None:
         """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
         if self._is_driven_by_noise():
+            self.weighed_by = "noise of the input"
             self._whiten()
         elif self.is_behind_noise:
+            self.weighed_by = SLOW_NOISE
             weights = SlowNoiseWeights.of(self.plain, unweighed(self.problem, self.chosen))
             self.problem = weights.turned(self.plain)
             self.scan.turn(weights.turned)
         elif len(self.records) > 1:
+            self.weighed_by = "levels of the records"
             levels = record_levels(self.problem, self.chosen)
             self.problem = self.plain.weighed(levels)
             self.scan.weigh(levels)

@@ -365,23 +365,32 @@ def _add_orders(page: Page, result: Result) -> None:
     if not entries:
         page.paragraph("The order was given, or chosen output by output; the estimator keeps no table of it.")
         return
-    least_bic, least_aic = min(entry.bic for entry in entries), min(entry.aic for entry in entries)
+    alike = {own.weighed_by: [e for e in entries if e.weighed_by == own.weighed_by] for own in entries}
+    least_bic = {kind: min(e.bic for e in own) for kind, own in alike.items()}
+    least_aic = {kind: min(e.aic for e in own) for kind, own in alike.items()}
+    kinds = "; ".join(kind for kind in alike if kind)
     page.table(
         ["modes", "parameters", "ΔBIC", "ΔAIC", "worst R²", "worst FIT [%]", "condition", "verdict"],
         [
             [
                 str(e.n_modes),
                 str(e.n_parameters),
-                f"{e.bic - least_bic:.1f}",
-                f"{e.aic - least_aic:.1f}",
+                f"{e.bic - least_bic[e.weighed_by]:.1f}",
+                f"{e.aic - least_aic[e.weighed_by]:.1f}",
                 f"{e.r_squared:.6f}",
                 f"{e.worst_fit_percent:.2f}",
                 f"{e.condition:.3g}",
-                "chosen" if e.is_chosen else (e.refused_because or "passed"),
+                ("chosen" if e.is_chosen else (e.refused_because or "passed"))
+                + (f" (weighed by: {e.weighed_by})" if e.weighed_by else ""),
             ]
             for e in entries
         ],
         "The orders that were tried. BIC and AIC are given above the lowest; lower is better. A number of modes that "
-        "is listed twice was tried with its last mode at two frequencies.",
+        "is listed twice was tried with its last mode at two frequencies."
+        + (
+            f" Orders weighed by other than equal weights ({kinds}) compare among themselves."
+            if kinds
+            else ""
+        ),
         chosen=[k for k, e in enumerate(entries) if e.is_chosen],
     )

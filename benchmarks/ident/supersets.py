@@ -146,8 +146,9 @@ def modes(seed: int) -> Found:
             continue
         sizes = tuple(len(own.residuals) for own in fit.outputs)
         entry = next(own for own in fit.orders if own.is_chosen)
-        # What is seen through a low-pass, or late by itself, has a term more.
+        # What is seen through a low-pass, late by itself, or behind noise of a colour has a term more.
         seen = (*fit.model.low_passes, *(f"clock of {name}" for name in fit.model.own_clocks))
+        seen += (entry.weighed_by,) if entry.weighed_by else ()
         found[n, n, (*terms, *seen)] = sizes, entry.bic - entry.n_parameters * float(np.log(sum(sizes)))
     return found
 

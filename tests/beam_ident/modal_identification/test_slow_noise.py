@@ -51,7 +51,11 @@ def assert_both_are_found(found) -> None:
 @pytest.mark.parametrize(("share", "n_modes"), [(0.02, 2), (0.06, None)])
 def test_a_drift_that_is_louder_than_a_mode_does_not_hide_it(share, n_modes):
     # With equal weights the search took the drift for a mode of 0.4 Hz, or saw the first mode alone.
-    assert_both_are_found(identify(record(slow(responses(), share, 7)), "receptance", n_modes))
+    found = identify(record(slow(responses(), share, 7)), "receptance", n_modes)
+    assert_both_are_found(found)
+    kinds = [entry.weighed_by for entry in found.orders]
+    assert kinds[0] == ""  # what compares with what is said
+    assert next(own for own in found.orders if own.is_chosen).weighed_by == "slow noise of the outputs"
 
 
 def test_slow_noise_at_stamps_anywhere_hides_no_mode():
