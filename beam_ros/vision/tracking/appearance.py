@@ -40,15 +40,15 @@ _MAX_LEVEL = 0.9
 _LOOK_STEP = 0.01
 """Relative steps of area and second moment, and steps of level and noise [of the contrast], in which smeared markers
 are computed."""
-_DISC_STEPS, _DISC_STEP_PX, _DISC_MOST_PX = 5, 0.02, 1.0
+_DISC_STEPS, _DISC_STEP_PX, _MAX_DISC_STEP_PX = 5, 0.02, 1.0
 """A disc is found by its look in so many steps of Gauss-Newton, by differences over this and no longer than [px]."""
-_DISC_LEAST_PX = 1.0, 0.3, 0.5
+_MIN_DISC_PX = 1.0, 0.3, 0.5
 """Its radius, blur and smear are no less [px]."""
 _LOOK_DOUBT = 0.003
 """Relative uncertainty of how a disc that is drawn looks."""
 _USUAL_EDGE_PX, _EDGE_SPREAD_PX = 0.8, 0.4
 """Blur of a rim that is expected of an unknown lens, and its standard deviation [px]."""
-_LEAST_NOISE = 1e-3
+_MIN_NOISE = 1e-3
 """There is so much noise at least [of the contrast]."""
 _SAMPLES_PER_PX = 2
 """Such discs are sampled so often per pixel, ..."""
@@ -180,7 +180,7 @@ def _seen(light: FloatArray, level: float, noise: float) -> tuple[Smeared, float
     Noise is never nothing, as grey levels are whole. Of light a above the level, noise s leaves a mean of
     a Phi(a / s) + s phi(a / s).
     """
-    above, noise = light - level, max(noise, _LEAST_NOISE)
+    above, noise = light - level, max(noise, _MIN_NOISE)
     depth = above / noise
     above = above * cumulative_normal(depth) + noise * np.exp(-0.5 * depth * depth) / _ROOT
     above[1:] *= 2.0
@@ -222,7 +222,9 @@ def _solved(
         rows = np.vstack([weight * ahead.T / _DISC_STEP_PX, known])
         left = np.concatenate([weight[:, 0] * (logs - now), known @ (usual - sizes)])
         step = np.linalg.lstsq(np.nan_to_num(rows), left, rcond=None)[0]
-        sizes = np.maximum(sizes + np.clip(step, -_DISC_MOST_PX, _DISC_MOST_PX), _DISC_LEAST_PX[: sizes.size])
+        sizes = np.maximum(
+            sizes + np.clip(step, -_MAX_DISC_STEP_PX, _MAX_DISC_STEP_PX), _MIN_DISC_PX[: sizes.size]
+        )
     return sizes
 
 

@@ -88,7 +88,7 @@ _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
 """Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
 _BENT = 0.5 / 120
 """A speed v that grows by a during the exposure adds v^2 a / 120 to the third moment; it may by half of itself."""
-_LONGEST = 1.5
+_MAX_SMEARS = 1.5
 """What has so many times the second moment of the longest smear is none."""
 _SMEARED = 2.0
 """A second moment along u shows a smear beyond so many standard deviations of its noise."""
@@ -670,7 +670,7 @@ class SpotMeter:
         variance_u = spot.variance_u - self.flatness(found)
         excess, least = variance_u - spot.variance_v, _SMEARED * self._excess_scatter(light, found)
         shown = abs(spot.plateau - light.background)
-        if not least < excess < _LONGEST * self.smear_variance or shown - light.above <= 1.0:
+        if not least < excess < _MAX_SMEARS * self.smear_variance or shown - light.above <= 1.0:
             return found, 1.0
         shares = light.above / shown, light.noise / shown
         radius = self.radius, self.radius * self.parameters.diameter_tolerance / 2
