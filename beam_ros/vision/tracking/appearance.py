@@ -48,6 +48,8 @@ _LOOK_DOUBT = 0.003
 """Relative uncertainty of how a disc that is drawn looks."""
 _USUAL_EDGE_PX, _EDGE_SPREAD_PX = 0.8, 0.4
 """Blur of a rim that is expected of an unknown lens, and its standard deviation [px]."""
+_MAX_LENGTHS = 24
+"""Smears are tabulated by the pixel, but for no more lengths than these."""
 _MIN_NOISE = 1e-3
 """There is so much noise at least [of the contrast]."""
 _SAMPLES_PER_PX = 2
@@ -262,7 +264,8 @@ class SmearedLooks:
         disc = _drawn(size[0], size[1], self._longest_px / 2 + 1.0)
         integral, (own, own_u) = _integral(disc), _seen(disc, level, noise)
         excesses, looks = [0.0], [AT_REST]
-        for length in range(1, math.ceil(self._longest_px) + 1):
+        count = min(math.ceil(self._longest_px), _MAX_LENGTHS)
+        for length in np.linspace(0.0, self._longest_px, count + 1)[1:].tolist():
             seen, along = _seen(_smeared(integral, length), level, noise)
             if math.isinf(seen.area):
                 break
