@@ -88,6 +88,8 @@ _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
 """Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
 _BENT = 0.5 / 120
 """A speed v that grows by a during the exposure adds v^2 a / 120 to the third moment; it may by half of itself."""
+_SHORT_PX = 1.5
+"""A smear that is shorter is not seen in the moments, which the pixel grid moves by about as much [px]."""
 _MAX_SMEARS = 1.5
 """What has so many times the second moment of the longest smear is none."""
 _SMEARED = 2.0
@@ -339,7 +341,10 @@ class SpotMeter:
         DiscFit -- that of ``centre`` where the refinement fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
-        smear = _LONGER * self._smear(spot.variance_u, appearance.variance_v)
+        # A smear that the moments do not show beyond their noise, and that of their pixels, the fit itself finds.
+        still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
+        noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)
+        smear = _LONGER * self._smear(spot.variance_u, still) if spot.variance_u - still > noise else 0.0
         least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
         found = appearance.model.fit(
             image,

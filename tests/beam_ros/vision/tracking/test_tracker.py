@@ -45,7 +45,7 @@ def test_error_and_stated_standard_deviation(contrast, background, noise, limit)
     rng = np.random.default_rng(11)
     errors, stated = [], []
     for k in range(250):
-        x = 0.004 * np.sin(0.1 * k + np.arange(3)) + rng.random(3) / 1500
+        x = 0.004 * np.sin(0.1 * k + np.arange(3))
         result = tracker.process(renderer.render(x, rng), k)
         assert result.is_complete
         errors.append(columns(result) - camera.columns(x))
@@ -55,8 +55,8 @@ def test_error_and_stated_standard_deviation(contrast, background, noise, limit)
     # 720 values: the RMS is known to 2.6 %.
     assert rms <= limit
     assert np.median(stated) == pytest.approx(rms, rel=0.2)
-    # Among places at random, of frames of an exposure that nobody knows, a few may hold the one before.
-    assert np.mean(stated) == pytest.approx(rms, rel=0.3)
+    # Where nobody knows the exposure, chance lets a few frames look as if they held the one before.
+    assert np.mean(stated) == pytest.approx(rms, rel=0.2)
 
 
 def test_the_mean_position_of_a_smeared_marker_is_unbiased():
