@@ -389,7 +389,8 @@ class Appearance:
         """How it looks in a light, smeared by up to so much [px]."""
         level, noise = light.above / light.contrast, light.noise / light.contrast
         more_area, more_variance = self.changes(level)
-        known = math.log(self.area + more_area), math.log(self.variance_v + more_variance), level, noise
+        area, variance = max(self.area + more_area, 1.0), max(self.variance_v + more_variance, 0.1)
+        known = math.log(area), math.log(variance), level, noise
         return _smeared_looks(*(round(number / _LOOK_STEP) for number in known), longest_px)
 
     def changes(self, level: float) -> tuple[float, float]:

@@ -88,6 +88,8 @@ _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
 """Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
 _BENT = 0.5 / 120
 """A speed v that grows by a during the exposure adds v^2 a / 120 to the third moment; it may by half of itself."""
+_ROUND = 0.01
+"""No marker is made to a smaller part of its radius."""
 _SHORT_PX = 1.5
 """A smear that is shorter is not seen in the moments, which the pixel grid moves by about as much [px]."""
 _MAX_SMEARS = 1.5
@@ -678,7 +680,7 @@ class SpotMeter:
         if not least < excess < _MAX_SMEARS * self.smear_variance or shown - light.above <= 1.0:
             return found, 1.0
         shares = light.above / shown, light.noise / shown
-        radius = self.radius, self.radius * self.parameters.diameter_tolerance / 2
+        radius = self.radius, self.radius * max(self.parameters.diameter_tolerance / 2, _ROUND)
         seen = smear_of(spot.area, variance_u, spot.variance_v, *shares, radius, self.parameters.max_smear_px)
         found.area, found.variance_v = spot.area / seen.area, spot.variance_v / seen.variance_v
         found.derive()
