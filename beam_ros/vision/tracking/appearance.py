@@ -325,8 +325,16 @@ def smear_of(
     return seen.over(rest) if math.isfinite(seen.area) else AT_REST
 
 
+def smeared_looks(
+    area: float, variance: float, level: float, noise: float, longest_px: float
+) -> SmearedLooks:
+    """Return how a marker looks smeared, to a percent of what a ``SmearedLooks`` is made for."""
+    known = math.log(max(area, 1.0)), math.log(max(variance, 0.1)), level, noise
+    return _tabulated(*(round(number / _LOOK_STEP) for number in known), longest_px)
+
+
 @lru_cache(maxsize=512)
-def _smeared_looks(
+def _tabulated(
     area_steps: int, variance_steps: int, level_steps: int, noise_steps: int, longest_px: float
 ) -> SmearedLooks:
     area, variance = (math.exp(steps * _LOOK_STEP) for steps in (area_steps, variance_steps))
@@ -384,14 +392,6 @@ class Appearance:
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
         self.disc = disc_steps(self.radius, self.edge, self.disc)
         self.is_settled = self.frames >= _SETTLING_FRAMES
-
-    def smeared(self, light: Light, longest_px: float) -> SmearedLooks:
-        """How it looks in a light, smeared by up to so much [px]."""
-        level, noise = light.above / light.contrast, light.noise / light.contrast
-        more_area, more_variance = self.changes(level)
-        area, variance = max(self.area + more_area, 1.0), max(self.variance_v + more_variance, 0.1)
-        known = math.log(area), math.log(variance), level, noise
-        return _smeared_looks(*(round(number / _LOOK_STEP) for number in known), longest_px)
 
     def changes(self, level: float) -> tuple[float, float]:
         """Changes of the area and of both second moments where another level is subtracted [px^2]."""

@@ -28,6 +28,7 @@ from beam_ros.vision.tracking.appearance import (
     Smeared,
     SmearedLooks,
     smear_of,
+    smeared_looks,
 )
 from beam_ros.vision.tracking.centres import (
     aperture_at,
@@ -152,13 +153,20 @@ class Smears(NamedTuple):
     ----------
     own_u, scatter : float -- second moment along u without smear, and its standard deviation by noise [px^2]
     background : float -- [grey levels]
-    looks : SmearedLooks
+    rest : tuple of 4 float -- area and second moment along v at rest [px^2]; level and noise [of the contrast]
+    longest_px : float -- the longest smear that counts [px]
     """
 
     own_u: float
     scatter: float
     background: float
-    looks: SmearedLooks
+    rest: tuple[float, float, float, float]
+    longest_px: float
+
+    @property
+    def looks(self) -> SmearedLooks:
+        """What smears make of the marker."""
+        return smeared_looks(*self.rest, self.longest_px)
 
 
 class Gates(NamedTuple):
@@ -418,12 +426,13 @@ class SpotMeter:
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
             plain_u=own_v + appearance.excess + _SMEARED * noise_u,
             smears=Smears(
-                own_v + appearance.excess, noise_u, light.background, self._looks(light, appearance)
+                own_v + appearance.excess,
+                noise_u,
+                light.background,
+                (own_area, own_v, light.above / contrast, noise / contrast),
+                parameters.max_smear_px,
             ),
         )
-
-    def _looks(self, light: Light, appearance: Appearance) -> SmearedLooks:
-        return appearance.smeared(light, self.parameters.max_smear_px)
 
     def undimmed(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance, *, is_narrow: bool
@@ -449,7 +458,7 @@ class SpotMeter:
         if not row[0] <= v <= row[1]:
             return "jump"
         if variance_u > plain_u:
-            own_u, scatter, ground, looks = smears
+            own_u, scatter, ground, looks = smears.own_u, smears.scatter, smears.background, smears.looks
             most, least = looks.at(variance_u - own_u), looks.at(variance_u - own_u - _SIGNIFICANT * scatter)
             plateau = ground + (plateau - ground) / most.plateau
             area = _at_rest(area, areas, most.scatter, least.area, most.area)
@@ -473,10 +482,8 @@ class SpotMeter:
 
     def _seen_smear(self, spot: Spot, light: Light, appearance: Appearance) -> Smeared:
         """What the smear that is seen beyond the noise makes of a marker."""
-        noise = _SMEARED * self._excess_scatter(light, appearance)
-        return self._looks(light, appearance).at(
-            spot.variance_u - appearance.variance_v - appearance.excess - noise
-        )
+        smears = self.gates(light, appearance).smears
+        return smears.looks.at(spot.variance_u - smears.own_u - _SMEARED * smears.scatter)
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
         """Take a marker's own excess and tilt from the first frame."""
