@@ -42,10 +42,10 @@ def test_markers_are_named_from_the_lowest_without_any_expectation():
 def test_error_and_stated_standard_deviation(contrast, background, noise, limit):
     camera = packaged_camera(contrast=contrast, background=background, noise_grey=noise)
     renderer, tracker = make(camera)
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(12)
     errors, stated = [], []
     for k in range(250):
-        x = 0.004 * np.sin(0.1 * k + np.arange(3))
+        x = 0.004 * np.sin(0.1 * k + np.arange(3)) + rng.random(3) / 1500
         result = tracker.process(renderer.render(x, rng), k)
         assert result.is_complete
         errors.append(columns(result) - camera.columns(x))
@@ -55,8 +55,8 @@ def test_error_and_stated_standard_deviation(contrast, background, noise, limit)
     # 720 values: the RMS is known to 2.6 %.
     assert rms <= limit
     assert np.median(stated) == pytest.approx(rms, rel=0.2)
-    # Where nobody knows the exposure, chance lets a few frames look as if they held the one before.
-    assert np.mean(stated) == pytest.approx(rms, rel=0.2)
+    # Among places at random, of frames of an exposure that nobody knows, a few may hold the one before.
+    assert np.sqrt(np.mean(stated**2)) == pytest.approx(rms, rel=0.3)
 
 
 def test_the_mean_position_of_a_smeared_marker_is_unbiased():
@@ -124,7 +124,7 @@ def test_refinements_come_closer_to_the_noise_limit(refinement, noise, limit, co
     assert rms <= limit
     assert np.median(stated) == pytest.approx(rms, rel=0.2)
     # Among places at random, of frames of an exposure that nobody knows, a few may hold the one before.
-    assert np.mean(stated) == pytest.approx(rms, rel=0.3)
+    assert np.sqrt(np.mean(stated**2)) == pytest.approx(rms, rel=0.3)
 
 
 def phase_bias(noise: float, n_per_phase: int) -> tuple[np.ndarray, float]:
