@@ -18,7 +18,7 @@ from beam_ident.modal.identification_result import OutputFit
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
-from beam_ident.noise.relation import innovation_criterion, without_drift
+from beam_ident.noise.relation import innovation_criterion, leaves_less, without_drift
 from beam_ident.noise.scores import ScoreTest, are_rounding
 from beam_ident.sensing.misfit_causes import bent_input_warning, cubed, input_misfit_warnings
 
@@ -51,19 +51,21 @@ def unrelated(regression: ModalRegression, base: ModalFit, fit: ModalFit, band: 
     """Return that modes explain no more of the outputs than noise of any colour would, or an empty string."""
     if not band.is_excited:
         return ""
+    if all(are_rounding(v, e) for v, e in zip(regression.values, fit.residuals, strict=True)):
+        return ""
     terms = regression.structure
     log_n = math.log(regression.n_samples)
     parts = [(j, part) for j, segments in enumerate(regression.segments) for _, part in segments]
-    # Direct terms that were fitted as if noise were white may themselves make it look less predictable.
     measured = [(regression.times[j][part], regression.values[j][part]) for j, part in parts]
     drifts = (int(terms.has_offset) + int(terms.has_ramp)) * len(parts)
-    without = innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n
-    if len(fit.omegas):
+    noise = innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n
+    left = [fit.residuals[j][part] for j, part in parts]
+    is_less = leaves_less(left, fit.n_parameters * log_n, noise)
+    if is_less and len(fit.omegas) and base.n_parameters > drifts:
+        # Direct terms that were fitted as if noise were white may themselves make it look less predictable.
         direct = innovation_criterion([base.residuals[j][part] for j, part in parts])
-        without = min(without, direct + base.n_parameters * log_n)
-    with_modes = innovation_criterion([fit.residuals[j][part] for j, part in parts])
-    are_exact = all(are_rounding(v, e) for v, e in zip(regression.values, fit.residuals, strict=True))
-    if are_exact or with_modes + fit.n_parameters * log_n < without:
+        is_less = leaves_less(left, fit.n_parameters * log_n, direct + base.n_parameters * log_n)
+    if is_less:
         return ""
     drives = ", ".join(map(repr, regression.input_names))
     return (
