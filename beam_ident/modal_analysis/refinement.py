@@ -40,6 +40,7 @@ from beam_ident.modal_estimation.variable_projection import designs, fit_modes
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.line_causes import FittedLines, line_causes
 
 SCHEMA = 2
 
@@ -321,6 +322,8 @@ def _result(
     (total,) = problem.modelled(fit)
     lines = record.n_lines
     modelled = (total[:lines] + 1j * total[lines:]).reshape(lines, m, k)
+    seen = FittedLines.of(record, total, fit.residuals, designs(problem, fit, Prior(), Prior()))
+    causes = line_causes(seen, problem.is_noise_known)
     left_over = np.where(np.isfinite(record.response), record.response - modelled, 0.0)
     return ModalAnalysis(
         record=record,
@@ -343,7 +346,7 @@ def _result(
         converged=fit.converged,
         reason=fit.reason,
         iterations=fit.iterations,
-        warnings=(*record.warnings, *refused, *_warnings(fit, misfit, sd, _likeness(fit, lines))),
+        warnings=(*record.warnings, *refused, *_warnings(fit, misfit, sd, _likeness(fit, lines)), *causes),
     )
 
 

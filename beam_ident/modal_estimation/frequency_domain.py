@@ -40,6 +40,7 @@ from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_loss
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.sensing.line_causes import FittedLines, line_causes
 
 _EVENLY, _STANDING_OUT = 24, 16
 _EXCITED_IMAGE = 1e-2
@@ -216,6 +217,17 @@ class _LineSearch(ModeSearch[StackedRegression]):
     def _freedom(self) -> float:
         return min(record.degrees_of_freedom for record in self.data)
 
+    def _lines(self, fit: ModalFit) -> list[FittedLines]:
+        """Return what a fit leaves of every output in each record."""
+        found, first = [], 0
+        jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
+        for record, modelled in zip(self.data, self.problem.modelled(fit), strict=True):
+            rows = slice(first, first + len(modelled))
+            first += len(modelled)
+            left, by_parameters = ([own[rows] for own in whole] for whole in (fit.residuals, jacobians))
+            found += FittedLines.of(record, modelled, left, by_parameters)
+        return found
+
     def result(self, n_modes: int | None, max_modes: int) -> FrequencyDomainResult:
         """Search, and return what was found."""
         fit = self.run(n_modes, max_modes).fit
@@ -227,6 +239,7 @@ class _LineSearch(ModeSearch[StackedRegression]):
             misfit = LineMisfit.of(chi_squared, problem.n_samples, fit.n_parameters, m, self._freedom)
         fit = dataclasses.replace(fit, covariance=fit.covariance * misfit.inflation)
         warnings = [misfit.warning] if misfit.warning else []
+        warnings += line_causes(self._lines(fit), problem.is_noise_known)
         warnings += list(dict.fromkeys(said for record in self.data for said in record.fit_warnings))
         warnings += mode_warnings(fit, problem, self.band)
         if first.variance is not None:

@@ -222,7 +222,7 @@ def out_of_phase(regression: ModalRegression, fit: ModalFit, latency: Prior, clo
         quadrature = blocks[regression.block_of[j]].by_time
         assert quadrature is not None
         left_out = quadrature[:, first : first + len(fit.omegas)]  # c' of (I.19)
-        tested.append((left_out, present, fit.residuals[j], regression.values[j]))
+        tested.append((left_out, LinearSolution.of(present), fit.residuals[j], regression.values[j]))
     return ScoreTest.of(tested)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_estimation.variable_projection import designs
 from beam_ident.noise.relation import innovation_criterion, leaves_less, without_drift
 from beam_ident.noise.scores import ScoreTest, are_rounding
+from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.sensing.misfit_causes import bent_input_warning, cubed, input_misfit_warnings
 
 _BENT_INPUT_LEVEL = 1e-5  # chance to call a sound input bent; of two outputs with one noise 1e-3
@@ -36,6 +38,11 @@ class SampledFit:
     regression: ModalRegression
     fit: ModalFit
     designs: list[FloatArray]  # derivatives of the model at every output by (theta, its linear parameters)
+
+    @cached_property
+    def solutions(self) -> list[LinearSolution]:
+        """The same, decomposed."""
+        return [LinearSolution.of(design) for design in self.designs]
 
     @staticmethod
     def of(regression: ModalRegression, fit: ModalFit, latency: Prior, clock_rate: Prior) -> SampledFit:
@@ -76,7 +83,7 @@ def unrelated(regression: ModalRegression, base: ModalFit, fit: ModalFit, band: 
 def left_out_motion(fit: ModalFit, some: SampledFit) -> list[str]:
     """Return what is to be said where motion at the beginning was left out by request, and is there."""
     columns = some.regression.initial_motions(fit.omegas, fit.zetas, fit.clock)
-    tested = zip(columns, some.designs, some.fit.residuals, some.regression.values, strict=True)
+    tested = zip(columns, some.solutions, some.fit.residuals, some.regression.values, strict=True)
     p_value = ScoreTest.of(tested).p_value
     if p_value > _LEFT_OUT_LEVEL:
         return []
@@ -103,7 +110,7 @@ def bent_input(
     if not coloured or np.max(fit.input_noise_shares) > VISIBLE_SHARE:
         return []
     tested = []
-    designs_of = some().designs
+    solutions = some().solutions
     instants = regression.instants(fit.clock)
     for j in coloured:
         answers = []
@@ -119,7 +126,7 @@ def bent_input(
             )
             answers.append(model.simulate(bent, inside, 2.0 * half)[rows, j])
         tested.append(
-            (np.concatenate(answers)[:, None], designs_of[j], fit.residuals[j], regression.values[j])
+            (np.concatenate(answers)[:, None], solutions[j], fit.residuals[j], regression.values[j])
         )
     if ScoreTest.of(tested).p_value > _BENT_INPUT_LEVEL:
         return []

@@ -94,7 +94,7 @@ def _curvature_tests(some: SampledFit) -> dict[str, ScoreTest]:
         before2, before, now, after, after2 = (own[j] for own in around)
         second, third = after - 2.0 * now + before, after2 - 2.0 * after + 2.0 * before - before2
         columns = np.stack([second, third], axis=1)
-        tests[name] = ScoreTest.of([(columns, some.designs[j], fit.residuals[j], regression.values[j])])
+        tests[name] = ScoreTest.of([(columns, some.solutions[j], fit.residuals[j], regression.values[j])])
     return tests
 
 

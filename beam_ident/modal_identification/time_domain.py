@@ -176,11 +176,19 @@ def identify(
                 name: found_there.get(name, OwnClock()).moved(own.delay, 0.0) for name, own in apart.items()
             }
             task = replace(task, first_clocks={**found_there, **clocks})
-    result, said = without_clipped(records, names, functools.partial(_with_unseen_noise, task), _prediction)
+    damage = [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
+    try:
+        result, said = without_clipped(
+            records, names, functools.partial(_with_unseen_noise, task), _prediction
+        )
+    except EstimationError as err:
+        if not damage:
+            raise
+        raise EstimationError(f"{err}. {' '.join(damage)}") from err
     doubts = [text for text in (*repeated, said, noisy_blows) if text]
     if latency.is_free and abs(result.model.latency) > _AT_THE_END * farthest:
         doubts.append(_TOO_LATE.format(result.model.latency, farthest))
-    doubts += [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
+    doubts += damage
     return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
 
 

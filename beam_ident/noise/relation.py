@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.noise.scores import are_rounding
 from beam_ident.numerics.linear_least_squares import LinearSolution
 
@@ -26,7 +26,6 @@ _GROWTH = 1.3  # of the distance, from one mean of values before that to the nex
 _MAX_ROWS, _CHUNKS = 40_000, 8  # of a long record: so many, in so many stretches
 _ROWS_PER_LAG = 10
 _SINGULAR = 1e-11  # of a column's power: what rounding leaves
-_NOTHING = 1e-300
 
 
 def innovation_criterion(parts: Sequence[FloatArray]) -> float:
@@ -46,14 +45,9 @@ def innovation_criterion(parts: Sequence[FloatArray]) -> float:
     return sum(_criterion(np.asarray(part, dtype=np.float64)) for part in parts)
 
 
-def _criterion(values: FloatArray) -> float:
-    n = len(values)
+def _regressors(n: int) -> tuple[list[int], IndexArray]:
+    """Return where means of the past of n values end, the longest lag first among them, and the rows that count."""
     most = max(0, min(_MAX_ORDER, n // _ROWS_PER_LAG))
-    values = values - np.mean(values)
-    power = float(values @ values) / n
-    if not power > 0.0:
-        return -math.inf
-    scaled = values / math.sqrt(power)
     borders = [most]
     while most and (following := math.ceil(_GROWTH * borders[-1])) <= n // _ROWS_PER_LAG:
         borders.append(following)
@@ -61,6 +55,25 @@ def _criterion(values: FloatArray) -> float:
     if len(rows) > _MAX_ROWS:
         chunks = np.array_split(rows, _CHUNKS)
         rows = np.concatenate([own[: _MAX_ROWS // _CHUNKS] for own in chunks])
+    return borders, rows
+
+
+def _white_criterion(values: FloatArray) -> float:
+    """Return what ``_criterion`` does where no value before counts: no less than the best order gives."""
+    _, rows = _regressors(len(values))
+    power = float(np.mean(np.square(values[rows] - np.mean(values))))
+    return len(values) * math.log(power) if power > 0.0 else -math.inf
+
+
+def _criterion(values: FloatArray) -> float:
+    n = len(values)
+    values = values - np.mean(values)
+    power = float(values @ values) / n
+    if not power > 0.0:
+        return -math.inf
+    scaled = values / math.sqrt(power)
+    borders, rows = _regressors(n)
+    most = borders[0]
     sums = np.cumsum(scaled)
     columns = np.empty((most + len(borders), len(rows)))
     for lag in range(1, most + 1):
@@ -108,7 +121,7 @@ def leaves_less(residuals: Sequence[FloatArray], penalty: float, criterion: floa
 
     Mostly they do as white noise already, and the autoregression need not be made.
     """
-    white = sum(len(left) * math.log(max(float(np.var(left)), _NOTHING)) for left in residuals)
+    white = sum(map(_white_criterion, residuals))
     return white + penalty < criterion or innovation_criterion(residuals) + penalty < criterion
 
 

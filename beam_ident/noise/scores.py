@@ -167,7 +167,7 @@ class InputCorrelation:
         return InputCorrelation(np.array(lags), values, band, is_independent, verdict)
 
 
-Tested = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # as of ``ScoreTest.of``
+Tested = tuple[FloatArray, LinearSolution, FloatArray, FloatArray]  # as of ``ScoreTest.of``
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ class ScoreTest:
         Parameters
         ----------
         outputs : iterable of (left_out, present, residuals, values)
-            Columns that were left out (n, n_left_out), all derivatives of the model (n, n_parameters), what the model
-            leaves of the values (n,), and the values (n,).
+            Columns that were left out (n, n_left_out), all derivatives of the model (n, n_parameters) as they are
+            solved, what the model leaves of the values (n,), and the values (n,).
         """
         total, freedom = 0.0, 0
         for left_out, present, residuals, values in outputs:
@@ -211,15 +211,14 @@ class ScoreTest:
                 continue
             size = np.linalg.norm(left_out, axis=0)
             columns = left_out / np.where(size > 0.0, size, 1.0)
-            basis = LinearSolution.of(present).basis
-            columns = columns - basis @ (basis.T @ columns)
+            columns = columns - present.basis @ (present.basis.T @ columns)
             columns = columns[:, np.linalg.norm(columns, axis=0) > _NOTHING_NEW]
             if not columns.shape[1]:
                 continue
             # The noise is what is left with them: what was left out is no colour of it.
             own = LinearSolution.of(columns).basis
             noise = residuals - own @ (own.T @ residuals)
-            n_free = len(noise) - present.shape[1] - own.shape[1]
+            n_free = len(noise) - len(present.scales) - own.shape[1]
             variance = float(noise @ noise) / max(n_free, 1)
             spread, axes = np.linalg.eigh(variance * score_covariance(columns, autoregression(noise)))
             kept = spread > _RANK * spread[-1]

@@ -1,4 +1,4 @@
-"""Channels that cannot be what they seem, by their samples alone: stuck, repeated, one another's copy.
+"""Channels that cannot be what they seem, by their samples alone: stuck, repeated, wrapped, one another's copy.
 
 An exposure longer than the time between samples is named as well: a shutter opens once for every frame; and an input
 that never changes.
@@ -28,6 +28,11 @@ _STEPS = 5.0  # of rounding, which a moving signal makes between samples
 _MOVES = 0.1  # of the usual difference between samples, the same
 _FEW, _SHARE = 5, 0.02  # repeated samples that are told from chance, and of all that move
 _MAX_REPEATED = 5  # repeated samples in a row that tell: more may be a dead band
+_LEAP, _MOST_LEAPS = (
+    0.6,
+    0.2,
+)  # of a range, and of all steps: a step that is a leap, and how many there may be
+_ONWARD, _MUCH_LESS = 0.7, 0.3  # of leaps go on the way it went; of a step, by which their sizes scatter
 _LATEST = 8  # samples by which a logger may echo an input
 _REPEATED = (
     "{} samples repeat the one before, in the middle of a motion, too, as of a camera that shows a frame twice, or "
@@ -36,7 +41,7 @@ _REPEATED = (
 
 
 def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSignal] = ()) -> tuple[str, ...]:
-    """Return what must be known of outputs stuck, repeated, copied or exposed too long, of inputs still or clipped.
+    """Return what must be known of outputs stuck, repeated, copied, wrapped or exposed too long, and of inputs.
 
     Parameters
     ----------
@@ -50,6 +55,7 @@ def damage_warnings(outputs: Sequence[OutputSignal], drives: Sequence[InputSigna
         if own.values[0] != 0.0 and np.ptp(own.values) == 0.0
     ]
     said += clipped_input_warnings(drives)
+    said += [text for own in drives if (text := _wrapped(f"Input {own.name}", own.values))]
     seen = [(own.times_s[own.is_valid], own.values[own.is_valid]) for own in outputs]
     for k, output in enumerate(outputs):
         said += _of_channel(output.name, *seen[k])
@@ -92,24 +98,59 @@ def _are_same(
 def _of_channel(name: str, times: FloatArray, values: FloatArray) -> list[str]:
     """Return what is wrong with one channel."""
     n = len(values)
+    if said := _wrapped(f"Output {name}", values):
+        return [said]
     if not _may_be_damaged(values):
         return []
     starts, ends, moves = _still_runs(values)
-    n_still = int(np.sum(ends - starts))
-    longest = int(np.argmax(ends - starts))
-    start, end = int(starts[longest]), int(ends[longest])
-    length = end - start
-    others = (n_still - length + 1.0) / (n - length)
-    was_moving = bool(np.any(moves[max(start - _BEFORE, 0) : start]))
-    if length >= _STUCK and was_moving and length * math.log(min(others, 1.0)) < math.log(_BY_CHANCE):
+    lengths = ends - starts
+    is_at_limit = np.isin(values[starts], [np.min(values), np.max(values)])
+    was_moving = np.array([np.any(moves[max(start - _BEFORE, 0) : start]) for start in starts])
+    is_held = was_moving & ((lengths >= _STUCK) | ((lengths >= _MAX_REPEATED) & ~is_at_limit))
+    others = (np.sum(lengths[~is_held]) + 1.0) / (n - np.sum(lengths[is_held]))
+    is_held &= lengths * math.log(min(others, 1.0)) < math.log(_BY_CHANCE)
+    if np.any(is_held):
+        longest = int(np.argmax(np.where(is_held, lengths, 0)))
+        start, end = int(starts[longest]), int(ends[longest])
+        more = int(np.count_nonzero(is_held)) - 1
         return [
             f"Output {name} is stuck at {values[start]:.4g} from {times[start]:.4g} s to {times[end]:.4g} s "
-            f"({length + 1} samples), in the middle of a motion: set them to NaN (not seen), and check the sensor."
+            f"({end - start + 1} samples), in the middle of a motion"
+            + f", and {more} times more, as of a line that drops out or of play" * (more > 0)
+            + ": set them to NaN (not seen), and check the sensor."
         ]
     if len(places := _repeated(values)):
         said = _REPEATED.format(len(places))
         return [f"Output {name}: {said}. Leave repeated samples out, or set them to NaN (not seen)."]
     return []
+
+
+def _wrapped(name: str, values: FloatArray) -> str:
+    """Return that a counter or a converter overflows, or an empty string.
+
+    Notes
+    -----
+    It leaps from one end of its range to the other and goes on the way it went; leap and motion together are the
+    range, always the same. A signal that is switched to and fro rests before and after.
+    """
+    steps = np.diff(values)
+    places = np.flatnonzero(np.abs(steps) > _LEAP * np.ptp(values))
+    places = places[(places > 0) & (places < len(steps) - 1)]
+    if not _FEW <= len(places) < _MOST_LEAPS * len(steps):
+        return ""
+    leaps, around = steps[places], 0.5 * (steps[places - 1] + steps[places + 1])
+    is_onward = np.sign(steps[places - 1]) * np.sign(leaps) < 0.0
+    is_onward &= np.sign(steps[places + 1]) * np.sign(leaps) < 0.0
+    ranges = np.abs(leaps) + np.abs(around)
+    period = float(np.median(ranges))
+    is_both_ways = np.any(leaps > 0.0) and np.any(leaps < 0.0)  # else it may be a saw
+    is_range = np.median(np.abs(ranges - period)) < _MUCH_LESS * np.median(np.abs(around))
+    if np.mean(is_onward) < _ONWARD or not is_both_ways or not is_range:
+        return ""
+    return (
+        f"{name} wraps round: {len(places)} times it leaps from one end of its range to the other and goes on the "
+        f"way it went, as of a counter that overflows. Unwrap it: numpy.unwrap(values, period={period:.6g})."
+    )
 
 
 def without_repeated(

@@ -49,6 +49,7 @@ _BESIDE = 3  # of them next to the line, which belong to it
 _FINER = 8  # steps between two lines
 _BEFORE, _AFTER = 8, 3  # samples of an input around a stamp
 _MAINS_HZ = (50.0, 60.0)
+_CORNERS = (1.0, 4.0, 16.0, 64.0)  # of a high-pass: so many times below the usual frequency of the model
 _AT_ONCE = 8192  # samples: what their columns need stays in the cache
 _BENT = "as if {} were not what acted: they hold the answer to its cube (a saturating actuator)"
 _NOTHING = 1e-10  # of a column's square: what remains of it then is rounding
@@ -197,7 +198,7 @@ def _stands_without_weights(
     if cause.kind not in ("late", "exposure"):
         return True
     own, beside = (_stacked(columns, names, len(left)) for names in (cause.columns, cause.beside))
-    return ScoreTest.of([(own, beside, left, values)]).p_value < _LEVEL
+    return ScoreTest.of([(own, LinearSolution.of(beside), left, values)]).p_value < _LEVEL
 
 
 @dataclass(frozen=True)
@@ -465,11 +466,46 @@ def _candidates(
             columns[own_name] = functools.partial(_after, columns[name], place)
             told = functools.partial(said, at=float(times[place]))
             causes.append(_Cause(kind, (own_name,), beside, looks, told))
+    cause, columns["slow"] = _slow(times, columns["model"](slice(0, n)), whitened, own, size)
+    causes.append(cause)
     line = _line(times, _turned(left[:, None], whitened.turn)[:, 0], own)
     if line is not None:
         cause, columns["line"] = line
         causes.append(cause)
     return causes
+
+
+def slow_answer(share_hz: float) -> str:
+    """Return what leaves the slow part of a signal: its integral times ``2 pi share_hz`` [Hz], to first order."""
+    if share_hz > 0.0:
+        return "as if something slow followed it (creep, a load that warms, a loop that integrates)"
+    return f"as if it were coupled through a high-pass (AC, a charge amplifier) at about {-share_hz:.2g} Hz"
+
+
+def _slow(
+    times: FloatArray, model: FloatArray, whitened: _Whitened, own: tuple[str, ...], size: float
+) -> tuple[_Cause, Column]:
+    """Return what a high-pass takes away, or something slow adds, with the corner at which it explains most.
+
+    Far above its corner a low-pass is an integral, whatever the corner: a few of them will do.
+    """
+    period = float(np.median(np.diff(times)))
+    speed = float(np.std(np.diff(model))) / (2.0 * math.pi * period * max(float(np.std(model)), 1e-300))
+    first = 1.0 / (period * len(times))
+    corners = [corner for corner in (speed / np.array(_CORNERS)).tolist() if corner > first] or [first]
+    tried = []
+    for corner in corners:
+        kept = math.exp(-2.0 * math.pi * corner * period)
+        tried.append(np.asarray(lfilter([1.0 - kept], [1.0, -kept], model)))
+    beside = np.stack([whitened.column(column) for column in (model, np.gradient(model, times))], axis=1)
+    basis = LinearSolution.of(beside).basis
+    free = np.stack([whitened.column(column) for column in tried], axis=1)
+    free = free - basis @ (basis.T @ free)
+    gains = np.square(whitened.left @ free) / np.maximum(np.sum(np.square(free), axis=0), 1e-300)
+    best = int(np.argmax(gains))
+    column, corner = tried[best], corners[best]
+    cause = _Cause("slow", ("slow",), own, len(corners), lambda c: slow_answer(corner * c[0] / size))
+    return cause, lambda here: column[here]
 
 
 def _weighed(column: Column, weights: FloatArray, here: slice) -> FloatArray:

@@ -27,6 +27,7 @@ from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.vector_fitting import full_poles, relocated_poles, spread_poles
+from beam_ident.sensing.line_causes import FittedLines, line_causes
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import information_criterion, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import DelayLike, delay_prior
@@ -346,7 +347,15 @@ def fit_frequency_transfer_function(
             "the lines do not determine all coefficients: the information matrix is singular",
         )
     covariance = np.linalg.pinv(scaled, rcond=1e-15, hermitian=True) * np.outer(unit, unit)
-    covariance = covariance * weighting_loss(record.degrees_of_freedom)
+    misfit = UNKNOWN_NOISE
+    if likelihood.is_known:
+        chi_squared, n_rows = float(state.residuals @ state.residuals), likelihood.n_rows
+        misfit = LineMisfit.of(chi_squared, n_rows, likelihood.n_theta, 1, record.degrees_of_freedom)
+        assert record.variance is not None
+        noise = math.sqrt(float(np.nanmean(record.variance)))
+    else:
+        noise = math.sqrt(2.0 * likelihood.variance(state)) / max(float(np.max(likelihood.weights)), 1e-300)
+    covariance = covariance * (weighting_loss(record.degrees_of_freedom) * misfit.inflation)
     n, m, scale = n_poles, n_zeros, likelihood.scale
     units = np.concatenate(
         [scale ** np.arange(1.0, n + 1.0), scale ** (n - m + np.arange(m + 1.0)), [1.0 / scale]]
@@ -355,15 +364,6 @@ def fit_frequency_transfer_function(
     size = likelihood.n_theta
     whole[:size, :size] = covariance
     theta = state.theta
-    misfit = UNKNOWN_NOISE
-    if likelihood.is_known:
-        misfit = LineMisfit.of(
-            float(state.residuals @ state.residuals), likelihood.n_rows, size, 1, record.degrees_of_freedom
-        )
-        assert record.variance is not None
-        noise = math.sqrt(float(np.nanmean(record.variance)))
-    else:
-        noise = math.sqrt(2.0 * likelihood.variance(state)) / max(float(np.max(likelihood.weights)), 1e-300)
     model = TransferFunctionModel(
         numerator=theta[n : n + m + 1] * units[n : n + m + 1],
         denominator=np.concatenate([[1.0], theta[:n] * units[:n]]),
@@ -374,6 +374,8 @@ def fit_frequency_transfer_function(
         output_name=record.output_names[0],
     )
     warnings = [misfit.warning] if misfit.warning else []
+    lines = FittedLines.of(record, stacked_values(state.lines)[:, None], [state.residuals], [state.gradient])
+    warnings += line_causes(lines, likelihood.is_known)
     warnings += record.fit_warnings
     if not converged:
         warnings.append(f"the fit did not converge: {reason}")

@@ -553,9 +553,9 @@ class OutputErrorProblem:
             state = plain.state(state.theta)
         if not state.responses:  # the point is not allowed: there is nothing to test
             nothing = np.zeros((len(self.values), 0))
-            return nothing, nothing, self.values, self.values
+            return nothing, LinearSolution.of(nothing), self.values, self.values
         present = np.concatenate([plain.jacobian(state), state.matrix], axis=1)
-        return left_out, present, self.unweighed_residuals(state), self.values
+        return left_out, LinearSolution.of(present), self.unweighed_residuals(state), self.values
 
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
         """Return where a step leads; a delay moves by one sampling period at most."""

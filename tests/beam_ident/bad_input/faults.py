@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from tests.beam_ident.bad_input.experiments import PERIOD_S, Raw
 
@@ -103,6 +104,32 @@ def _spiky(values: np.ndarray) -> np.ndarray:
 
 def _sparse(values: np.ndarray) -> np.ndarray:
     return np.where(np.random.default_rng(8).random(len(values)) < 0.3, np.nan, values)
+
+
+def _dropped(values: np.ndarray) -> np.ndarray:
+    """Return values that are zero for ten samples, three times."""
+    for share in (0.3, 0.55, 0.8):
+        first = int(share * len(values))
+        values[first : first + 10] = 0.0
+    return values
+
+
+def _wrapped(values: np.ndarray) -> np.ndarray:
+    """Return what a counter leaves that overflows at 0.7 of the largest value."""
+    limit = 0.7 * np.max(np.abs(values))
+    return (values + limit) % (2.0 * limit) - limit
+
+
+def _passed(values: np.ndarray) -> np.ndarray:
+    """Return what an amplifier with a time constant of 10 ms leaves."""
+    kept = np.exp(-PERIOD_S / 0.01)
+    return lfilter([1.0 - kept], [1.0, -kept], values)
+
+
+def _coupled(values: np.ndarray) -> np.ndarray:
+    """Return what a charge amplifier with a high-pass at 0.5 Hz leaves."""
+    kept = np.exp(-2.0 * np.pi * 0.5 * PERIOD_S)
+    return lfilter(0.5 * (1.0 + kept) * np.array([1.0, -1.0]), [1.0, -kept], values)
 
 
 def _hole(values: np.ndarray) -> np.ndarray:
@@ -342,6 +369,11 @@ FAULTS: Mapping[str, Fault] = {
         _seen(lambda y: np.where(_late(y), 0.8 * y, y), "y"), MIDDLE
     ),
     "channels swapped on the way": Fault(_crossed, MIDDLE),
+    "outputs that drop out": Fault(_seen(_dropped), "stuck|" + DAMAGE),
+    "outputs that wrap round": Fault(_seen(_wrapped), "wraps|" + DAMAGE + "|nonlinear|distortion"),
+    "a sensor behind a low-pass": Fault(_seen(_passed, "y"), "low-pass|late|exposure|delay"),
+    "sensors behind a low-pass": Fault(_seen(_passed), "low-pass|late|exposure|delay"),
+    "AC coupling": Fault(_seen(_coupled), "high-pass|" + DRIFT),
     "hum": Fault(_seen(_hum), "hum|line"),
     "drift": Fault(_seen(lambda y: y + np.std(y) * np.linspace(-1.0, 2.0, len(y)) ** 2), DRIFT),
     "an offset": Fault(_seen(_offset(1.0)), DRIFT),
@@ -386,11 +418,16 @@ BLIND: Mapping[str, tuple[str, ...]] = {
     # the inverse of a plant are responses as well, and a bent one is best linear.
     "stamps late by 50 ms": WITHOUT_A_MODEL,
     "another hold": WITHOUT_A_MODEL,
+    "a sensor behind a low-pass": WITHOUT_A_MODEL,
+    "sensors behind a low-pass": WITHOUT_A_MODEL,
+    "AC coupling": WITHOUT_A_MODEL,
     "an exposure ten times too long": WITHOUT_A_MODEL,
     "input and output swapped": (*WITHOUT_A_MODEL, "fit_sine"),
     "an output wired to the input": (*WITHOUT_A_MODEL, "fit_sine"),
     "a sensor with a dead band": WITHOUT_A_MODEL,
     "a saturating actuator": WITHOUT_A_MODEL,
+    # A score says how well a model predicts these data, whatever became of them.
+    "outputs that drop out": ("validate",),
     # Two sines, each seen once, may have two gains.
     "a gain that falls by a fifth": ("stepped_sine_response",),
     "channels swapped on the way": ("stepped_sine_response",),

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 
 from beam_ident.noise.scores import ScoreTest
+from beam_ident.numerics.linear_least_squares import LinearSolution
 
 N = 400
 
@@ -22,7 +23,7 @@ def p_values(effect: float, colour: float, runs: int = 300) -> np.ndarray:
         noise = lfilter([1.0], [1.0, -colour], rng.standard_normal(N + 200))[200:]
         values = line @ rng.standard_normal(2) + effect * waves[:, 0] + noise
         left = values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
-        found.append(ScoreTest.of([(waves, line, left, values)]).p_value)
+        found.append(ScoreTest.of([(waves, LinearSolution.of(line), left, values)]).p_value)
     return np.array(found)
 
 
@@ -40,5 +41,8 @@ def test_what_was_left_out_is_found() -> None:
 def test_what_the_model_could_explain_is_nothing_new() -> None:
     line = np.stack([np.ones(N), np.arange(N) / N], axis=1)
     noise = np.random.default_rng(1).standard_normal(N)
-    assert ScoreTest.of([(line @ np.array([[1.0], [2.0]]), line, noise, noise)]).p_value == 1.0
+    assert (
+        ScoreTest.of([(line @ np.array([[1.0], [2.0]]), LinearSolution.of(line), noise, noise)]).p_value
+        == 1.0
+    )
     assert ScoreTest.of([]).p_value == 1.0

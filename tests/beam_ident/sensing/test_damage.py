@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from beam_ident import (
+    EstimationError,
     InputSignal,
     OutputSignal,
     RecordError,
@@ -39,6 +42,39 @@ def test_a_channel_that_sticks_while_it_moves_is_named_with_its_instant():
     assert "is stuck at" in said_of(counts)
 
 
+@pytest.mark.parametrize("kept", [0.0, None])
+def test_a_line_that_drops_out_for_some_samples_is_named(kept):
+    dropped = MOVING + 1e-3 * np.random.default_rng(1).standard_normal(N)
+    for first in (200, 430, 610):
+        dropped[first : first + 8] = dropped[first] if kept is None else kept
+    said = said_of(dropped)
+    assert "is stuck at" in said
+    assert "and 2 times more" in said
+
+
+@pytest.mark.parametrize("bits", [None, 12])
+def test_a_counter_that_overflows_is_named_with_what_unwraps_it(bits):
+    counts = 1000.0 * (MOVING + 1e-3 * np.random.default_rng(2).standard_normal(N))
+    counts = counts if bits is None else np.round(counts)
+    wrapped = (counts + 512.0) % 1024.0 - 512.0
+    said = said_of(wrapped)
+    period = float(re.search(r"period=([\d.]+)", said).group(1))
+    assert period == pytest.approx(1024.0, rel=0.02)
+    drive = InputSignal("u", "m", (0.0, 0.01), wrapped, "linear")
+    assert "Input u wraps round" in said_of(MOVING, drives=(drive,))
+
+
+def test_an_identification_that_fails_names_the_damage():
+    rng = np.random.default_rng(3)
+    wrapped = (MOVING + 0.5) % 1.0 - 0.5
+    record = TimeRecord(
+        (InputSignal("u", "N", (0.0, 0.01), rng.standard_normal(N), "zoh"),),
+        (OutputSignal("y", "m", TIMES, wrapped),),
+    )
+    with pytest.raises(EstimationError, match="y wraps round"):
+        identify(record, "receptance")
+
+
 @pytest.mark.parametrize(
     "sound",
     [
@@ -49,6 +85,9 @@ def test_a_channel_that_sticks_while_it_moves_is_named_with_its_instant():
         np.round(DECAY * 50.0),  # comes to rest within a step
         np.concatenate([np.zeros(400), MOVING[:400]]),  # begins at rest
         np.where(TIMES < 4.0, 0.0, 1.0),  # a step
+        np.sign(np.sin(9.0 * TIMES)) + 0.05 * np.cos(61.0 * TIMES),  # switched to and fro
+        np.sign(MOVING) + 0.05 * np.random.default_rng(4).standard_normal(N),
+        (2.0 * TIMES) % 1.0,  # a saw
     ],
 )
 def test_rest_and_rounding_are_no_damage(sound):

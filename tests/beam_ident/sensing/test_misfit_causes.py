@@ -20,6 +20,12 @@ CLEAN = PLANT.simulate(DRIVE, TIMES)
 NOISE = 0.05 * np.std(CLEAN) * RNG.standard_normal(N)
 
 
+def high_passed(values: np.ndarray, corner_hz: float) -> np.ndarray:
+    """Return values behind a high-pass of first order, as a charge amplifier has it."""
+    turn = np.tan(np.pi * corner_hz * 0.01)
+    return lfilter([1.0, -1.0], [1.0 + turn, turn - 1.0], values)
+
+
 def said_of(spoilt: np.ndarray) -> str:
     """Return what is said of an output that a model of the sound one was fitted to."""
     return " ".join(misfit_warnings([("y", [(TIMES, CLEAN, spoilt + NOISE - CLEAN)])]))
@@ -39,6 +45,8 @@ def said_of(spoilt: np.ndarray) -> str:
         (CLEAN + 0.1 * np.sin(2.0 * np.pi * 23.7 * TIMES), r"line at 23\.7 Hz with an amplitude of 0\.(09|10|1)"),
         (CLEAN + 0.3 * (TIMES / TIMES[-1]) ** 2, "drift"),
         (np.sign(CLEAN) * np.maximum(np.abs(CLEAN) - 0.3, 0.0), "nonlinear"),
+        (high_passed(CLEAN, 0.1), r"high-pass .* at about 0\.(09|1)\d* Hz"),
+        (2.0 * CLEAN - high_passed(CLEAN, 0.1), "something slow followed it"),
         # Half as wide as the noise: only the sign gives it away.
         (np.sign(CLEAN) * np.maximum(np.abs(CLEAN) - 0.5 * np.std(NOISE), 0.0), "dead band"),
     ],
