@@ -133,6 +133,8 @@ def _wrapped(name: str, values: FloatArray) -> str:
     It leaps from one end of its range to the other and goes on the way it went; leap and motion together are the
     range, always the same. A signal that is switched to and fro rests before and after.
     """
+    if len(values) < 2 * _STUCK:
+        return ""
     steps = np.diff(values)
     places = np.flatnonzero(np.abs(steps) > _LEAP * np.ptp(values))
     places = places[(places > 0) & (places < len(steps) - 1)]
