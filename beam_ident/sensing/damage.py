@@ -32,6 +32,7 @@ _LEAP, _MOST_LEAPS = (
     0.6,
     0.2,
 )  # of a range, and of all steps: a step that is a leap, and how many there may be
+_STEP = 0.4  # of a range: no other step is larger
 _ONWARD, _MUCH_LESS = 0.7, 0.3  # of leaps go on the way it went; of a step, by which their sizes scatter
 _LATEST = 8  # samples by which a logger may echo an input
 _REPEATED = (
@@ -136,7 +137,10 @@ def _wrapped(name: str, values: FloatArray) -> str:
     if len(values) < 2 * _STUCK:
         return ""
     steps = np.diff(values)
-    places = np.flatnonzero(np.abs(steps) > _LEAP * np.ptp(values))
+    is_leap = np.abs(steps) > _LEAP * np.ptp(values)
+    if np.any(np.abs(steps[~is_leap]) > _STEP * np.ptp(values)):  # leaps are steps among others
+        return ""
+    places = np.flatnonzero(is_leap)
     places = places[(places > 0) & (places < len(steps) - 1)]
     if not _FEW <= len(places) < _MOST_LEAPS * len(steps):
         return ""

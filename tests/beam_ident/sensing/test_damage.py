@@ -64,6 +64,14 @@ def test_a_counter_that_overflows_is_named_with_what_unwraps_it(bits):
     assert "Input u wraps round" in said_of(MOVING, drives=(drive,))
 
 
+@pytest.mark.parametrize("colour", [0.0, 0.5, -0.5, 0.9, 0.99])
+def test_noise_wraps_round_nowhere(colour):
+    for seed in range(100):
+        noise = lfilter([1.0], [1.0, -colour], np.random.default_rng(seed).standard_normal(N))
+        assert not said_of(noise)
+        assert not said_of(np.clip(noise, -1.0, 1.0) + 1e-3 * noise)
+
+
 def test_an_identification_that_fails_names_the_damage():
     rng = np.random.default_rng(3)
     wrapped = (MOVING + 0.5) % 1.0 - 0.5
