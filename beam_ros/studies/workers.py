@@ -89,13 +89,19 @@ def on_cluster(
         from distributed import KilledWorker, as_completed
 
         futures = client.map(function, items, pure=False)
-        places = {future.key: k for k, future in enumerate(futures)}
+        items_of = {future.key: item for future, item in zip(futures, items, strict=True)}
+        blamed = []
         for future in as_completed(futures, loop=client.loop):
-            place = places[future.key]
             try:
-                yield items[place], future.result()
+                yield items_of[future.key], future.result()
             except KilledWorker:
-                yield items[place], None
+                blamed.append(items_of[future.key])
+        # The scheduler counts a death for all that the worker had in hand: alone, an item has its own deaths only.
+        for item in blamed:
+            try:
+                yield item, client.submit(function, item, pure=False).result()
+            except KilledWorker:
+                yield item, None
 
 
 def _end_with_the_study() -> None:
