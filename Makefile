@@ -30,7 +30,7 @@ demo: ## the whole experiment without hardware (ARGS: see `beam demo --help`)
 test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest $(WORKERS) $(ARGS)
 
-verify: ## the figures of the documentation at full length, an hour at most
+verify: ## the figures of the documentation at full length, some two hours
 	@$(SETUP) --extras ros,test,browser -- python -m pytest --verify $(ARGS)
 
 lint: ## style, types, and which room imports which

@@ -4,7 +4,7 @@ Residuals that are not noise say more than that.  Stamps that are late leave a m
 wrong clock the slope times time, a sensor that came loose the model itself from some instant on.  Each cause is a
 few columns; it is named where these columns explain more of the residuals than noise of the residuals' colour would.
 
-How often it is wrong: ``_LEVEL`` for each of ten kinds, divided by the instants or frequencies at which a kind was
+How often it is wrong: ``_LEVEL`` for each of eleven kinds, divided by the instants or frequencies at which a kind was
 looked for, is one output in a thousand.  Of 1600 records of 1000 samples under white noise, a moving average, AR(0.9)
 and a wide resonance, two were given a cause; of 900 under noise as slow as a tenth to a half of the record, AR(0.99)
 to AR(0.998), none was said to drift.  A resonance as sharp as a line is said to be one more often (2 %).  A column
