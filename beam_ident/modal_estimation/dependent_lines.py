@@ -38,7 +38,7 @@ def from_common_noise(
     middle, places = np.zeros_like(fit.covariance), list(_places(fit))
     if any(record.covariance is None for record in records):
         return middle
-    for record, rows in _parts(records):
+    for record, rows in rows_by_record(records):
         n = record.n_lines
         assert record.covariance is not None
         sd = np.sqrt(np.maximum(np.einsum("lpp->lp", record.covariance).real, 1e-300))
@@ -65,7 +65,7 @@ def from_neighbours(
     """
     middle = np.zeros_like(fit.covariance)
     for own, design, residuals, sigma in zip(_places(fit), jacobians, fit.residuals, fit.sigmas, strict=True):
-        for record, rows in _parts(records):
+        for record, rows in rows_by_record(records):
             excess = excess_over_lines(design[rows], residuals[rows], record.line_correlation)
             middle[np.ix_(own, own)] += excess / sigma**2
     return np.asarray(fit.covariance @ middle @ fit.covariance)
@@ -79,7 +79,7 @@ def _places(fit: ModalFit) -> Iterator[IndexArray]:
         first += len(found)
 
 
-def _parts(records: Sequence[FrequencyRecord]) -> Iterator[tuple[FrequencyRecord, slice]]:
+def rows_by_record(records: Sequence[FrequencyRecord]) -> Iterator[tuple[FrequencyRecord, slice]]:
     """Yield every record with its rows."""
     first = 0
     for record in records:

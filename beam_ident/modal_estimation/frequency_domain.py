@@ -31,7 +31,7 @@ from beam_ident.modal.identification_result import FrequencyDomainResult
 from beam_ident.modal.line_basis import LineBasis
 from beam_ident.modal.stacked_regression import Part, StackedRegression
 from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
-from beam_ident.modal_estimation.dependent_lines import from_common_noise, from_neighbours
+from beam_ident.modal_estimation.dependent_lines import from_common_noise, from_neighbours, rows_by_record
 from beam_ident.modal_estimation.free_base import with_kind_of
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, Family, rivals
@@ -219,11 +219,10 @@ class _LineSearch(ModeSearch[StackedRegression]):
 
     def _lines(self, fit: ModalFit) -> list[FittedLines]:
         """Return what a fit leaves of every output in each record."""
-        found, first = [], 0
+        found = []
         jacobians = designs(self.problem, fit, self.latency, self.clock_rate)
-        for record, modelled in zip(self.data, self.problem.modelled(fit), strict=True):
-            rows = slice(first, first + len(modelled))
-            first += len(modelled)
+        parts = zip(rows_by_record(self.data), self.problem.modelled(fit), strict=True)
+        for (record, rows), modelled in parts:
             left, by_parameters = ([own[rows] for own in whole] for whole in (fit.residuals, jacobians))
             found += FittedLines.of(record, modelled, left, by_parameters)
         return found

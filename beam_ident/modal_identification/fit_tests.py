@@ -65,14 +65,12 @@ def unrelated(regression: ModalRegression, base: ModalFit, fit: ModalFit, band: 
     parts = [(j, part) for j, segments in enumerate(regression.segments) for _, part in segments]
     measured = [(regression.times[j][part], regression.values[j][part]) for j, part in parts]
     drifts = (int(terms.has_offset) + int(terms.has_ramp)) * len(parts)
-    noise = innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n
-    left = [fit.residuals[j][part] for j, part in parts]
-    is_less = leaves_less(left, fit.n_parameters * log_n, noise)
-    if is_less and len(fit.omegas) and base.n_parameters > drifts:
+    without = innovation_criterion(without_drift(measured, terms.has_offset, terms.has_ramp)) + drifts * log_n
+    if len(fit.omegas) and base.n_parameters > drifts:
         # Direct terms that were fitted as if noise were white may themselves make it look less predictable.
         direct = innovation_criterion([base.residuals[j][part] for j, part in parts])
-        is_less = leaves_less(left, fit.n_parameters * log_n, direct + base.n_parameters * log_n)
-    if is_less:
+        without = min(without, direct + base.n_parameters * log_n)
+    if leaves_less([fit.residuals[j][part] for j, part in parts], fit.n_parameters * log_n, without):
         return ""
     drives = ", ".join(map(repr, regression.input_names))
     return (

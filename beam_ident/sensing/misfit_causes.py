@@ -372,6 +372,7 @@ def _columns(times: FloatArray, model: FloatArray, noise: float) -> dict[str, Co
         "sign": lambda here: np.tanh(model[here] / noise),
         "powers": powers,
         "one": lambda here: np.ones(len(times[here])),
+        **_slow_parts(times, model),
     }
 
 
@@ -444,6 +445,8 @@ def _candidates(
             ),
         ),
     ]
+    slow = [name for name in columns if name.startswith("slow")]
+    causes += [_Cause("slow", (name,), own, len(slow), lambda c: slow_answer(c[0] / size)) for name in slow]
     changes: list[tuple[str, str, Callable[..., str]]] = [
         ("gain", "model", lambda c, at: (
             f"as if its gain changed by {c[0] / size:+.0%} at {at:.4g} s (a loose sensor, a channel dead or swapped)"
@@ -466,8 +469,6 @@ def _candidates(
             columns[own_name] = functools.partial(_after, columns[name], place)
             told = functools.partial(said, at=float(times[place]))
             causes.append(_Cause(kind, (own_name,), beside, looks, told))
-    cause, columns["slow"] = _slow(times, columns["model"](slice(0, n)), whitened, own, size)
-    causes.append(cause)
     line = _line(times, _turned(left[:, None], whitened.turn)[:, 0], own)
     if line is not None:
         cause, columns["line"] = line
@@ -482,30 +483,20 @@ def slow_answer(share_hz: float) -> str:
     return f"as if it were coupled through a high-pass (AC, a charge amplifier) at about {-share_hz:.2g} Hz"
 
 
-def _slow(
-    times: FloatArray, model: FloatArray, whitened: _Whitened, own: tuple[str, ...], size: float
-) -> tuple[_Cause, Column]:
-    """Return what a high-pass takes away, or something slow adds, with the corner at which it explains most.
+def _slow_parts(times: FloatArray, model: FloatArray) -> dict[str, Column]:
+    """Return what low-passes leave of a model, over their corners [s], by name.
 
     Far above its corner a low-pass is an integral, whatever the corner: a few of them will do.
     """
     period = float(np.median(np.diff(times)))
     speed = float(np.std(np.diff(model))) / (2.0 * math.pi * period * max(float(np.std(model)), 1e-300))
-    first = 1.0 / (period * len(times))
-    corners = [corner for corner in (speed / np.array(_CORNERS)).tolist() if corner > first] or [first]
-    tried = []
-    for corner in corners:
+    found: dict[str, Column] = {}
+    for share in _CORNERS:
+        corner = max(speed / share, 1.0 / (period * len(times)))
         kept = math.exp(-2.0 * math.pi * corner * period)
-        tried.append(np.asarray(lfilter([1.0 - kept], [1.0, -kept], model)))
-    beside = np.stack([whitened.column(column) for column in (model, np.gradient(model, times))], axis=1)
-    basis = LinearSolution.of(beside).basis
-    free = np.stack([whitened.column(column) for column in tried], axis=1)
-    free = free - basis @ (basis.T @ free)
-    gains = np.square(whitened.left @ free) / np.maximum(np.sum(np.square(free), axis=0), 1e-300)
-    best = int(np.argmax(gains))
-    column, corner = tried[best], corners[best]
-    cause = _Cause("slow", ("slow",), own, len(corners), lambda c: slow_answer(corner * c[0] / size))
-    return cause, lambda here: column[here]
+        column = np.asarray(lfilter([(1.0 - kept) / corner], [1.0, -kept], model))
+        found[f"slow, {share:g}"] = functools.partial(np.ndarray.__getitem__, column)
+    return found
 
 
 def _weighed(column: Column, weights: FloatArray, here: slice) -> FloatArray:

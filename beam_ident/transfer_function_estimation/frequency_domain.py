@@ -233,12 +233,17 @@ class _Likelihood:
                 best, best_cost = theta, cost
         return best
 
+    def misfit(self, state: _State, freedom: float) -> LineMisfit:
+        """Return what a state leaves against what noise alone would, which has a number of degrees of freedom."""
+        if not self.is_known:
+            return UNKNOWN_NOISE
+        chi_squared = float(state.residuals @ state.residuals)
+        return LineMisfit.of(chi_squared, self.n_rows, self.n_theta, 1, freedom)
+
     def leaves_noise(self, state: _State, freedom: float) -> bool:
         """Return whether what a state leaves looks like noise: by its size, or by what neighbouring lines share."""
         if self.is_known:
-            return LineMisfit.of(
-                float(state.residuals @ state.residuals), self.n_rows, self.n_theta, 1, freedom
-            ).is_noise
+            return self.misfit(state, freedom).is_noise
         lines = len(self.weights) // 2
         errors = (state.residuals[:lines] + 1j * state.residuals[lines:])[self.weights[:lines] > 0.0]
         shared = abs(np.vdot(errors[1:], errors[:-1])) / max(float(np.vdot(errors, errors).real), 1e-300)
@@ -347,11 +352,8 @@ def fit_frequency_transfer_function(
             "the lines do not determine all coefficients: the information matrix is singular",
         )
     covariance = np.linalg.pinv(scaled, rcond=1e-15, hermitian=True) * np.outer(unit, unit)
-    misfit = UNKNOWN_NOISE
-    if likelihood.is_known:
-        chi_squared, n_rows = float(state.residuals @ state.residuals), likelihood.n_rows
-        misfit = LineMisfit.of(chi_squared, n_rows, likelihood.n_theta, 1, record.degrees_of_freedom)
-        assert record.variance is not None
+    misfit = likelihood.misfit(state, record.degrees_of_freedom)
+    if record.variance is not None:
         noise = math.sqrt(float(np.nanmean(record.variance)))
     else:
         noise = math.sqrt(2.0 * likelihood.variance(state)) / max(float(np.max(likelihood.weights)), 1e-300)
