@@ -26,7 +26,7 @@ from beam_ident.sensing.stamp_jitter import StampJitter
 
 _DRAWS = 16  # of records with thousands of samples
 _DRAWN = 200_000  # samples of an output over all draws: those of a long record need less repetition
-_AT_ONCE = 50_000  # samples of an output that draws may hold together
+_AT_ONCE = 3_000_000  # numbers that draws may hold together
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,6 @@ class NoiseDraws:
     ) -> None:
         self._on_inputs, self._n_shared, self._clock_is_free = on_inputs, n_shared, clock_is_free
         longest = max(map(len, regression.values))
-        self._at_once = max(_AT_ONCE // longest, 1)
         self._observations = [
             Observations.of_record(regression, k, 0.0) for k in range(len(regression.drives))
         ]
@@ -151,10 +150,11 @@ class NoiseDraws:
         """
         scores, information = [], 0.0
         n = len(self._draws)
-        for first in range(0, n, self._at_once):
+        n_columns = 2 * len(point.omegas) + sum(self._clock_is_free) + sum(map(len, point.coefficients)) + 1
+        at_once = max(_AT_ONCE // (n_columns * sum(map(len, spreads))), 1)
+        for first in range(0, n, at_once):
             drawn = [
-                self._rows(draw, point, spreads, jitters)
-                for draw in self._draws[first : first + self._at_once]
+                self._rows(draw, point, spreads, jitters) for draw in self._draws[first : first + at_once]
             ]
             # Several draws in one pass of the filter.
             together = [np.concatenate(own, axis=1) for own in zip(*drawn, strict=True)]

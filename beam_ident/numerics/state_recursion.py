@@ -5,6 +5,7 @@
 Inside a block of steps the outputs are a matrix product with the block's inputs and its first state, so that one
 small product a block is left to recur: the same sums in another order, many times quicker than step by step.
 What the blocks need is made once: of matrices that stay the same for one block, of others for all blocks together.
+Where inputs and outputs outnumber the states, the states alone recur.
 """
 
 from __future__ import annotations
@@ -56,6 +57,11 @@ class StateRecursion:
         """
         n_steps, n_inputs, n_columns = inputs.shape
         n_outputs, n_states = self.C.shape[1:]
+        if min(n_inputs, n_outputs) > n_states:
+            before, state = self._states_alone.run(self.B @ inputs, state)
+            outputs = self.D @ inputs
+            outputs += self.C @ before
+            return outputs, state
         outputs = np.empty((n_steps, n_outputs, n_columns))
         n_blocks = n_steps // _BLOCK
         whole = n_blocks * _BLOCK if n_blocks > 1 else 0
@@ -76,6 +82,12 @@ class StateRecursion:
             outputs[k] = self.C[own] @ state + self.D[own] @ inputs[k]
             state = self.A[own] @ state + self.B[own] @ inputs[k]
         return outputs, state
+
+    @cached_property
+    def _states_alone(self) -> StateRecursion:
+        """What is left to recur where inputs and outputs are many: from what enters the states to the states."""
+        same = np.broadcast_to(np.eye(self.A.shape[1]), self.A.shape)
+        return StateRecursion(self.A, same, same, np.zeros_like(self.A))
 
     @cached_property
     def _blocks(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

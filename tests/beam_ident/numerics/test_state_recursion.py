@@ -6,15 +6,17 @@ import pytest
 from beam_ident.numerics.state_recursion import StateRecursion
 
 
+@pytest.mark.parametrize(("n_inputs", "n_outputs"), [(2, 3), (7, 6)])
 @pytest.mark.parametrize("is_steady", [True, False])
 @pytest.mark.parametrize("n_columns", [1, 5])
 @pytest.mark.parametrize("n_steps", [1, 31, 64, 100, 333])
-def test_blocks_give_what_steps_give(n_steps, n_columns, is_steady):
+def test_blocks_give_what_steps_give(n_steps, n_columns, is_steady, n_inputs, n_outputs):
     rng = np.random.default_rng(n_steps)
     n_own = 1 if is_steady else n_steps
     A = 0.4 * rng.standard_normal((n_own, 4, 4))
-    B, C, D = (rng.standard_normal((n_own, *shape)) for shape in ((4, 2), (3, 4), (3, 2)))
-    inputs, state = rng.standard_normal((n_steps, 2, n_columns)), rng.standard_normal((4, n_columns))
+    shapes = (4, n_inputs), (n_outputs, 4), (n_outputs, n_inputs)
+    B, C, D = (rng.standard_normal((n_own, *shape)) for shape in shapes)
+    inputs, state = rng.standard_normal((n_steps, n_inputs, n_columns)), rng.standard_normal((4, n_columns))
     recursion = StateRecursion(A, B, C, D)
     for _ in range(2):  # what was kept of the first run serves the second
         outputs, last = recursion.run(inputs, state)
