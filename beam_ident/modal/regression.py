@@ -39,6 +39,7 @@ _LATENCY_SHARE = 0.1  # of a record that is shorter than two seconds: no latency
 _MIN_SAMPLES = 20
 _PIECE_ROWS = 8192  # what one piece needs stays in the cache
 MAX_WHOLE = 2 * _PIECE_ROWS  # rows of a record that is not taken in pieces
+_MAX_KEPT = 2_000_000  # numbers of the columns that wait for another look
 
 
 @dataclass(frozen=True)
@@ -496,6 +497,7 @@ class ModalRegression:
                     f"known; expected at least {_MIN_SAMPLES}. Record longer, or leave this output out"
                 )
         self.own_columns: dict[int, FloatArray] = {}
+        self._latest: tuple[tuple[bytes, bytes, ClockState], list[ColumnBlock]] | None = None
         self.turns: tuple[Callable[[FloatArray], FloatArray], ...] = ()  # of every output's rows
         self.unturned = self
         # A piece of a long regression knows its record, and where the rows of every output stand in the whole.
@@ -626,6 +628,7 @@ class ModalRegression:
     def _like(self) -> ModalRegression:
         """Return a copy without what belongs to its rows."""
         result = copy.copy(self)
+        result._latest = None
         for known in ("pieces", "_seen_grids"):
             result.__dict__.pop(known, None)
         return result
@@ -807,11 +810,19 @@ class ModalRegression:
     ) -> list[ColumnBlock]:
         """Return the columns of every group of outputs that share stamps.
 
+        Those of the latest point with gradients are kept: after a fit several tests look at its end.
+
         Columns stand in the order direct gain and residual term of every input, residues of all modes under the
         first input and under each other one, then for each record offset, ramp, and the real and imaginary free
         response of each mode; then for each restart its drifts, and the free responses again.
         """
-        found = self._plain_blocks(omegas, zetas, clock, gradients)
+        point = omegas.tobytes(), zetas.tobytes(), clock
+        if self._latest is not None and self._latest[0] == point:
+            found = self._latest[1]
+        else:
+            found = self._plain_blocks(omegas, zetas, clock, gradients)
+            is_kept = gradients and self.record is None and sum(b.matrix.size for b in found) <= _MAX_KEPT
+            self._latest = (point, found) if is_kept else None
         if not self.turns:
             return found
         return [

@@ -87,10 +87,9 @@ class FrictionEstimate:
             assert block.by_time is not None
             speed = block.by_time @ found
             clock = np.stack([speed * block.latency_factor, speed * block.rate_factor], axis=1)
-            basis = LinearSolution.of(np.concatenate([block.matrix, clock], axis=1)).basis
+            known = LinearSolution.of(np.concatenate([block.matrix, clock], axis=1))
             gains = found[: regression.n_shared_fixed : regression.n_fixed_of_input]
-            column = -(triple @ gains) / fit.sigmas[j]
-            column = column - basis @ (basis.T @ column)
+            column = known.left_of(-(triple @ gains) / fit.sigmas[j])
             noise = left / fit.sigmas[j]
             along += float(column @ noise)
             power += float(column @ column)

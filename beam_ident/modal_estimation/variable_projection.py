@@ -188,11 +188,10 @@ class _Likelihood:
         information = np.zeros((self.n_theta, self.n_theta))
         direction = np.zeros(self.n_theta)
         for output, residuals in enumerate(state.residuals):
-            jacobian = self.jacobian(state, output)
-            basis = state.solutions[self.problem.block_of[output]].basis
             # r stands at right angles to X: with P J the direction is the same, and what columns that are nearly
             # dependent leave of rounding in r, times their large coefficients in J, is no part of it.
-            jacobian -= basis @ (basis.T @ jacobian)
+            solution = state.solutions[self.problem.block_of[output]]
+            jacobian = solution.left_of(self.jacobian(state, output))
             direction += jacobian.T @ residuals / variances[output]
             information += jacobian.T @ jacobian / variances[output]
         for place, deviation, weight in self.prior_terms(state.theta):

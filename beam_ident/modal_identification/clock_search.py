@@ -314,9 +314,9 @@ def _own_steps(
     cross, score_of_theta = np.zeros((n_theta, n_outputs)), np.zeros(n_theta)
     scores, colour, power = np.zeros(n_outputs), np.ones(n_outputs), np.ones(n_outputs)
     for j, design in enumerate(present):
-        basis = LinearSolution.of(design[:, n_theta:]).basis
+        linear = LinearSolution.of(design[:, n_theta:])
         both = np.column_stack([design[:, :n_theta], columns[j] / regression.row_levels(j)]) / fit.sigmas[j]
-        both -= basis @ (basis.T @ both)
+        both = linear.left_of(both)
         noise = fit.residuals[j] / fit.sigmas[j]
         # The estimates left these out, or nearly so.
         spread_of_rows = fit.spreads[j] if fit.spreads else 1.0
@@ -447,7 +447,7 @@ def _best_delay(
 def own_clock_columns(regression: ModalRegression, fit: ModalFit) -> list[tuple[FloatArray, FloatArray]]:
     """Return of every output the derivatives of the model by delay and rate of its own, unweighed, each (n_rows,)."""
     columns: list[list[FloatArray]] = [[] for _ in fit.coefficients]
-    for piece in regression.with_own_columns({}).pieces:
+    for piece in (regression.with_own_columns({}) if regression.own_columns else regression).pieces:
         blocks = piece.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
         for j, (number, found) in enumerate(zip(piece.block_of, fit.coefficients, strict=True)):
             block = blocks[number]

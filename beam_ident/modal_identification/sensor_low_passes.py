@@ -24,6 +24,7 @@ from beam_ident.data.records import LowPass, TimeRecord, busiest_stretch
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal_estimation.mode_search import SHORT
+from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_identification.fit_tests import SampledFit
 from beam_ident.noise.autoregression import autoregression
@@ -83,17 +84,14 @@ def _curvature_tests(some: SampledFit) -> dict[str, ScoreTest]:
     """Return of every output the test of whether what is left holds derivatives of the model by time."""
     regression, fit = some.regression, some.fit
     step = _STEP / float(fit.omegas[-1])
-    around = []
-    for k in range(-2, 3):
-        clock = replace(fit.clock, latency=fit.clock.latency - k * step)
-        blocks = regression.blocks(fit.omegas, fit.zetas, clock, gradients=False)
-        parts = zip(regression.block_of, fit.coefficients, strict=True)
-        around.append([blocks[number].matrix @ found for number, found in parts])
+    speeds = []
+    for moved in (0.0, -step, step):
+        clock = replace(fit.clock, latency=fit.clock.latency - moved)
+        speeds.append(output_speeds(regression, fit.omegas, fit.zetas, clock, fit.coefficients))
     tests = {}
     for j, name in enumerate(regression.output_names):
-        before2, before, now, after, after2 = (own[j] for own in around)
-        second, third = after - 2.0 * now + before, after2 - 2.0 * after + 2.0 * before - before2
-        columns = np.stack([second, third], axis=1)
+        now, before, after = (own[j] for own in speeds)
+        columns = np.stack([after - before, after - 2.0 * now + before], axis=1)
         tests[name] = ScoreTest.of([(columns, some.solutions[j], fit.residuals[j], regression.values[j])])
     return tests
 

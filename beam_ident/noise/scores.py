@@ -211,14 +211,14 @@ class ScoreTest:
                 continue
             size = np.linalg.norm(left_out, axis=0)
             columns = left_out / np.where(size > 0.0, size, 1.0)
-            columns = columns - present.basis @ (present.basis.T @ columns)
+            columns = present.left_of(columns)
             columns = columns[:, np.linalg.norm(columns, axis=0) > _NOTHING_NEW]
             if not columns.shape[1]:
                 continue
             # The noise is what is left with them: what was left out is no colour of it.
-            own = LinearSolution.of(columns).basis
-            noise = residuals - own @ (own.T @ residuals)
-            n_free = len(noise) - len(present.scales) - own.shape[1]
+            own = LinearSolution.of(columns)
+            noise = own.left_of(residuals)
+            n_free = len(noise) - len(present.scales) - len(own.kept)
             variance = float(noise @ noise) / max(n_free, 1)
             spread, axes = np.linalg.eigh(variance * score_covariance(columns, autoregression(noise)))
             kept = spread > _RANK * spread[-1]

@@ -119,7 +119,7 @@ def _causes(times: FloatArray, modelled: FloatArray, residuals: FloatArray, nois
     left = residuals / noise.spread
     left[outliers(left)] = 0.0  # they are named by themselves
     columns = _columns(times, (modelled - np.mean(modelled)) / size, float(np.std(residuals)) / size)
-    if len(noise.spread) == n:
+    if len(noise.spread) == n and np.any(noise.spread != 1.0):
         columns = {
             name: functools.partial(_weighed, own, 1.0 / noise.spread) for name, own in columns.items()
         }
@@ -174,8 +174,8 @@ def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray, tur
     names = cause.columns if cause.kind in _LIKE_COLOUR else (*cause.columns, *cause.beside)
     own = _stacked(columns, names, len(left))
     size = np.linalg.norm(own, axis=0)
-    basis = LinearSolution.of(own / np.where(size > 0.0, size, 1.0)).basis
-    return _Whitened.of(left, left - basis @ (basis.T @ left), turn)
+    cause_alone = LinearSolution.of(own / np.where(size > 0.0, size, 1.0))
+    return _Whitened.of(left, cause_alone.left_of(left), turn)
 
 
 def _is_most(cause: _Cause, columns: Mapping[str, Column], left: FloatArray) -> bool:
@@ -356,7 +356,8 @@ def _columns(times: FloatArray, model: FloatArray, noise: float) -> dict[str, Co
 
     def powers(here: slice) -> FloatArray:
         share = (times[here] - middle) / half
-        return np.stack([np.ones_like(share), share, share**2, share**3])
+        squared = np.square(share)
+        return np.stack([np.ones_like(share), share, squared, squared * share])
 
     def bent(here: slice) -> FloatArray:
         own = model[here]

@@ -505,9 +505,8 @@ class OutputErrorProblem:
     def _information(self, state: OutputErrorState, jacobian: FloatArray, variance: float) -> FloatArray:
         """Return the information on theta with the linear parameters unknown, prior knowledge included."""
         assert state.solution is not None
-        basis = state.solution.basis
         # H of (T.10), with the priors as observations of their own.
-        projected = jacobian - basis @ (basis.T @ jacobian)
+        projected = state.solution.left_of(jacobian)
         information = projected.T @ projected / max(variance, 1e-300)
         for column, k in enumerate(self.free_delays):
             information[self.n_a + column, self.n_a + column] += 1.0 / self.paths[k].delay.sd ** 2
