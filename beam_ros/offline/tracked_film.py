@@ -247,6 +247,11 @@ def _remarks(
             f"{video.n_times} frame times are given for {n_frames} frames: where frames are missing but at the end, "
             "the times are not theirs"
         )
+    if unchanged := max(counts.get("repeated", 0) for counts in reasons):
+        yield (
+            f"{unchanged} of {n_frames} frames are the one before, bit for bit, though what they show moves: they "
+            "are left out. Where a converter filled a film up, give it the camera's own file"
+        )
     for name, counts in zip(names, reasons, strict=True):
         if counts.get("ok", 0) < _MIN_SEEN * n_frames:
             yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"

@@ -66,7 +66,7 @@ class Diagnosis:
         self._latencies_ns: deque[int] = deque(maxlen=_LATENCY_FRAMES)
         self._lost: Counter[tuple[str, str]] = Counter()
         self._last: Measurement | None = None
-        self._arrived = self._measured = self._unusable = 0
+        self._arrived = self._measured = self._unusable = self._unchanged = 0
         self._trouble = ""
         self._before: Counter[str] = Counter()
 
@@ -90,6 +90,7 @@ class Diagnosis:
         self._measured += 1
         self._latencies_ns.append(latency_ns)
         self._last = measurement
+        self._unchanged += "repeated" in measurement.reasons
         for name, reason in zip(self._names, measurement.reasons, strict=True):
             if reason != "ok":
                 self._lost[name, reason] += 1
@@ -110,6 +111,7 @@ class Diagnosis:
             arrived=self._arrived,
             measured=self._measured,
             unusable=self._unusable,
+            unchanged=self._unchanged,
             missing=continuity.missing,
             repeated=continuity.repeated,
             backwards=continuity.backwards,
@@ -178,13 +180,22 @@ class Diagnosis:
             lost = [
                 f"{name} ({reason})"
                 for name, reason in zip(self._names, self._last.reasons, strict=True)
-                if reason not in ("ok", "unreadable")
+                if reason not in ("ok", "unreadable", "repeated")
             ]
             if lost:
                 found.append(
                     Complaint(
                         "WARN",
                         f"not in sight: {', '.join(lost)}; see tracker/debug_image for what the camera sees",
+                    )
+                )
+            if since["unchanged"]:
+                found.append(
+                    Complaint(
+                        "WARN",
+                        f"{since['unchanged']} of {since['measured']} frames are the one before, bit for bit, though "
+                        "the markers move, and show nothing new: expected a new image in each; set the camera, and "
+                        "camera.rate, to a rate that it keeps in this light",
                     )
                 )
             latency_s = float(np.median(self._latencies_ns)) * 1e-9

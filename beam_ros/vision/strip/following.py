@@ -17,6 +17,7 @@ every column, and the best path from the clamp to the tip is taken (dynamic prog
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray, IndexArray
 from beam_ros.vision.errors import VisionParameterError
+from beam_ros.vision.repeats import MOVING, RepeatedImages
 from beam_ros.vision.strip.blur import BlurVotes
 from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance
 from beam_ros.vision.strip.prediction import CurvePrediction
@@ -68,9 +70,10 @@ _NOTHING = 1e-12
 _SAME_BLUR = 0.02
 _SEARCHES_PX = (12, 60)
 
-REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside")
+REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside", "repeated")
 """Whether a point is valid, or why it is not: the strip is nowhere; its rows look like something else; its height has
-changed alone; it lies off the curve through the others; it is beyond the image's edge."""
+changed alone; it lies off the curve through the others; it is beyond the image's edge; the image is the one before,
+bit for bit, though the strip moved."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,8 @@ class StripFollower:
         self._heights: FloatArray | None = None
         self._noise: StripNoise | None = None
         self._prediction: CurvePrediction | None = None
+        self._repeats = RepeatedImages()
+        self._sigma_px = math.inf
         self._is_lost = False
         self._frames = 0
 
@@ -205,6 +210,10 @@ class StripFollower:
         """
         flat = np.ascontiguousarray(image).reshape(-1)
         prediction, speed = self._prediction, None
+        is_repeated = self._repeats.is_repeated(image)
+        if is_repeated and prediction is not None and self._is_moving(prediction):
+            prediction.remember(prediction.next()[0])
+            return self._nothing("repeated")
         if prediction is None:
             found = self._acquire(flat)
         else:
@@ -219,11 +228,9 @@ class StripFollower:
             if prediction is not None:
                 prediction.forget()
             self._is_lost = True
-            nothing = np.full(self._n, np.nan)
-            return StripFrame(
-                nothing, nothing.copy(), np.full(self._n, REASONS.index("no_strip"), dtype=np.intp)
-            )
+            return self._nothing("no_strip")
         curve, frame = found
+        self._sigma_px = float(np.nanmedian(frame.sigma_px))
         if self._frames in _VOTES and float(self._smear(curve, speed).max()) < 0.5 * self.blur_px:
             self._vote_for_blur(flat, curve, _VOTING_ROWS)
         if prediction is None:
@@ -232,6 +239,15 @@ class StripFollower:
             prediction.remember(curve)
         self._is_lost = False
         return frame
+
+    def _nothing(self, reason: str) -> StripFrame:
+        nothing = np.full(self._n, np.nan)
+        return StripFrame(nothing, nothing.copy(), np.full(self._n, REASONS.index(reason), dtype=np.intp))
+
+    def _is_moving(self, prediction: CurvePrediction) -> bool:
+        """True where some of the strip should be elsewhere in the next frame, by more than noise."""
+        change = self._band_basis @ (prediction.next()[0] - prediction.last)
+        return float(np.max(np.abs(change))) > MOVING * self._sigma_px
 
     def _smear(
         self, curve: FloatArray, speed: FloatArray | None, farthest: float = float("inf")

@@ -16,6 +16,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from beam_ros.vision.parameters import TrackerParameters
+from beam_ros.vision.repeats import MOVING
 from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.rivals import APART, COURSE_FRAMES, Course, Place, Track, on_course
 from beam_ros.vision.tracking.spots import Gates, Spot
@@ -90,6 +91,8 @@ class MarkerState:
     lost_at : int -- number of the frame in which it last was not where it should have been
     company_u, company_v : tuple of float -- where all markers had been seen before that [px]
     company_ways : list of list of Place -- where all markers were in the frames of late before that
+    sigma : float -- standard deviation of u where it was last seen [px]
+    last_step : float -- from where it had been seen before that [px]
     is_pulled : bool -- in the last frame that showed it, a second image of it may have lain over it
     behind : float -- how far, most likely, that frame showed it behind its true place [px]
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
@@ -130,6 +133,8 @@ class MarkerState:
     company_u: tuple[float, ...] = ()
     company_v: tuple[float, ...] = ()
     company_ways: list[list[Place]] = field(default_factory=list)
+    sigma: float = math.inf
+    last_step: float = 0.0
     is_pulled: bool = False
     behind: float = 0.0
     shown: float = math.nan
@@ -146,6 +151,14 @@ class MarkerState:
     def is_followed(self) -> bool:
         """True once the marker is acquired."""
         return self.appearance is not None
+
+    @property
+    def is_moving(self) -> bool:
+        """True where its last step is more than noise, or the one that should follow it."""
+        return (
+            self.is_followed
+            and max(abs(self.last_step), abs(self.velocity + self.acceleration)) > MOVING * self.sigma
+        )
 
     @property
     def predicted(self) -> float:
@@ -204,6 +217,7 @@ class MarkerState:
 
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
+        self.last_step = u - self.u
         if is_fresh:
             self.velocity = self.acceleration = 0.0
             self.steps = 0

@@ -51,6 +51,7 @@ Reason = Literal[
     "ok",
     "not_acquired",
     "no_contrast",
+    "repeated",
     "hidden",
     "ambiguous",
     "area",
@@ -63,11 +64,12 @@ Reason = Literal[
 ]
 """Why a measurement is not valid; "ok" where it is.
 
-not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; hidden: no
-spot where the marker should be; ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry,
-brightness: the spot differs from the marker as acquired (covered, merged with another spot, glare, out of
-focus); smear: longer than its speed explains, as of a second image over it; jump: too far from the prediction
-or from the marker's row; border: cut by the edge of the image.
+not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; repeated: the
+image is the one before, bit for bit, though the markers moved; hidden: no spot where the marker should be;
+ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
+the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed
+explains, as of a second image over it; jump: too far from the prediction or from the marker's row; border:
+cut by the edge of the image.
 """
 
 _REASONS: tuple[Reason, ...] = "ok", "hidden", "border"

@@ -21,6 +21,7 @@ import numpy as np
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.parameters import TrackerParameters
+from beam_ros.vision.repeats import RepeatedImages
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
 from beam_ros.vision.tracking.appearance import Appearance, Light
@@ -165,6 +166,7 @@ class MarkerTracker:
         self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
+        self._repeats = RepeatedImages()
         self._shape = None
         self._frame = 0
 
@@ -225,6 +227,12 @@ class MarkerTracker:
                 self.reset()
             self._shape = (int(image.shape[0]), int(image.shape[1]))
         self._frame += 1
+        if self._repeats.is_repeated(image) and any(marker.is_moving for marker in self._markers):
+            for k, marker in enumerate(self._markers):
+                if marker.is_followed:
+                    self._recovery.note_loss(k, self._frame)
+            nothing = [self._invalid(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
+            return FrameResult(stamp_ns, tuple(nothing), ())
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
         # Stamps may come late, and frames be missing: of period and elapsed time it is the less.
         self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
@@ -389,7 +397,7 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
-        sigma = math.hypot(max(found.sigma_u, pull_px), self.parameters.sigma_floor_px)
+        sigma = marker.sigma = math.hypot(max(found.sigma_u, pull_px), self.parameters.sigma_floor_px)
         return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
     def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:

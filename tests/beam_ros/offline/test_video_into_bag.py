@@ -100,6 +100,19 @@ def test_a_video_whose_markers_are_smeared_for_longer_than_the_rig_says_names_th
     assert "times as long as camera.exposure, 0.002 s, allows" in note
 
 
+def test_frames_that_a_converter_repeats_are_left_out_and_said(tmp_path: Path) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    camera, rng = rig.camera_parameters(), np.random.default_rng(4)
+    renderer, frames = SceneRenderer(camera, rig.markers.heights), []
+    for k in range(60):
+        x = 8.0 / camera.pixels_per_metre * np.sin(0.3 * k) * np.array([0.1, 0.8, 1.0])
+        frames.append(frames[-1] if k % 5 == 4 else renderer.render(x, rng))
+    tracked = track_video(VideoFile(write_video(tmp_path / "padded.mkv", frames)), rig)
+    assert all(counts == {"ok": 48, "repeated": 12} for counts in tracked.reasons)
+    (note,) = tracked.notes
+    assert "12 of 60 frames are the one before, bit for bit" in note
+
+
 def test_the_video_finds_its_time_in_the_hubs() -> None:
     rig = Rig.from_file(RIG_FILE)
     tracked = track_video(VideoFile(VIDEO), rig)

@@ -81,6 +81,20 @@ def test_dropped_and_repeated_frames_are_counted_and_said() -> None:
     assert day.diagnosis.report(0.1).level == "OK"  # what is over is counted, not complained of
 
 
+def test_frames_that_show_the_one_before_again_are_counted_and_said() -> None:
+    day, rng = _Day(), np.random.default_rng(1)
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    for k in range(1, 101):
+        if k % 4:
+            day.frame = renderer.render(np.full(3, 0.003 * np.sin(0.3 * k)), rng)
+        day.film([k], frame=day.frame.copy())
+    report = day.diagnosis.report(1.0)
+    assert report.level == "WARN"
+    assert "25 of 100 frames are the one before, bit for bit" in report.sentence
+    assert "not in sight" not in report.sentence
+    assert report.values["low repeated"] == 25
+
+
 @pytest.mark.parametrize("every", [2, 4])
 def test_a_camera_at_another_rate_is_named_and_misses_nothing(every) -> None:
     day = _Day()

@@ -160,3 +160,18 @@ def test_what_cannot_be_followed_is_refused(changes, message):
         StripParameters(
             **{"first_row": 10.0, "last_row": 460.0, "rest_column": 80.0, "width_px": 1.0, **changes}
         )
+
+
+def test_an_image_that_comes_again_tells_nothing_of_a_strip_that_moves(bright):
+    frames = bright.frames(np.random.default_rng(5))
+    again = np.arange(N_FRAMES) % 3 == 2
+    shown = frames[np.where(again, np.arange(N_FRAMES) - 1, np.arange(N_FRAMES))]
+    u, sigma, reasons = followed(bright, shown)
+    assert np.all(reasons[again] == REASONS.index("repeated"))
+    assert np.all(np.isnan(u[again]))
+    new = (u - bright.truth)[10:][~again[10:]]
+    assert np.isfinite(new).mean() > 0.98
+    assert np.nanmax(np.abs(new / sigma[10:][~again[10:]])) < 6.0
+    # The film of a strip at rest may be the same image again and again.
+    u, _, _ = followed(bright, np.repeat(frames[:1], 20, axis=0))
+    assert np.isfinite(u).mean() > 0.98

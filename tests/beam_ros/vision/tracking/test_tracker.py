@@ -407,6 +407,45 @@ def test_a_uniform_image_shows_nothing_and_breaks_nothing(grey):
     assert not any(marker.is_valid for marker in tracker.process(blank, 4).markers)
 
 
+@pytest.mark.parametrize("times", [2, 4])
+def test_an_image_that_comes_again_tells_nothing_of_markers_that_move(times):
+    camera = packaged_camera(noise_grey=2.0)
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        if k % times == 0 or k < 10:
+            x = 0.004 * np.sin(0.3 * k + np.arange(3))
+            image = renderer.render(x, rng)
+            result = tracker.process(image, k)
+            assert np.abs(columns(result) - camera.columns(x)).max() < 0.04
+        else:
+            result = tracker.process(image.copy(), k)
+            assert {marker.reason for marker in result.markers} == {"repeated"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_a_still_image_may_come_for_ever(noise):
+    camera = packaged_camera(noise_grey=noise)
+    renderer, tracker = make(camera)
+    rng = np.random.default_rng(3)
+    images = [renderer.render([0.0005 * min(k, 10)] * 3, rng) for k in range(11)]
+    results = [tracker.process(image, k) for k, image in enumerate(images)]
+    # Nobody moves any more: believed where it rests, and soon enough where it stopped in full swing.
+    results += [tracker.process(images[-1].copy(), k) for k in range(11, 111)]
+    assert all(result.is_complete for result in [*results[:11], *results[-50:]])
+    still = MarkerTracker(packaged_tracker(), 3)
+    assert all(still.process(images[-1].copy(), k).is_complete for k in range(20))
+
+
+def test_a_camera_that_writes_every_frame_into_the_same_memory_repeats_nothing():
+    camera = packaged_camera(noise_grey=2.0)
+    renderer, tracker = make(camera)
+    rng, memory = np.random.default_rng(3), np.empty((480, 640), np.uint8)
+    for k in range(10):
+        memory[:] = renderer.render([0.004 * np.sin(0.3 * k)] * 3, rng)
+        assert tracker.process(memory, k).is_complete
+
+
 def test_too_many_spots_without_expected_rows_are_ambiguous():
     camera = packaged_camera()
     renderer = SceneRenderer(camera, (0.010, 0.1, 0.225, 0.285))
