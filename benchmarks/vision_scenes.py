@@ -87,6 +87,33 @@ class Ghost:
     is_mirrored: bool
 
 
+@dataclass(frozen=True)
+class Shadow:
+    """A strip of less light.
+
+    Attributes
+    ----------
+    u : float -- its middle, in the middle row [px]
+    lean : float -- how far it goes left from row to row [px/px]
+    width, soft : float -- of the strip, and of its edges [px]
+    light : float -- share of the light that is left
+    """
+
+    u: float
+    lean: float
+    width: float
+    soft: float
+    light: float
+
+    def over(self, picture: np.ndarray) -> np.ndarray:
+        """Return a picture with the shadow on it."""
+        height, width = picture.shape
+        y, x = np.ogrid[:height, :width]
+        inside = self.width / 2 - np.abs(x - self.u + self.lean * (y - height / 2))
+        shade = 0.5 * (1 + np.tanh(inside / self.soft))
+        return np.asarray(picture * (1 - (1 - self.light) * shade), dtype=np.float32)
+
+
 @dataclass
 class Frame:
     """One frame before the sensor sees it.
@@ -97,6 +124,8 @@ class Frame:
     z : ndarray, shape (n_markers,) -- heights [m]
     hub : list of (int, float) -- what the encoder said until this frame came: stamps and positions [ns, m]
     older_share : float -- so much of the light is that of the frame before
+    is_repeated : bool -- the camera shows the frame before again
+    shadow : Shadow or None -- that lies on the picture
     in_sight : ndarray of bool, shape (n_markers,) -- nothing touches the marker
     """
 
@@ -109,6 +138,8 @@ class Frame:
     tear_row: int = 0
     ghost: Ghost | None = None
     older_share: float = 0.0
+    is_repeated: bool = False
+    shadow: Shadow | None = None
     in_sight: np.ndarray = field(default_factory=lambda: np.ones(N_MARKERS, dtype=bool))
     specks: list[tuple[float, float, float, float]] = field(default_factory=list)
     threads: list[tuple[float, float, float, float, float]] = field(default_factory=list)
@@ -546,6 +577,32 @@ def appearing(rng: np.random.Generator) -> Scene:
     return scene
 
 
+def shadow(rng: np.random.Generator) -> Scene:
+    """A shadow with soft edges that creeps over the beam, or lies on a part of its way."""
+    scene = plain(rng)
+    over = Shadow(
+        320 + rng.uniform(-60, 60),
+        rng.uniform(-0.6, 0.6),
+        rng.uniform(30, 300),
+        rng.uniform(3, 40),
+        rng.uniform(0.3, 0.85),
+    )
+    speed = float(rng.choice([0.0, rng.uniform(-8, 8)]))
+    for i, frame in enumerate(disturbed(scene)):
+        frame.shadow = replace(over, u=over.u + speed * i)
+    return scene
+
+
+def repeated(rng: np.random.Generator) -> Scene:
+    """A camera that often has no new frame in time, and shows the one before again."""
+    scene = plain(rng, amplitude_px=rng.uniform(5, 40))
+    share = rng.uniform(0.05, 0.5)
+    for frame in disturbed(scene)[UNDISTURBED:]:
+        frame.is_repeated = bool(rng.random() < share)
+        frame.in_sight &= not frame.is_repeated
+    return scene
+
+
 CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
     kind.__name__: kind
     for kind in (
@@ -578,6 +635,8 @@ CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
         ghost,
         doubled,
         appearing,
+        shadow,
+        repeated,
     )
 }
 
@@ -633,6 +692,7 @@ def pictures(
     )
     grain *= scene.texture / max(float(grain.std()), 1e-6)
     before: tuple[np.ndarray, np.ndarray] | None = None
+    picture = np.empty(0, dtype=np.uint8)
     for k, frame in enumerate(scene.frames):
         strip = np.interp(renderer.strip_heights, HEIGHTS, np.nan_to_num(frame.x.mean(axis=0)))
         clean = renderer.render(
@@ -653,10 +713,14 @@ def pictures(
         before = clean, truth
         if frame.ghost is not None:
             shown = _with_ghost(shown, frame.ghost, camera.background)
+        if frame.shadow is not None:
+            shown = frame.shadow.over(shown)
         light = shown * (even * np.float32(frame.gain * scene.saturation))
         noise = np.sqrt(np.float32(scene.noise**2) + np.float32(scene.shot) * np.clip(light, 0, 255))
         light = light + noise * rng.standard_normal(light.shape, dtype=np.float32)
-        picture = np.clip(np.rint(light), 0, 255).astype(np.uint8)
+        last, picture = picture, np.clip(np.rint(light), 0, 255).astype(np.uint8)
+        if frame.is_repeated:
+            picture = last.copy()
         if scene.quality:
             coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, scene.quality])[1]
             picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)

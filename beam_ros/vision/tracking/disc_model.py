@@ -95,6 +95,9 @@ _SLOW_FRAMES = 64
 """Frames over which noise and expectations are averaged."""
 _CONSTANT_FRAMES = 512
 """The same for what is constant."""
+_SURPRISE_FRAMES, _SURPRISED = 8, 2.5
+"""What is constant has changed where its mean square over so many frames, of which one counts for no more than all
+usual ones together, is so many times its usual one."""
 _STEEP = 3e-5
 """Square of a slope of the light that is expected of an unknown scene, over the contrast [1/px^2]."""
 _BENT = 0.1
@@ -285,7 +288,7 @@ class Habit:
     ----------
     spread : float -- by which variance it is expected to vary from frame to frame, before anything has been seen
     doubt : float -- variance of its mean before anything has been seen; 0: the mean is zero
-    is_constant : bool -- True: what seems to vary is noise
+    is_constant : bool -- True: what seems to vary is noise, unless it is too much for that
 
     Attributes
     ----------
@@ -299,10 +302,20 @@ class Habit:
         self._is_constant = is_constant
         self._forgotten = 1.0 / (_CONSTANT_FRAMES if is_constant else _SLOW_FRAMES) if doubt > 0.0 else 0.0
         self._weight = 0.0
+        self._surprise, self._usual, self._values = 1.0, 1.0, 0
 
-    def expect(self, value: float, variance: float) -> tuple[float, float]:
+    def expect(self, value: float, variance: float, *, may_change: bool = True) -> tuple[float, float]:
         """Return the best estimate from a measured value and all before it, and its variance; then learn from it."""
         away = value - self.mean
+        if self._is_constant and may_change:
+            surprise = min(away * away / (self.doubt + variance), _SURPRISE_FRAMES * self._usual)
+            self._surprise += (surprise - self._surprise) / _SURPRISE_FRAMES
+            self._values += 1
+            if self._surprise > _SURPRISED * self._usual and self._values > _SURPRISE_FRAMES:
+                self.doubt = max(self.doubt, away * away)  # it has changed
+            else:
+                share = max(1.0 / self._values, 1.0 / _SLOW_FRAMES)
+                self._usual = max(self._usual + share * (surprise - self._usual), 1.0)
         known = self.doubt + self.spread
         share = known / (known + variance)
         best = self.mean + share * away
@@ -443,7 +456,8 @@ class DiscModel:
         rough = max(fresh, behind / noise[0])
         bend = sums[_BEND] / contrast
         for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
-            slope, slope_variance = habit.expect(sums[k] / contrast, noise[k])
+            # Of a smear the slopes tell less: how it bends may look like them.
+            slope, slope_variance = habit.expect(sums[k] / contrast, noise[k], may_change=not smear_steps)
             u -= tug * slope
             bend -= bent * slope
             variance += tug * tug * slope_variance

@@ -74,6 +74,11 @@ cut by the edge of the image.
 
 _REASONS: tuple[Reason, ...] = "ok", "hidden", "border"
 """What comes of looking for a spot, in words: SEEN, HIDDEN and BORDER."""
+_UNEVEN_NOISE, _UNEVEN_PIXELS = 1.8, 0.6
+"""What noise and pixels do to a disc's asymmetry (``SpotMeter.uneven_pull``)."""
+_UNEVEN_SHARE, _UNEVEN_DOUBT, _STRIKING = 1 / 8, 0.8, 16.0
+"""Share of a new frame in the mean square of the asymmetry, what of that is doubted, and what of one frame is not,
+both over the square of its noise."""
 _REFINED_PX = 4
 """A refinement uses the pixels up to this far beyond a marker's radius [px]."""
 _SIDE_PX = 2
@@ -210,6 +215,11 @@ def _at_rest(value: float, bounds: Bounds, scatter: float, *shares: float) -> fl
     usual = 0.5 * (bounds[0] + bounds[1])
     below, above = sorted(value / share - usual for share in shares)
     return usual + (below if below > 0.0 else min(above, 0.0)) / scatter
+
+
+def _bent(excess: float, variance_u: float) -> float:
+    """Asymmetry along u that a smear may have of its own, of which so much of a second moment is [px^2]."""
+    return _BENT * (12.0 * excess) ** 1.5 / (variance_u * math.sqrt(variance_u))
 
 
 class SpotMeter:
@@ -465,7 +475,7 @@ class SpotMeter:
             plateau = ground + (plateau - ground) / most.plateau
             area = _at_rest(area, areas, most.scatter, least.area, most.area)
             variance_v = _at_rest(variance_v, of_v, most.scatter, least.variance_v, most.variance_v)
-            bent = _BENT * (12.0 * (variance_u - own_u)) ** 1.5 / (variance_u * math.sqrt(variance_u))
+            bent = _bent(variance_u - own_u, variance_u)
             skew_u = math.copysign(max(abs(skew_u) - bent, 0.0), skew_u) / most.scatter
             skew_v = skew_v / most.scatter
         if not brightness[0] <= plateau <= brightness[1]:
@@ -524,6 +534,26 @@ class SpotMeter:
         appearance.row += share * (spot.v - appearance.row)
         appearance.level += share * (light.above / light.contrast - appearance.level)
         appearance.derive()
+
+    def uneven_pull(self, spot: Spot, gates: Gates, appearance: Appearance, sigma_u: float) -> float:
+        """Standard deviation of what uneven light on a marker, or something over it, does to its centre [px].
+
+        Notes
+        -----
+        Light with the slope s across a disc of radius r moves its centre of gravity by s r^2 / 4, and its asymmetry
+        by -s r / 2: by as much as the asymmetry times the standard deviation of the disc's points, r / 2. Noise moves
+        that by 1.8 of what it moves the centre by, and pixels by up to 0.6 of the level, as a fraction of the
+        contrast, over the radius, where the rim is sharp; of the mean of some frames less is left to doubt.
+        """
+        pixels = _UNEVEN_PIXELS * appearance.level / appearance.radius
+        noise = (_UNEVEN_NOISE * sigma_u) ** 2 + pixels * pixels
+        skew = abs(spot.skew_u - appearance.skew_u)
+        if spot.variance_u > gates.plain_u:
+            skew = max(skew - _bent(spot.variance_u - gates.smears.own_u, spot.variance_u), 0.0)
+        squared = skew * skew * appearance.variance_v
+        appearance.uneven += _UNEVEN_SHARE * (squared - noise - appearance.uneven)
+        surely = squared if squared > _STRIKING * noise else 0.0
+        return math.sqrt(max(appearance.uneven - _UNEVEN_DOUBT * noise, surely, 0.0))
 
     # -- whole images --------------------------------------------------------------------------------------
 

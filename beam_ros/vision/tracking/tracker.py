@@ -386,6 +386,9 @@ class MarkerTracker:
             plateau = ground + (plateau - ground) / meter.lit_share(spot, gates)
         marker.remember(spot.u, v, self._frame, is_fresh=is_fresh)
         appearance.row = v
+        uneven_px = 0.0
+        if gates is not None and appearance.frames >= _KNOWN_FRAMES:
+            uneven_px = meter.uneven_pull(spot, gates, appearance, found.sigma_u)
         if is_believed and not appearance.is_settled:
             meter.settle(spot, light, appearance, found, motion)
         if is_lit:
@@ -397,7 +400,9 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
-        sigma = marker.sigma = math.hypot(max(found.sigma_u, pull_px), self.parameters.sigma_floor_px)
+        sigma = marker.sigma = math.hypot(
+            max(found.sigma_u, pull_px), uneven_px, self.parameters.sigma_floor_px
+        )
         return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
     def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:
