@@ -219,7 +219,8 @@ def _at_rest(value: float, bounds: Bounds, scatter: float, *shares: float) -> fl
 
 def _bent(excess: float, variance_u: float) -> float:
     """Asymmetry along u that a smear may have of its own, of which so much of a second moment is [px^2]."""
-    return _BENT * (12.0 * excess) ** 1.5 / (variance_u * math.sqrt(variance_u))
+    squared = max(12.0 * excess, 0.0) / variance_u
+    return _BENT * squared * math.sqrt(squared)
 
 
 class SpotMeter:
