@@ -85,7 +85,9 @@ class Findings:
         fit, regression = self.weighed.fit, self.weighed.problem
         model, jumps = self.clocks.clocked(self.found, fit), self.clocks.estimated_jumps(fit)
         rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
-        deflections = residuals_of(regression, fit.omegas, fit.zetas, fit.clock, rigid)
+        deflections: Sequence[FloatArray] = regression.values
+        if any(map(np.any, rigid)):
+            deflections = residuals_of(regression, fit.omegas, fit.zetas, fit.clock, rigid)
         outputs = tuple(
             self._output_fit(j, fit, regression, deflections[j], self.weighed.by_record.row_levels(j))
             for j in range(regression.n_outputs)

@@ -36,9 +36,12 @@ def outliers(residuals: FloatArray, far: float = _FAR) -> IndexArray:
     -------
     places : ndarray of int, shape (n_outliers,)
     """
-    centre = np.median(residuals)
-    spread = _TO_SIGMA * np.median(np.abs(residuals - centre))
-    places = np.flatnonzero(np.abs(residuals - centre) > far * spread)
+    away = np.abs(residuals - np.median(residuals))
+    # Where at most half of them are nearer than this, the spread is so large that the farthest is no outlier.
+    near = float(np.max(away, initial=0.0)) / (far * _TO_SIGMA)
+    if 2 * np.count_nonzero(away < near) < len(away):
+        return np.empty(0, dtype=np.intp)
+    places = np.flatnonzero(away > far * _TO_SIGMA * np.median(away))
     if not len(places):
         return places
     width = min(_NEIGHBOURS, len(residuals))

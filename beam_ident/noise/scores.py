@@ -17,7 +17,7 @@ from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.noise.autoregression import autoregression, score_covariance
-from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.numerics.linear_least_squares import LinearSolution, lengths
 
 _WHITENESS_LEVEL = 1e-3
 _NOTHING_NEW = 1e-6  # of a column's length: what remains of it then is rounding
@@ -209,10 +209,9 @@ class ScoreTest:
         for left_out, present, residuals, values in outputs:
             if not left_out.shape[1] or are_rounding(values, residuals):
                 continue
-            size = np.linalg.norm(left_out, axis=0)
-            columns = left_out / np.where(size > 0.0, size, 1.0)
-            columns = present.left_of(columns)
-            columns = columns[:, np.linalg.norm(columns, axis=0) > _NOTHING_NEW]
+            size = lengths(left_out)
+            columns = present.left_of(left_out / np.where(size > 0.0, size, 1.0))
+            columns = columns[:, lengths(columns) > _NOTHING_NEW]
             if not columns.shape[1]:
                 continue
             # The noise is what is left with them: what was left out is no colour of it.

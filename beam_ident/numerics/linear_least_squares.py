@@ -16,6 +16,11 @@ _CHOLESKY_TOLERANCE = 1e-5
 _WELL_APART = 1e-3  # sine of a row's angle to those before it; the square of rounding is left of it
 
 
+def lengths(columns: FloatArray) -> FloatArray:
+    """Return the length of every column, shape (n_rows, n_columns)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
+
+
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
     """QR of a tall matrix, its columns scaled to unit length and dependent ones left out.
@@ -36,7 +41,7 @@ class LinearSolution:
     @staticmethod
     def of(matrix: FloatArray) -> LinearSolution:
         """Decompose a tall matrix."""
-        scales = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+        scales = lengths(matrix)
         scaled = matrix / np.where(scales < _NOTHING, np.inf, scales)
         scales[scales < _NOTHING] = 1.0
         # Columns of unit length: the rank is judged by directions, not by units.
