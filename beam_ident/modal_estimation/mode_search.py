@@ -354,9 +354,14 @@ class ModeSearch(ABC, Generic[ProblemT]):
         self.is_persistent = is_persistent
 
     def _without_doubtful(self, fit: ModalFit) -> ModalFit:
-        """Return a fit without the modes that do not pass the gates, as long as one is left."""
+        """Return a fit without the modes that do not pass the gates, as long as one is left.
+
+        Where none passes, one that has left the band may have taken from the others what makes them stand out.
+        """
         while len(fit.omegas) > 1:
             doubtful = self._doubtful(fit)
+            if len(doubtful) == len(fit.omegas):
+                doubtful = self._outside(fit)
             if not doubtful or len(doubtful) == len(fit.omegas):
                 break
             fit = self.fit(np.delete(fit.omegas, doubtful), np.delete(fit.zetas, doubtful), fit.clock)
@@ -388,9 +393,13 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def _doubts(self, fit: ModalFit) -> int:
         """Return how many modes of a fit do not pass the gates, and one more where any has left the band."""
+        return len(self._doubtful(fit)) + bool(self._outside(fit))
+
+    def _outside(self, fit: ModalFit) -> list[int]:
+        """Return the modes of a fit that have left the band."""
         hertz = fit.omegas / (2.0 * np.pi)
-        is_outside = bool(np.any((hertz < self.band.low_hz) | (hertz > self.band.high_hz)))
-        return len(self._doubtful(fit)) + is_outside
+        left = np.flatnonzero((hertz < self.band.low_hz) | (hertz > self.band.high_hz))
+        return [int(mode) for mode in left]
 
     def _doubtful(self, fit: ModalFit) -> list[int]:
         """Return the modes of a fit that do not pass the gates."""

@@ -7,14 +7,29 @@ good as another; of things that move it is wrong by a step.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from beam_ros.arrays import ImageArray
 
 STILL_FRAMES = 50
 """An image that comes so often in a row shows things at rest."""
-MOVING = 4.0
+_MOVING = 4.0
 """A step of so many standard deviations of a place is more than noise."""
+LATELY = 3
+"""Steps that tell whether something moves: two of so many."""
+
+
+def is_on_its_way(steps: Sequence[float], sigma: float) -> bool:
+    """Return whether something moves on, and was not moved just once.
+
+    Parameters
+    ----------
+    steps : sequence of LATELY float -- how far it came in the last steps
+    sigma : float -- standard deviation of its place
+    """
+    return sorted(steps)[-2] > _MOVING * sigma
 
 
 class RepeatedImages:

@@ -25,7 +25,7 @@ import numpy as np
 
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray, IndexArray
 from beam_ros.vision.errors import VisionParameterError
-from beam_ros.vision.repeats import MOVING, RepeatedImages
+from beam_ros.vision.repeats import LATELY, RepeatedImages, is_on_its_way
 from beam_ros.vision.strip.blur import BlurVotes
 from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance
 from beam_ros.vision.strip.prediction import CurvePrediction
@@ -245,9 +245,9 @@ class StripFollower:
         return StripFrame(nothing, nothing.copy(), np.full(self._n, REASONS.index(reason), dtype=np.intp))
 
     def _is_moving(self, prediction: CurvePrediction) -> bool:
-        """True where some of the strip should be elsewhere in the next frame, by more than noise."""
-        change = self._band_basis @ (prediction.next()[0] - prediction.last)
-        return float(np.max(np.abs(change))) > MOVING * self._sigma_px
+        """True where some of the strip came farther than noise in its last steps."""
+        steps = np.max(np.abs(prediction.steps(LATELY) @ self._band_basis.T), axis=1)
+        return is_on_its_way(steps.tolist(), self._sigma_px)
 
     def _smear(
         self, curve: FloatArray, speed: FloatArray | None, farthest: float = float("inf")

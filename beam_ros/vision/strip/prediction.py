@@ -34,6 +34,11 @@ class CurvePrediction:
         """The last curve."""
         return self._past[-1]
 
+    def steps(self, count: int) -> FloatArray:
+        """Return how the curve changed in its last steps, shape (count, n_coefficients); 0 before it was seen."""
+        past = [self._past[0]] * (count + 1 - len(self._past)) + self._past[-count - 1 :]
+        return np.diff(past, axis=0)
+
     def remember(self, curve: FloatArray) -> None:
         """Take note of a frame's curve."""
         self._past = [*self._past[1 - _REMEMBERED :], curve]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.repeats import STILL_FRAMES, RepeatedImages
+from beam_ros.vision.repeats import STILL_FRAMES, RepeatedImages, is_on_its_way
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64)).astype(np.uint8)
 
@@ -34,3 +34,11 @@ def test_what_does_not_change_for_long_is_at_rest():
 def test_an_image_in_the_memory_of_the_one_before_tells_nothing():
     repeats, memory = RepeatedImages(), IMAGE.copy()
     assert [repeats.is_repeated(memory[:]) for _ in range(3)] == [False] * 3
+
+
+@pytest.mark.parametrize(
+    ("steps", "is_moving"),
+    [((0.0, 0.0, 0.0), False), ((6.0, 0.0, 0.0), False), ((0.03, 6.0, 0.02), False), ((0.0, 6.0, 5.0), True)],
+)
+def test_what_was_moved_once_is_not_on_its_way(steps, is_moving):
+    assert is_on_its_way(steps, 0.01) == is_moving
