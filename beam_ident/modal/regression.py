@@ -518,6 +518,8 @@ class ModalRegression:
         ----------
         columns : mapping -- from the number of an output to columns of its own, shape (n_rows, n), unweighed
         """
+        if not columns and not self.own_columns:
+            return self
         result = self._like()
         result.own_columns = dict(columns)
         result._find_blocks()

@@ -562,7 +562,7 @@ class WeightedFit:
         smoothing = None if is_smooth else self.smoothing
         driven = self._driven
         found = ModalRegression(records, driven.structure, None, smoothing, driven.restarts)
-        return found.with_own_columns(driven.own_columns) if driven.own_columns else found
+        return found.with_own_columns(driven.own_columns)
 
     def _stretch(self) -> WeightedFit | None:
         """Return the same on a stretch from the middle of every record; None where not all outputs are seen there."""

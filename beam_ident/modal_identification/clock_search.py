@@ -447,7 +447,7 @@ def _best_delay(
 def own_clock_columns(regression: ModalRegression, fit: ModalFit) -> list[tuple[FloatArray, FloatArray]]:
     """Return of every output the derivatives of the model by delay and rate of its own, unweighed, each (n_rows,)."""
     columns: list[list[FloatArray]] = [[] for _ in fit.coefficients]
-    for piece in (regression.with_own_columns({}) if regression.own_columns else regression).pieces:
+    for piece in regression.with_own_columns({}).pieces:
         blocks = piece.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
         for j, (number, found) in enumerate(zip(piece.block_of, fit.coefficients, strict=True)):
             block = blocks[number]

@@ -79,9 +79,9 @@ def line_causes(outputs: Sequence[FittedLines], is_noise_known: bool) -> list[st
     """
     said = []
     for own in outputs:
-        basis = LinearSolution.of(own.design).basis
+        fitted = LinearSolution.of(own.design)
         power = float(own.residuals @ own.residuals)
-        freedom = int(np.count_nonzero(own.weights)) - basis.shape[1] - 1
+        freedom = int(np.count_nonzero(own.weights)) - len(fitted.kept) - 1
         if freedom < 1:
             continue
         found = []
@@ -91,7 +91,7 @@ def line_causes(outputs: Sequence[FittedLines], is_noise_known: bool) -> list[st
             (slow_answer, own.modelled / (own.s / (2.0 * math.pi))),
         ):
             rows = own.weights * stacked_values(column)
-            free = rows - basis @ (basis.T @ rows)
+            free = fitted.left_of(rows)
             size = float(free @ free)
             if not size > _NOTHING_NEW * float(rows @ rows):  # the fit has a parameter for it
                 continue

@@ -125,12 +125,16 @@ def delay_profile(
         own[:, first : first + problem.n_nuisances] = share.nuisances
         fixed.append(np.concatenate([share.shared, own], axis=1))
     # Q of (T.11), of everything that does not move with this delay.
-    basis = LinearSolution.of(np.concatenate(fixed)).basis
-    target = np.concatenate([share.target for share in shares])
-    target = target - basis @ (basis.T @ target)
+    unmoved = LinearSolution.of(np.concatenate(fixed))
+    target = unmoved.left_of(np.concatenate([share.target for share in shares]))
     ends = np.cumsum([len(share.target) for share in shares])[:-1]
     parts = list(
-        zip([share.moving for share in shares], np.split(basis, ends), np.split(target, ends), strict=True)
+        zip(
+            [share.moving for share in shares],
+            np.split(unmoved.basis, ends),
+            np.split(target, ends),
+            strict=True,
+        )
     )
     n_steps = int((high - shift) / step) + 1
     # (T.11) for all delays at once; rows at half samples are twice as many as independent samples.

@@ -17,7 +17,6 @@ every column, and the best path from the clamp to the tip is taken (dynamic prog
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -187,7 +186,7 @@ class StripFollower:
         self._noise: StripNoise | None = None
         self._prediction: CurvePrediction | None = None
         self._repeats = RepeatedImages()
-        self._sigma_px = math.inf
+        self._sigma_px = np.full(self._n, np.inf)  # of every point in the last frame that showed the strip
         self._is_lost = False
         self._frames = 0
 
@@ -230,7 +229,7 @@ class StripFollower:
             self._is_lost = True
             return self._nothing("no_strip")
         curve, frame = found
-        self._sigma_px = float(np.nanmedian(frame.sigma_px))
+        self._sigma_px = frame.sigma_px
         if self._frames in _VOTES and float(self._smear(curve, speed).max()) < 0.5 * self.blur_px:
             self._vote_for_blur(flat, curve, _VOTING_ROWS)
         if prediction is None:
@@ -247,7 +246,7 @@ class StripFollower:
     def _is_moving(self, prediction: CurvePrediction) -> bool:
         """True where some of the strip came farther than noise in its last steps."""
         steps = np.max(np.abs(prediction.steps(LATELY) @ self._band_basis.T), axis=1)
-        return is_on_its_way(steps.tolist(), self._sigma_px)
+        return is_on_its_way(steps.tolist(), float(np.nanmedian(self._sigma_px)))
 
     def _smear(
         self, curve: FloatArray, speed: FloatArray | None, farthest: float = float("inf")
