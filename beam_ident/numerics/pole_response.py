@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
@@ -267,11 +268,12 @@ class _RegularKnots:
     """States at the knots of a regular grid, block by block."""
 
     def __init__(self, poles: ComplexArray, coefficients: FloatArray, period: float, gradients: bool) -> None:
-        self.n_segments, n_coefficients = coefficients.shape
+        n_segments, n_coefficients = coefficients.shape
+        self.n_coefficients = n_coefficients
         self.length = length = _BLOCK_WIDTH // n_coefficients
-        n_blocks = -(-self.n_segments // length)
-        if n_blocks * length > self.n_segments:
-            rest = np.zeros((n_blocks * length - self.n_segments, n_coefficients))
+        n_blocks = -(-n_segments // length)
+        if n_blocks * length > n_segments:
+            rest = np.zeros((n_blocks * length - n_segments, n_coefficients))
             coefficients = np.concatenate([coefficients, rest])
         self.blocks = coefficients.reshape(n_blocks, length * n_coefficients)
         weights = _Weights.of(poles, np.array([period]), n_coefficients - 1, gradients)
@@ -281,37 +283,24 @@ class _RegularKnots:
         self.powers = np.empty((*carry.shape, length + 1), dtype=np.complex128)
         self.powers[:, 0] = carry[:, :1] ** later
         # Within a block (I.2) unrolls: the coefficients of knot k arrive at knot l with e^(p T (l - k - 1))
-        # g_m.
-        reach = self.powers[:, :1, None, :-1] * gains[..., None]
+        # g_m; here at the end of the block, the last knot's first.
+        reach = self.powers[:, :1, :-1, None] * gains[:, :, None]
         if gradients:
             self.powers[:, 1] = later * period * self.powers[:, 0]
-            reach[:, 1] += self.powers[:, 1, None, :-1] * gains[:, 0, :, None]
-        padded = np.concatenate([reach, np.zeros((*reach.shape[:-1], 1))], axis=-1)
-        lags = later[None, :] - 1 - np.arange(length)[:, None]
-        # A coefficient acts on later knots only: zero for lags below 0.
-        kernel = padded[..., np.where(lags < 0, length, lags)]  # (pole, order, m, from, to)
-        self.kernel = np.moveaxis(kernel, 2, 3).reshape(*carry.shape, length * n_coefficients, length + 1)
+            reach[:, 1] += self.powers[:, 1, :-1, None] * gains[:, 0, None]
+        self.reach = reach[:, :, ::-1].reshape(*carry.shape, length * n_coefficients)
         self.first = np.empty((*carry.shape, n_blocks), dtype=np.complex128)
         # What a whole block adds at its end; from block to block a recursion is left.
         factors, states = self.powers[:, 0, length], np.zeros(carry.shape, dtype=np.complex128)
         for begin in range(0, n_blocks, _BLOCKS_AT_ONCE):
             here = slice(begin, begin + _BLOCKS_AT_ONCE)
-            gained = self._product(self.blocks[here], length)
+            gained = _products(self.reach, self.blocks[here])
             states[:, 0] = _recursions(factors, gained[:, 0], states[:, 0], self.first[:, 0, here])
             if gradients:
                 # (I.3): the state itself forces its derivative.
                 forcing = gained[:, 1]
                 forcing += self.powers[:, 1, length, None] * self.first[:, 0, here]
                 states[:, 1] = _recursions(factors, forcing, states[:, 1], self.first[:, 1, here])
-
-    def _product(self, blocks: FloatArray, later: int, n_orders: int = 2) -> ComplexArray:
-        """Return what the coefficients of blocks have done a number of knots later."""
-        kernel = self.kernel[:, :n_orders, :, later]
-        rows = np.concatenate([kernel.real, kernel.imag]).reshape(-1, kernel.shape[-1]) @ blocks.T
-        parts = rows.reshape(2, *kernel.shape[:-1], len(blocks))
-        result = np.empty(parts.shape[1:], dtype=np.complex128)
-        result.real, result.imag = parts
-        return result
 
     def states(self, index: IndexArray, n_orders: int) -> ComplexArray:
         """Return the states at knots, shape (n_poles, n_orders, n)."""
@@ -324,24 +313,27 @@ class _RegularKnots:
                 if np.array_equal(index, np.arange(index[0], index[0] + n)):  # one knot after the other
                     return dense[:, :, start : start + n]
                 return np.asarray(np.take(dense, index - first_block * self.length, axis=2))
-        order = np.argsort(later, kind="stable")
-        block, ends = block[order], np.searchsorted(later[order], np.arange(self.length + 1))
-        rows = self.blocks[block]
-        result = np.empty((len(self.kernel), n_orders, len(index)), dtype=np.complex128)
-        for lag in range(self.length):
-            here = slice(ends[lag], ends[lag + 1])
-            powers, first = self.powers[:, :, lag, None], self.first[:, :, block[here]]
-            part = self._product(rows[here], lag, n_orders)
-            part += powers[:, :1] * first[:, :n_orders]
-            if n_orders == 2:
-                part[:, 1] += powers[:, 1] * first[:, 0]
-            result[:, :, order[here]] = part
+        # A block's worth of coefficients before each knot, without those of the block before its own.
+        width = self.blocks.shape[1]
+        padded = np.concatenate([np.zeros(width), self.blocks.ravel()])
+        rows = sliding_window_view(padded, width)[index * self.n_coefficients]
+        rows[np.arange(width) < width - self.n_coefficients * later[:, None]] = 0.0
+        result = _products(self.reach[:, :n_orders], rows)
+        powers, first = np.take(self.powers, later, axis=2), np.take(self.first[:, :n_orders], block, axis=2)
+        result += powers[:, :1] * first
+        if n_orders == 2:
+            result[:, 1] += powers[:, 1] * first[:, 0]
         return result
 
     def _all(self, n_orders: int, which: slice) -> ComplexArray:
         """Return the states at all knots of some blocks."""
-        n_poles, length = len(self.kernel), self.length
-        inside = np.ascontiguousarray(self.kernel[:, :n_orders, :, :length])
+        n_poles, length = len(self.powers), self.length
+        reach = self.reach[:, :n_orders].reshape(n_poles, n_orders, length, self.n_coefficients)
+        # A coefficient acts on later knots only: zeros follow.
+        padded = np.concatenate([reach, np.zeros_like(reach)], axis=2)
+        kernel = sliding_window_view(padded, length, axis=2)[:, :, length:0:-1]  # (pole, order, to, m, from)
+        kernel = np.ascontiguousarray(np.moveaxis(kernel, 4, 2).swapaxes(3, 4))
+        inside = kernel.reshape(n_poles, n_orders, self.blocks.shape[1], length)
         blocks, first = self.blocks[which], np.ascontiguousarray(self.first[:, :n_orders, which])
         # Real and imaginary parts stand side by side, so that products with the first states are real ones, too.
         states, begun = np.matmul(blocks, inside.view(np.float64)), first.view(np.float64)
@@ -350,6 +342,14 @@ class _RegularKnots:
         if n_orders == 2:
             states[:, 1] += np.matmul(begun[:, 0], _turned(self.powers[:, 1, :length]))
         return np.asarray(states.view(np.complex128).reshape(n_poles, n_orders, len(blocks) * length))
+
+
+def _products(kernel: ComplexArray, rows: FloatArray) -> ComplexArray:
+    """Return kernels (.., n) times real rows (n_rows, n), shape (.., n_rows)."""
+    parts = np.stack([kernel.real, kernel.imag]).reshape(-1, kernel.shape[-1]) @ rows.T
+    result = np.empty((*kernel.shape[:-1], len(rows)), dtype=np.complex128)
+    result.real, result.imag = parts.reshape(2, *result.shape)
+    return result
 
 
 def _turned(factors: ComplexArray) -> FloatArray:
