@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from beam_ros.arrays import FloatArray, IndexArray
 from beam_ros.vision.errors import SynchronisationError
@@ -48,7 +49,9 @@ _EVEN = 0.1
 """Share of a period by which frames may be shown to be uneven where some are taken for lost."""
 _RECURSION = 6
 _BROKEN = 9.0
-"""So many standard deviations of its innovations break the recursion of a free swing."""
+"""So many standard deviations of its innovations break the recursion of a free swing, ..."""
+_SUDDEN = 4.0
+"""... and so many times what they have been of late: a mode that nearly nothing excites elsewhere grows slowly."""
 
 
 @dataclass(frozen=True)
@@ -475,6 +478,16 @@ def _as_the_swing_tells(
     return np.asarray(judged)
 
 
+def _usual_of_late(sizes: FloatArray) -> FloatArray:
+    """Return the robust standard deviation before every value, 0 where no more than half of the last are known."""
+    before = np.concatenate([np.full(4 * _RECURSION, np.nan), sizes[:-1]])
+    last = sliding_window_view(before, 4 * _RECURSION)
+    enough = 2 * np.count_nonzero(np.isfinite(last), axis=1) > last.shape[1]
+    usual = np.zeros(len(sizes))
+    usual[enough] = 1.4826 * np.nanmedian(last[enough], axis=1)
+    return usual
+
+
 def _breaks(
     high: FloatArray, hub: FloatArray, lost: IndexArray, is_timed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -514,8 +527,8 @@ def _breaks(
             scale = max(_spread(innovation[whole]), 1e-9)
             chosen = whole & known & (np.abs(innovation) < 4.0 * scale)
         scales[j] = scale
-        with np.errstate(invalid="ignore"):
-            broken[order:] |= whole & (np.abs(innovation) > _BROKEN * scale)
+        size = np.where(whole, np.abs(innovation), np.nan)
+        broken[order:] |= size > np.maximum(_BROKEN * scale, _SUDDEN * _usual_of_late(size))
     step = np.nan_to_num(np.abs(np.diff(deflection, axis=0)) / scales).max(axis=1)
     around = np.array([step[max(0, k - 6) : k + 6].max(initial=0.0) for k in range(n)])
     return broken, np.asarray(around < 1.5 * _BROKEN)
