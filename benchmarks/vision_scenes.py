@@ -126,6 +126,7 @@ class Frame:
     older_share : float -- so much of the light is that of the frame before
     is_repeated : bool -- the camera shows the frame before again
     shadow : Shadow or None -- that lies on the picture
+    second_field : (ndarray, int) or None -- ``x`` of every second row [m], and the first of these rows
     in_sight : ndarray of bool, shape (n_markers,) -- nothing touches the marker
     """
 
@@ -140,6 +141,7 @@ class Frame:
     older_share: float = 0.0
     is_repeated: bool = False
     shadow: Shadow | None = None
+    second_field: tuple[np.ndarray, int] | None = None
     in_sight: np.ndarray = field(default_factory=lambda: np.ones(N_MARKERS, dtype=bool))
     specks: list[tuple[float, float, float, float]] = field(default_factory=list)
     threads: list[tuple[float, float, float, float, float]] = field(default_factory=list)
@@ -603,6 +605,18 @@ def repeated(rng: np.random.Generator) -> Scene:
     return scene
 
 
+def interlaced(rng: np.random.Generator) -> Scene:
+    """A camera that shows two instants, half a frame or a whole one apart, in even and odd rows."""
+    scene = plain(rng, amplitude_px=rng.uniform(3, 30))
+    apart, is_woven = (1.0, True) if rng.random() < 0.25 else (0.5, False)
+    frames = scene.frames
+    later = CubicSpline(np.arange(len(frames)), np.stack([frame.x for frame in frames]))
+    first = int(rng.integers(2))
+    for k, frame in enumerate(frames):
+        frame.second_field = later(k + apart), (first + k * is_woven) % 2
+    return scene
+
+
 CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
     kind.__name__: kind
     for kind in (
@@ -637,6 +651,7 @@ CLASSES: dict[str, Callable[[np.random.Generator], Scene]] = {
         appearing,
         shadow,
         repeated,
+        interlaced,
     )
 }
 
@@ -699,6 +714,13 @@ def pictures(
             frame.x, rng, strip, marker_z=frame.z, disturbances=frame.disturbances
         ).astype(np.float32)
         truth = mean_columns(scene, frame)
+        if frame.second_field is not None:
+            second = replace(frame, x=frame.second_field[0])
+            strip = np.interp(renderer.strip_heights, HEIGHTS, second.x.mean(axis=0))
+            clean[frame.second_field[1] :: 2] = renderer.render(second.x, rng, strip, marker_z=frame.z)[
+                frame.second_field[1] :: 2
+            ]
+            truth = (truth + mean_columns(scene, second)) / 2
         _drawn(clean, frame)
         if scene.texture:
             clean += grain * (1 - np.clip((clean - camera.background) / camera.contrast, 0, 1))

@@ -200,7 +200,7 @@ def _track_markers(
             np.array([frame.displacement.sigma_m for frame in measured]),
             reasons,
         ),
-        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt) if doubt]
+        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt, chain.fields_doubt) if doubt]
         + [
             f"{name} was told apart from other spots by the beam's model in {n} frames (tracker.prediction beam)"
             for name, n in zip(names, chain.foretold_frames, strict=True)

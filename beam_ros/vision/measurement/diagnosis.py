@@ -135,6 +135,8 @@ class Diagnosis:
             found.append(Complaint("WARN", chain.calibration_doubt))
         if chain.exposure_doubt:
             found.append(Complaint("WARN", chain.exposure_doubt))
+        if chain.fields_doubt:
+            found.append(Complaint("WARN", chain.fields_doubt))
         if chain.lens_fault:
             found.append(Complaint("WARN", chain.lens_fault))
         if not since["arrived"]:

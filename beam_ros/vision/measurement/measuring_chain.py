@@ -7,6 +7,7 @@ another camera) is a sentence here and NaN in the result: a measurement is never
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -141,12 +142,25 @@ class MeasuringChain:
     def exposure_doubt(self) -> str:
         """What the markers' smears say against the stated exposure, or ""."""
         stated, seen = self._camera.exposure_s, self.tracker.exposure_s
-        if seen <= stated:
+        if seen <= stated or self.tracker.fields_apart > 0:
             return ""
         return (
             f"markers that move are smeared {seen / stated:.2g} times as long as camera.exposure, {stated:.4g} s, "
             f"allows, and are not believed (smear): expected the camera's own exposure, likely some {seen:.2g} s; "
             "set camera.exposure to it"
+        )
+
+    @property
+    def fields_doubt(self) -> str:
+        """What is to be said of two instants in each image, or ""."""
+        apart = self.tracker.fields_apart
+        if apart == 0.0:
+            return ""
+        return (
+            f"even and odd rows of the images show two instants, {apart:.2g} of a frame apart (interlaced): expected "
+            "one. Positions are the mean of both, so that vibrations at a quarter of the frame rate come out "
+            f"{100 * (1 - math.cos(math.pi * apart / 4)):.0f} % too small, and fast ones are not believed (smear); "
+            "set the camera to progressive, or deinterlace the film (ffmpeg -i FILM -vf bwdif -c:v ffv1 NEW.mkv)"
         )
 
     @property

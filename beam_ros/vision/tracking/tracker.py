@@ -20,6 +20,7 @@ import numpy as np
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
+from beam_ros.vision.fields import InterlacedFields
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.repeats import RepeatedImages
 from beam_ros.vision.timing import FrameTiming
@@ -167,6 +168,7 @@ class MarkerTracker:
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
         self._repeats = RepeatedImages()
+        self._fields = InterlacedFields(is_dark=self.parameters.polarity == "dark")
         self._shape = None
         self._frame = 0
 
@@ -197,6 +199,11 @@ class MarkerTracker:
     def exposure_s(self) -> float:
         """Exposure that the markers' smears show [s]; the stated one where they do not contradict it."""
         return self._seconds.exposure_s
+
+    @property
+    def fields_apart(self) -> float:
+        """Time between the instants that even and odd rows show [frames]; 0 where nothing shows that they are two."""
+        return self._fields.apart
 
     # -- frames --------------------------------------------------------------------------------------------
 
@@ -267,6 +274,8 @@ class MarkerTracker:
             self._result(image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
             for sight in found
         ]
+        if self._frame >= self._fields.next_frame:
+            self._look_at_fields(image, found[self._frame // 2 % self.n_markers])
         self._recovery.before = image
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
@@ -283,6 +292,20 @@ class MarkerTracker:
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
+
+    def _look_at_fields(self, image: ImageArray, sight: Sight | MarkerMeasurement) -> None:
+        """Look for two instants in the rows of a marker."""
+        if isinstance(sight, Sight) and sight.marker.steps > 0:
+            marker, spot = sight.marker, sight.spot
+            self._fields.look(
+                image,
+                self._frame,
+                spot.region,
+                sight.light.level,
+                marker.u,
+                marker.velocity,
+                sight.found.sigma_u,
+            )
 
     def _beside(self, marker: MarkerState) -> list[float]:
         """Columns in which a marker's rivals should be [px]."""
@@ -400,6 +423,8 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
+        if self._fields.apart > 0.0:  # the mean of two instants is off the middle one
+            uneven_px = math.hypot(uneven_px, self._fields.apart**2 / 8 * marker.linear_error)
         sigma = marker.sigma = math.hypot(
             max(found.sigma_u, pull_px), uneven_px, self.parameters.sigma_floor_px
         )

@@ -113,6 +113,21 @@ def test_frames_that_a_converter_repeats_are_left_out_and_said(tmp_path: Path) -
     assert "12 of 60 frames are the one before, bit for bit" in note
 
 
+def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    camera, rng = rig.camera_parameters(), np.random.default_rng(4)
+    renderer, shares = SceneRenderer(camera, rig.markers.heights), np.array([0.3, 0.8, 1.0])
+    frames = []
+    for k in range(90):
+        x = [8.0 / camera.pixels_per_metre * np.sin(0.2 * at) * shares for at in (k, k + 0.5)]
+        frame, later = (renderer.render(at, rng) for at in x)
+        frame[::2] = later[::2]
+        frames.append(frame)
+    notes = track_video(VideoFile(write_video(tmp_path / "interlaced.mkv", frames)), rig).notes
+    (note,) = (note for note in notes if "interlaced" in note)
+    assert "-vf bwdif" in note
+
+
 def test_the_video_finds_its_time_in_the_hubs() -> None:
     rig = Rig.from_file(RIG_FILE)
     tracked = track_video(VideoFile(VIDEO), rig)

@@ -95,6 +95,30 @@ def test_frames_that_show_the_one_before_again_are_counted_and_said() -> None:
     assert report.values["low repeated"] == 25
 
 
+def interlaced(n_frames: int, swing_px: float, rng: np.random.Generator) -> list[np.ndarray]:
+    """Frames of the packaged camera whose odd rows come half a frame later."""
+    renderer, frames = SceneRenderer(CAMERA, HEIGHTS), []
+    for k in range(n_frames):
+        first, second = (
+            renderer.render(swing_px / 1500 * np.sin(0.2 * at) * np.array([0.3, 0.8, 1.0]), rng)
+            for at in (k, k + 0.5)
+        )
+        first[1::2] = second[1::2]
+        frames.append(first)
+    return frames
+
+
+def test_interlaced_frames_are_said_with_the_remedy() -> None:
+    day, rng = _Day(), np.random.default_rng(2)
+    for k, frame in enumerate(interlaced(80, 8.0, rng), 1):
+        day.film([k], frame=frame)
+    report = day.diagnosis.report(0.8)
+    assert report.level == "WARN"
+    assert re.search(r"two instants, 0\.(4[5-9]|5\d?) of a frame apart \(interlaced\)", report.sentence)
+    assert "set the camera to progressive" in report.sentence
+    assert "camera.exposure" not in report.sentence
+
+
 @pytest.mark.parametrize("every", [2, 4])
 def test_a_camera_at_another_rate_is_named_and_misses_nothing(every) -> None:
     day = _Day()
