@@ -227,6 +227,19 @@ class _Likelihood:
             result[place] = np.clip(result[place], -_MAX_CLOCK_RATE, _MAX_CLOCK_RATE)
         return np.asarray(result)
 
+    def at_an_end(self, theta: FloatArray) -> str:
+        """Return which parameter stands where its search ends, beyond which the likelihood rises; or nothing.
+
+        A damping ratio that ran to zero is left to the gates of the modes.
+        """
+        n, clock = self.n_modes, self.clock(theta)
+        for log_omega, zeta in zip(theta[:n].tolist(), theta[n : 2 * n].tolist(), strict=True):
+            if zeta >= MAX_DAMPING:
+                return f"the damping ratio at {math.exp(log_omega) / (2.0 * math.pi):.4g} Hz"
+        if self.latency.is_free and abs(clock.latency) >= self.problem.max_latency_s:
+            return "the latency"
+        return "the clock rate" if self.rate.is_free and abs(clock.rate) >= _MAX_CLOCK_RATE else ""
+
 
 def fit_modes(
     problem: ModalProblem,
@@ -335,6 +348,8 @@ def _under_coloured_noise(
 
 def _finished(likelihood: _Likelihood, minimum: Minimum[_State]) -> ModalFit:
     state, converged, reason = minimum.state, minimum.converged, minimum.reason
+    if converged and (ended := likelihood.at_an_end(state.theta)):
+        converged, reason = False, f"{ended} ran to the end of its search"
     problem, n, n_theta = likelihood.problem, likelihood.n_modes, likelihood.n_theta
     n_outputs = len(state.residuals)
     solutions = [state.solutions[block] for block in problem.block_of]

@@ -91,7 +91,7 @@ def minimise(
         for _ in range(_TRIALS):
             # H + damping on unit diagonal (Marquardt): short steps along the gradient where the model is not
             # to be trusted.
-            candidate = problem.limited(state.theta, scaled_solve(information, direction, damping))
+            candidate = _led_to(problem, state.theta, information, direction, damping)
             taken = candidate - state.theta
             # The step in units of its standard deviation.
             size = math.sqrt(max(float(taken @ information @ taken), 0.0))
@@ -122,3 +122,27 @@ def minimise(
                 reason = "the cost jumps here, less than a standard deviation from its optimum"
                 return Minimum(state, True, reason, iteration)
     return Minimum(state, False, f"stopped after {max_iterations} iterations", max_iterations)
+
+
+def _led_to(
+    problem: Problem[StateT],
+    theta: FloatArray,
+    information: FloatArray,
+    direction: FloatArray,
+    damping: float,
+) -> FloatArray:
+    """Return where a damped step leads, the best beside those parameters that stand at their bounds.
+
+    A step that a bound merely cuts short is the best one no more: what goes with the parameter that is cut moves as
+    if it were not, and the iteration creeps. So it is held, and the step of the others is found anew.
+    """
+    free, step = np.ones(len(theta), dtype=bool), scaled_solve(information, direction, damping)
+    candidate = problem.limited(theta, step)
+    while np.any(stuck := free & (candidate == theta)):
+        # What the slope itself drives outwards stays; the others may only follow it there.
+        outwards = stuck & (step * direction > 0.0)
+        free &= ~(outwards if np.any(outwards) else stuck)
+        step = np.zeros(len(theta))
+        step[free] = scaled_solve(information[np.ix_(free, free)], direction[free], damping)
+        candidate = problem.limited(theta, step)
+    return candidate

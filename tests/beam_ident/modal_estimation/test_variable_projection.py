@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from beam_ident import FrequencyRecord, InputSignal, ModalStructure, OutputSignal, Prior, TimeRecord
 from beam_ident.modal.line_basis import LineBasis
@@ -111,3 +112,22 @@ def test_free_motions_that_hardly_differ_leave_the_descent_direction_exact():
         ends = [likelihood.state(theta + sign * step).cost for sign in (1.0, -1.0)]
         # In units of a standard deviation; rounding times coefficients would be ten of them.
         assert sd * direction[place] == pytest.approx(-50.0 * (ends[0] - ends[1]), abs=0.01)
+
+
+def test_a_damping_ratio_that_ends_where_its_search_does_is_no_optimum():
+    force = np.random.default_rng(3).standard_normal(500)
+    lagging = lfilter([0.1], [1.0, -0.9], force)  # a real pole at 10.5 rad/s, which no mode has
+    record = TimeRecord(
+        (InputSignal("f", "N", (0.0, 0.01), force, "zoh"),), (OutputSignal("y", "m", (0.0, 0.01), lagging),)
+    )
+    fit = fit_modes(
+        ModalRegression([record], ModalStructure("receptance")),
+        np.array([8.0]),
+        np.array([0.3]),
+        ClockState(0.0, 0.0),
+        Prior(),
+        Prior(),
+    )
+    assert fit.zetas[0] == pytest.approx(0.95)
+    assert not fit.converged
+    assert "ran to the end of its search" in fit.reason

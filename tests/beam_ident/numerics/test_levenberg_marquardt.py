@@ -95,3 +95,40 @@ def test_a_jump_beside_the_optimum_is_an_end_and_one_far_from_it_is_none():
         assert minimum.converged is is_near
         # Less than a standard deviation from the lowest point costs less than a half.
         assert bool(minimum.state.cost - LOWEST < 0.5) is is_near
+
+
+class Wall(Valley):
+    """A long straight valley, and a wall across it that its lowest point lies behind."""
+
+    jacobian = 100.0 * np.array([[1.0, 1.0], [0.0, 0.02]])
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        return self.jacobian @ (theta - np.array([-5.0, 6.0]))
+
+    def slope(self, state: Point) -> tuple[np.ndarray, np.ndarray]:
+        return self.jacobian.T @ self.jacobian, -self.jacobian.T @ self.residuals(state.theta)
+
+    def limited(self, theta: np.ndarray, step: np.ndarray) -> np.ndarray:
+        return np.minimum(theta + step, [np.inf, 1.0])
+
+
+def test_beside_a_parameter_at_its_bound_the_others_reach_their_best():
+    wall = Wall()
+    minimum = minimise(wall, wall.state(np.array([3.0, 0.0])), 40)
+    assert (
+        minimum.converged
+    )  # a step that the wall merely cuts short creeps along it, for more than 40 iterations
+    assert minimum.iterations < 20
+    np.testing.assert_allclose(
+        minimum.state.theta, [0.0, 1.0], atol=1e-5
+    )  # a thousandth of its deviation of 0.01
+
+
+def test_a_parameter_leaves_its_bound_where_the_slope_leads_inwards():
+    wall = Wall()
+    wall.limited = lambda theta, step: np.minimum(theta + step, [np.inf, 8.0])
+    minimum = minimise(wall, wall.state(np.array([3.0, 8.0])), 40)
+    assert minimum.converged
+    np.testing.assert_allclose(
+        minimum.state.theta, [-5.0, 6.0], atol=0.02
+    )  # along the valley it is known to 0.5
