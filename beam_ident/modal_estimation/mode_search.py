@@ -334,7 +334,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
         return ended
 
     def _extend_behind_noise(self, n_modes: int | None, limit: int) -> None:
-        """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt."""
+        """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt.
+
+        Noise of a colour is white noise and more: where it is less likely than that, it is none.
+        """
         n_doubtful = 0 if n_modes is None else len(self._doubtful(self.chosen))
         if n_modes is not None and not n_doubtful:
             return
@@ -347,7 +350,9 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self._believed = self.chosen, self.chosen_entry
             self._extend(n_modes, limit)
             self.is_behind_noise = n_modes is None or (
-                self.chosen.converged and len(self._doubtful(self.chosen)) < n_doubtful
+                self.chosen.converged
+                and len(self._doubtful(self.chosen)) < n_doubtful
+                and self.chosen.cost < before[1].cost
             )
         if not self.is_behind_noise:
             self.problem, self.chosen, self.chosen_entry, self._believed = before
@@ -379,21 +384,17 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def go_on_from(self, inside: ModalFit) -> bool:
         """Go on from where modes ended otherwise, and return whether that is better than where this search ended.
 
-        A structure that holds another can do all that it does, and must not end worse. What has more modes that could
-        not be believed is no better end.
+        A structure that holds another can do all that it does, and must not end worse: not even where fewer of its
+        modes are in doubt, since it has more that can take their place.
         """
         if len(inside.omegas) != len(self.chosen.omegas):
             return False
         fit = self.fit(inside.omegas, inside.zetas, inside.clock, _ITERATIONS)
-        if not fit.cost < self.chosen.cost or self._doubts(fit) > self._doubts(self.chosen):
+        if not fit.cost < self.chosen.cost:
             return False
         self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
         self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
         return True
-
-    def _doubts(self, fit: ModalFit) -> int:
-        """Return how many modes of a fit do not pass the gates, and one more where any has left the band."""
-        return len(self._doubtful(fit)) + bool(self._outside(fit))
 
     def _outside(self, fit: ModalFit) -> list[int]:
         """Return the modes of a fit that have left the band."""

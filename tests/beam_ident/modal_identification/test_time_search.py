@@ -26,6 +26,9 @@ def cost(seed: int, structure: ModalStructure, n_modes: int) -> float:
         (54, 2),  # poles that settle where free motion takes the place of a mode
         (52, 1),  # an outlier, which may be the cause of the doubt
         (62, 2),  # a pole lies out of the band at either end
+        (40, 2),  # a pole whose damping is as high as it may be
+        (11, 3),  # a worse end whose modes are less in doubt
+        (22, 3),  # slow noise that is less likely than white noise
     ],
 )
 def test_free_motion_that_is_asked_for_never_leads_to_a_worse_optimum(seed, n_modes):
