@@ -121,19 +121,22 @@ class _Turns:
         self.start = new[clearest].modes
         if clearest in self.clocks:
             self.start = replace(self.start, clock=end[1].fit.clock)
-        for name in new.keys() & self.clocks.keys():
-            self.clocks[name] = OwnClock(new[name].modes.clock.latency - self.start.clock.latency)
-        self.low_passes |= {name: own.low_pass for name, own in new.items()}
+        common = self.start.clock.latency
+        late = {name: own.modes.clock.latency - common for name, own in new.items() if name in self.clocks}
+        self.clocks = {**self.clocks, **{name: OwnClock(delay) for name, delay in late.items()}}
+        self.low_passes = {**self.low_passes, **{name: own.low_pass for name, own in new.items()}}
 
     def go_on(self, further: Mapping[str, OwnClock], better: Mapping[str, LowPass], end: _End) -> None:
         """Go on with clocks that move further, and better low-passes."""
         if better:
             self.start = end[1].fit
-        self.low_passes |= better
-        self.clocks |= {
+        # The ends so far keep the clocks that they were found with.
+        self.low_passes = {**self.low_passes, **better}
+        moved = {
             name: self.clocks.get(name, OwnClock()).moved(own.delay, own.rate)
             for name, own in further.items()
         }
+        self.clocks = {**self.clocks, **moved}
 
     def leaves_out_idle(self, end: _End) -> bool:
         """Leave out clocks of outputs that do not differ from the common one; False where there are none."""

@@ -3,7 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import ModalStructure, identify
+from beam_ident import LowPass, ModalStructure, identify
+from beam_ident.data.own_clocks import OwnClock
+from beam_ident.modal_identification.identification_task import _Turns
 from benchmarks.ident.supersets import hard_record
 
 DRIFTING = ModalStructure("receptance", has_free_response=False)
@@ -52,3 +54,11 @@ def test_clocks_that_do_not_settle_end_at_the_likeliest_fit_and_are_named():
     slow, at_end = fewer.outputs[0].residuals, more.outputs[0].residuals
     assert np.std(at_end) < 1.5 * np.std(slow)  # else 2.5 times, and 37 ms late
     assert any("The clocks of y0 did not settle" in own for own in more.warnings)
+
+
+def test_the_ends_of_turns_keep_the_clocks_that_they_were_found_with():
+    clocks, low_passes = {"y0": OwnClock(1e-3)}, {"y0": LowPass(2e-3)}
+    turns = _Turns(clocks, most=6, low_passes=low_passes)
+    turns.go_on({"y0": OwnClock(5e-3)}, {}, None)  # type: ignore[arg-type]  # an end is not looked at
+    assert turns.clocks == {"y0": OwnClock(6e-3)}
+    assert clocks == {"y0": OwnClock(1e-3)}
