@@ -229,19 +229,35 @@ class TimeSearch(ModeSearch[ModalRegression]):
             for kept in itertools.combinations(present, size):
                 left_out: dict[str, Any] = dict.fromkeys(set(present).difference(kept), False)
                 searches[frozenset(kept)] = self._with_terms(replace(form, **left_out))
+        turned_from: dict[frozenset[str], ModalFit] = {}
         # Of many modes most are spurious: they are added in one go.
         for order in range(1, n_modes + 1) if n_modes <= MANY_MODES else [n_modes]:
             for terms, search in searches.items():
                 search.run_plain(order)
+                alone = search.chosen
+                if order == n_modes and terms in turned_from and len(terms) < len(present):
+                    # A better end of fewer modes may lead to a worse one of more: the structure by itself goes on
+                    # from its own, as this one has done.
+                    by_itself = self._with_terms(search.plain.structure, turned_from[terms])
+                    by_itself.run_plain(n_modes)
+                    search.go_on_from(by_itself.chosen)
                 for term in terms:
                     search.go_on_from(searches[terms - {term}].chosen)
+                if alone.cost - search.chosen.cost > _WORTH_A_LOOK:
+                    turned_from.setdefault(terms, alone)
         return search.chosen
 
-    def _with_terms(self, terms: ModalStructure) -> TimeSearch:
+    def _with_terms(self, terms: ModalStructure, start: ModalFit | None = None) -> TimeSearch:
         """Return a search of the same records with other terms, which asks no output by itself that was asked."""
         regression = ModalRegression(self.records, terms, self.input_names, restarts=self.plain.restarts)
         search = TimeSearch(
-            self.records, regression, self.latency, self.clock_rate, self.input_names, self.progress
+            self.records,
+            regression,
+            self.latency,
+            self.clock_rate,
+            self.input_names,
+            self.progress,
+            start=start,
         )
         search.is_in_doubt = self.is_in_doubt
         return search

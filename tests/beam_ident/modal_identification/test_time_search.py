@@ -30,6 +30,7 @@ def cost(seed: int, structure: ModalStructure, n_modes: int) -> float:
         (62, 2),  # a pole lies out of the band at either end
         (40, 2),  # a pole whose damping is as high as it may be
         (11, 3),  # a worse end whose modes are less in doubt
+        (64, 3),  # a better end of two modes that leads to a worse one of three
         (22, 3),  # slow noise that is less likely than white noise
     ],
 )
