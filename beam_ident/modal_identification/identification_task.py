@@ -74,7 +74,7 @@ class _Turns:
     looks_inside, is_persistent : bool -- whether the next one looks where simpler structures end, and goes on past
         orders that are not believed
     end_inside : ModalFit or None -- where simpler structures led to
-    known, best : (TimeSearch, Weighed) or None -- the last end, and the likeliest
+    first, known, best : (TimeSearch, Weighed) or None -- the first end, the last, and the likeliest
     before_new, before_idle : the same or None -- without low-passes, and with clocks that were not needed
     dropped : set of str -- outputs whose own clock was left out again
     unsettled : list of str -- outputs that would have moved on after the last turn
@@ -88,6 +88,7 @@ class _Turns:
     looks_inside: bool = True
     is_persistent: bool = True
     end_inside: ModalFit | None = None
+    first: _End | None = None
     known: _End | None = None
     best: _End | None = None
     before_new: _End | None = None
@@ -106,6 +107,7 @@ class _Turns:
         A clock that moves a little leaves in vain what was in vain, and a better end where it was.
         """
         search, weighed = self.known = end
+        self.first = self.first or end
         if self.best is None or weighed.fit.cost < self.best[1].fit.cost:
             self.best = end
         self.is_persistent = search.is_worth_persisting
@@ -445,6 +447,9 @@ class IdentificationTask:
         """Return the result of the last turn, or of the one before its low-passes, and whether the clocks settled."""
         if turns.before_new is not None and _leaves_more(end, turns.before_new):
             end = turns.before_new
+        if turns.first is not None and turns.best is not None and _leaves_more(end, turns.first):
+            # Without clocks of their own outputs were explained better: these settled where nothing says so.
+            end, turns.unsettled = turns.best, sorted(turns.clocks) or turns.unsettled
         search, weighed = end
         result = search.result(weighed, self.n_modes)
         if turns.unsettled:
