@@ -128,12 +128,19 @@ def track_video(
         notes = [f"the strip was followed at {len(tracked.names)} heights, every {row_step} rows"]
     else:
         tracked, notes = _track_markers(video, camera, rig, calibration, progress)
-        if not tracked.reasons[0].get("ok"):
-            raise VideoError(
-                f"{video.path}: the low marker {tracked.names[0]} is in none of {len(tracked.times_ns)} frames "
-                f"({_in_words(tracked.reasons[0])}); expected it where the rig file puts it: check markers.heights, "
-                "markers.diameter, camera.origin_u and origin_v, camera.pixels_per_metre and tracker.polarity"
-            )
+    damaged = video.damaged_frames(len(tracked.times_ns))
+    if np.mean(damaged) > _MAX_DAMAGED:
+        raise VideoError(
+            f"{video.path}: {np.count_nonzero(damaged)} of {damaged.size} frames are damaged, as the decoder says "
+            f"(first: {video.first_complaint}); expected fewer than half: copy the file again from the camera, or "
+            "deinterlace it where it is interlaced (ffmpeg -i FILM -vf bwdif -c:v ffv1 NEW.mkv)"
+        )
+    if not is_whole and not tracked.reasons[0].get("ok"):
+        raise VideoError(
+            f"{video.path}: the low marker {tracked.names[0]} is in none of {len(tracked.times_ns)} frames "
+            f"({_in_words(tracked.reasons[0])}); expected it where the rig file puts it: check markers.heights, "
+            "markers.diameter, camera.origin_u and origin_v, camera.pixels_per_metre and tracker.polarity"
+        )
     times, period_s, said = video.settled_times(tracked.frame_times_ns)
     notes += said
     notes += _remarks(video, tracked.names, tracked.reasons, len(times))
@@ -152,12 +159,6 @@ def track_video(
         period_s,
         is_whole,
     )
-    damaged = video.damaged_frames(len(times))
-    if np.mean(damaged) > _MAX_DAMAGED:
-        raise VideoError(
-            f"{video.path}: {np.count_nonzero(damaged)} of {len(times)} frames are damaged, as the decoder says; "
-            "expected fewer than half: copy the file again from the camera"
-        )
     if np.any(damaged):
         word = f"{np.count_nonzero(damaged)} of {len(times)} frames are damaged in the file and marked as not seen"
         record = replace(record.without(damaged, "damaged"), notes=(*record.notes, word))

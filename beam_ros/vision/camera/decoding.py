@@ -31,6 +31,8 @@ from beam_ros.vision.errors import ImageFormatError, VideoError
 _NS, _MILLISECOND_NS = 1_000_000_000, 1_000_000
 _DECODED_AHEAD = 8
 """Pictures that a decoder may be ahead of who takes them."""
+_LONGEST_COMPLAINT = 300
+"""Of a decoder's complaint so much is read [bytes]."""
 _MAX_STATED_HZ = 50_000.0
 """Where a file states a higher rate, it states its clock's."""
 _FFV1, _MOTION_JPEG, _GREY = b"ffv1", b"mjpg", b"y800"
@@ -133,6 +135,11 @@ class Decoder:
 
     def _heeded(self) -> contextlib.AbstractContextManager[None]:
         return contextlib.nullcontext() if self._complaints is None else self._complaints.heard()
+
+    @property
+    def first_complaint(self) -> str:
+        """What a heeded decoder complained about first, in its own words; "" where it did not."""
+        return "" if self._complaints is None else self._complaints.first()
 
     def pictures(self) -> Generator[Picture, None, None]:
         """Decode the pictures, one after the other; a thread is some ahead while the caller works.
@@ -332,6 +339,11 @@ class _Complaints:
                 until_end.enter_context(contextlib.redirect_stderr(until_end.enter_context(kept)))
             until_end.enter_context(self.heard())
             yield
+
+    def first(self) -> str:
+        """Return the first line that was caught, without the decoder's name for itself."""
+        said = os.pread(self._file.fileno(), _LONGEST_COMPLAINT, 0).decode(errors="replace").strip()
+        return said.splitlines()[0].rpartition("] ")[2].rstrip(". ") if said else ""
 
     def size(self) -> int:
         """How much was caught until now [bytes]."""

@@ -182,6 +182,11 @@ class VideoFile:
             ["the container has a time for every frame, at a variable rate; these were used"],
         )
 
+    @property
+    def first_complaint(self) -> str:
+        """What the decoder, where it is heeded, complained about first; "" where it did not."""
+        return self._decoder.first_complaint
+
     def damaged_frames(self, n_frames: int) -> np.ndarray:
         """Tell which frames the decoder complained about, ndarray of bool, shape (n_frames,)."""
         damaged = np.zeros(n_frames, dtype=bool)
