@@ -675,6 +675,9 @@ class SpotMeter:
                 return None
             sides = self.sides(image, spot)
             background, noise = 0.5 * (sides.left + sides.right), min(math.sqrt(sides.variance), known_noise)
+            shown = abs(spot.plateau - background)
+            if Light(parameters, background, shown, noise).above >= shown:
+                return None  # no more than what lies beside it: not worth the search for a smear
             disc, share = self._at_rest(spot, light)
             plateau, u, v = background + (spot.plateau - background) / share, spot.u, spot.v
         if spot is None or light is None or disc is None:

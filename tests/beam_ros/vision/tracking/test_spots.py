@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.vision.tracking.appearance import Appearance, Light
+from beam_ros.vision.tracking import spots
+from beam_ros.vision.tracking.appearance import AT_REST, Appearance, Light
 from beam_ros.vision.tracking.spots import SpotMeter
 from tests.beam_ros.vision.packaged_rig import packaged_tracker
 
@@ -129,3 +130,17 @@ def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_the
         if is_alone:
             assert all(abs(u - own) < meter.radius for u, _, _ in meter.centres(image, background, 90.0))
     assert 40 < n_alone < 360
+
+
+def test_a_camera_that_shows_noise_alone_costs_no_search_for_smears(monkeypatch):
+    # A thousand spots a frame, a millisecond and a half each: half a second for every frame of a covered lens.
+    searches = []
+    monkeypatch.setattr(spots, "smear_of", lambda *look: searches.append(look) or AT_REST)
+    image = np.random.default_rng(1).integers(0, 256, (480, 640)).astype(np.uint8)
+    meter = SpotMeter(packaged_tracker())
+    background, extreme = meter.levels(image)
+    places = meter.centres(image, background, 0.5 * (extreme - background))
+    found = [meter.candidate(image, u, v, background) for u, v, _ in places]
+    assert len(found) > 20
+    assert not any(found)
+    assert len(searches) <= 1
