@@ -31,7 +31,7 @@ from beam_ros.vision.errors import ImageFormatError, VideoError
 _NS, _MILLISECOND_NS = 1_000_000_000, 1_000_000
 _DECODED_AHEAD = 8
 """Pictures that a decoder may be ahead of who takes them."""
-_LONGEST_COMPLAINT = 300
+_MAX_COMPLAINT = 300
 """Of a decoder's complaint so much is read [bytes]."""
 _MAX_STATED_HZ = 50_000.0
 """Where a file states a higher rate, it states its clock's."""
@@ -342,7 +342,7 @@ class _Complaints:
 
     def first(self) -> str:
         """Return the first line that was caught, without the decoder's name for itself."""
-        said = os.pread(self._file.fileno(), _LONGEST_COMPLAINT, 0).decode(errors="replace").strip()
+        said = os.pread(self._file.fileno(), _MAX_COMPLAINT, 0).decode(errors="replace").strip()
         return said.splitlines()[0].rpartition("] ")[2].rstrip(". ") if said else ""
 
     def size(self) -> int:
