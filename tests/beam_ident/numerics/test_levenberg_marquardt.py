@@ -115,13 +115,11 @@ class Wall(Valley):
 def test_beside_a_parameter_at_its_bound_the_others_reach_their_best():
     wall = Wall()
     minimum = minimise(wall, wall.state(np.array([3.0, 0.0])), 40)
-    assert (
-        minimum.converged
-    )  # a step that the wall merely cuts short creeps along it, for more than 40 iterations
+    # A step that the wall merely cuts short creeps along it, for more than 40 iterations.
+    assert minimum.converged
     assert minimum.iterations < 20
-    np.testing.assert_allclose(
-        minimum.state.theta, [0.0, 1.0], atol=1e-5
-    )  # a thousandth of its deviation of 0.01
+    # To a thousandth of a standard deviation.
+    np.testing.assert_allclose(minimum.state.theta, [0.0, 1.0], atol=1e-5)
 
 
 def test_a_parameter_leaves_its_bound_where_the_slope_leads_inwards():
@@ -129,6 +127,5 @@ def test_a_parameter_leaves_its_bound_where_the_slope_leads_inwards():
     wall.limited = lambda theta, step: np.minimum(theta + step, [np.inf, 8.0])
     minimum = minimise(wall, wall.state(np.array([3.0, 8.0])), 40)
     assert minimum.converged
-    np.testing.assert_allclose(
-        minimum.state.theta, [-5.0, 6.0], atol=0.02
-    )  # along the valley it is known to 0.5
+    # Along the valley it is known to 0.5.
+    np.testing.assert_allclose(minimum.state.theta, [-5.0, 6.0], atol=0.02)
