@@ -23,6 +23,7 @@ from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.calibration.storage import load_calibration
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
+from beam_ros.vision.fields import DEINTERLACE
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import CameraParameters
 
@@ -133,7 +134,7 @@ def track_video(
         raise VideoError(
             f"{video.path}: {np.count_nonzero(damaged)} of {damaged.size} frames are damaged, as the decoder says "
             f"(first: {video.first_complaint}); expected fewer than half: copy the file again from the camera, or "
-            "deinterlace it where it is interlaced (ffmpeg -i FILM -vf bwdif -c:v ffv1 NEW.mkv)"
+            f"deinterlace it where it is interlaced ({DEINTERLACE})"
         )
     if not is_whole and not tracked.reasons[0].get("ok"):
         raise VideoError(

@@ -11,12 +11,15 @@ least squares from some samples, and believed by Student's t.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from beam_ros.arrays import ImageArray
 
+DEINTERLACE = "ffmpeg -i FILM -vf bwdif -c:v ffv1 NEW.mkv"
+"""A command that makes a film with one instant in every image."""
 _SAMPLES = 16
 """So many samples are a test, ..."""
 _EXPLAINED = 0.81
@@ -37,20 +40,15 @@ class _Pending(NamedTuple):
     apart: float
 
 
-def rows_apart(image: ImageArray, region: tuple[int, int, int, int], level: float, *, is_dark: bool) -> float:
+def rows_apart(light: ImageArray, top: int) -> float:
     """Difference of a spot's centres of gravity in odd and even rows of the image [px]; 0 where one has none.
 
     Parameters
     ----------
-    image : ndarray, shape (height, width), uint8 or uint16
-    region : (int, int, int, int) -- left, top, right and bottom, the last two exclusive [px]
-    level : float -- grey levels beyond it count
-    is_dark : bool -- beyond it towards black
+    light : ndarray, shape (rows, columns), uint8 or uint16 -- grey levels of a region beyond its background
+    top : int -- the region's first row in the image [px]
     """
-    left, top, right, bottom = region
-    light = image[top:bottom, left:right].astype(np.float64) - level
-    light = np.maximum(-light if is_dark else light, 0.0)
-    columns = np.arange(right - left, dtype=np.float64)
+    columns = np.arange(light.shape[1], dtype=np.float64)
     sums = np.stack([light.sum(axis=1), light @ columns])
     (even, even_u), (odd, odd_u) = sums[:, top % 2 :: 2].sum(axis=1), sums[:, 1 - top % 2 :: 2].sum(axis=1)
     return float(odd_u / odd - even_u / even) if even > 0.0 < odd else 0.0
@@ -58,10 +56,6 @@ def rows_apart(image: ImageArray, region: tuple[int, int, int, int], level: floa
 
 class InterlacedFields:
     """Finds out whether even and odd rows show two instants.
-
-    Parameters
-    ----------
-    is_dark : bool -- the markers are dark on bright
 
     Attributes
     ----------
@@ -74,38 +68,28 @@ class InterlacedFields:
     to frame, b has one sign all the same.
     """
 
-    def __init__(self, *, is_dark: bool) -> None:
-        self._is_dark = is_dark
+    def __init__(self) -> None:
         self._pending: _Pending | None = None
         self._samples: list[tuple[float, float]] = []
         self.apart = 0.0
         self.next_frame = 0
 
     def look(
-        self,
-        image: ImageArray,
-        frame: int,
-        region: tuple[int, int, int, int],
-        level: float,
-        u: float,
-        step: float,
-        sigma: float,
+        self, frame: int, light: Callable[[], ImageArray], top: int, u: float, step: float, sigma: float
     ) -> None:
         """Look at a marker, in an even frame and the next one.
 
         Parameters
         ----------
-        image : ndarray, shape (height, width), uint8 or uint16
         frame : int -- its number
-        region : (int, int, int, int) -- about the marker, as of ``rows_apart`` [px]
-        level : float -- what lies beyond it belongs to the marker [grey levels]
+        light : callable -- gives the grey levels about the marker beyond the background, as of ``rows_apart``
+        top : int -- first row of that in the image [px]
         u, step, sigma : float -- where it is, how far that is from the frame before, and the standard deviation [px]
         """
         pending, self._pending = self._pending, None
         if frame % 2 == 0:
             if abs(step) > _MOVING * sigma:
-                apart = rows_apart(image, region, level, is_dark=self._is_dark)
-                self._pending = _Pending(frame, u - step, apart)
+                self._pending = _Pending(frame, u - step, rows_apart(light(), top))
             return
         if pending is None or pending.frame != frame - 1:
             return

@@ -18,6 +18,7 @@ from beam_ros.arrays import FloatArray, ImageArray
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.linear import LinearCalibration, MarkerDisplacements
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
+from beam_ros.vision.fields import DEINTERLACE
 from beam_ros.vision.measurement.continuity import FrameContinuity
 from beam_ros.vision.measurement.motion_prediction import BeamMotion, MotionPrediction
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
@@ -160,7 +161,7 @@ class MeasuringChain:
             f"even and odd rows of the images show two instants, {apart:.2g} of a frame apart (interlaced): expected "
             "one. Positions are the mean of both, so that vibrations at a quarter of the frame rate come out "
             f"{100 * (1 - math.cos(math.pi * apart / 4)):.0f} % too small, and fast ones are not believed (smear); "
-            "set the camera to progressive, or deinterlace the film (ffmpeg -i FILM -vf bwdif -c:v ffv1 NEW.mkv)"
+            f"set the camera to progressive, or deinterlace the film ({DEINTERLACE})"
         )
 
     @property

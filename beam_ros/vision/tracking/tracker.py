@@ -32,6 +32,7 @@ from beam_ros.vision.tracking.marker_state import (
     Foretold,
     MarkerState,
 )
+from beam_ros.vision.tracking.moments import beyond
 from beam_ros.vision.tracking.recovery import Recovery
 from beam_ros.vision.tracking.rivals import (
     Track,
@@ -168,7 +169,7 @@ class MarkerTracker:
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
         self._repeats = RepeatedImages()
-        self._fields = InterlacedFields(is_dark=self.parameters.polarity == "dark")
+        self._fields = InterlacedFields()
         self._shape = None
         self._frame = 0
 
@@ -296,16 +297,13 @@ class MarkerTracker:
     def _look_at_fields(self, image: ImageArray, sight: Sight | MarkerMeasurement) -> None:
         """Look for two instants in the rows of a marker."""
         if isinstance(sight, Sight) and sight.marker.steps > 0:
-            marker, spot = sight.marker, sight.spot
-            self._fields.look(
-                image,
-                self._frame,
-                spot.region,
-                sight.light.level,
-                marker.u,
-                marker.velocity,
-                sight.found.sigma_u,
-            )
+            marker, (left, top, right, bottom) = sight.marker, sight.spot.region
+
+            def light() -> ImageArray:
+                is_dark = self.parameters.polarity == "dark"
+                return beyond(image[top:bottom, left:right], (sight.light.level,), is_dark=is_dark)
+
+            self._fields.look(self._frame, light, top, marker.u, marker.velocity, sight.found.sigma_u)
 
     def _beside(self, marker: MarkerState) -> list[float]:
         """Columns in which a marker's rivals should be [px]."""

@@ -8,6 +8,7 @@ import pytest
 from beam_ros.vision.fields import InterlacedFields, rows_apart
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
+from beam_ros.vision.tracking.moments import beyond
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -24,13 +25,15 @@ def test_the_rows_of_a_comb_are_as_far_apart_as_they_were_moved(top, is_dark, dt
     disc = 60.0 * (1 + np.tanh((6.0 - np.hypot(u - 32.3 - shift, v - 31.7)) / 0.9))
     image = np.rint(200 - disc if is_dark else 30 + disc).astype(dtype)
     level = 195.0 if is_dark else 35.0
-    assert rows_apart(image, (14, top, 52, 46), level, is_dark=is_dark) == pytest.approx(2.5, abs=0.02)
-    assert rows_apart(np.full_like(image, 30), (14, top, 52, 46), 35.0, is_dark=False) == 0.0
+    assert rows_apart(beyond(image[top:46, 14:52], (level,), is_dark=is_dark), top) == pytest.approx(
+        2.5, abs=0.02
+    )
+    assert rows_apart(beyond(np.full_like(image, 30), (35.0,), is_dark=False), top) == 0.0
 
 
 def found_of(apart: float, rng: np.random.Generator) -> float:
     """What a test finds of rows that are so far apart [frames], by steps of 0.6 px and with noise of 0.13 px."""
-    fields = InterlacedFields(is_dark=False)
+    fields = InterlacedFields()
     for frame in range(0, 40, 2):
         step = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 1.0))
         image = np.zeros((20, 40), np.uint8)
@@ -38,8 +41,8 @@ def found_of(apart: float, rng: np.random.Generator) -> float:
             at = 20.0 + (apart * step if row % 2 else 0.0) + 0.3 * rng.standard_normal()
             left = int(np.floor(at))
             image[row, left], image[row, left + 1] = round(200 * (1 - at + left)), round(200 * (at - left))
-        fields.look(image, frame, (0, 0, 40, 20), 0.0, 0.0, step, 0.005)
-        fields.look(image, frame + 1, (0, 0, 40, 20), 0.0, step, step, 0.005)
+        fields.look(frame, image.copy, 0, 0.0, step, 0.005)
+        fields.look(frame + 1, image.copy, 0, step, step, 0.005)
     assert fields.next_frame > 0
     return fields.apart
 
