@@ -36,7 +36,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -114,6 +114,20 @@ class Shadow:
         return np.asarray(picture * (1 - (1 - self.light) * shade), dtype=np.float32)
 
 
+class SecondField(NamedTuple):
+    """Another instant, which every second row shows.
+
+    Attributes
+    ----------
+    x, middle : ndarray -- positions as of ``Frame.x`` at that instant, and half way to it [m]
+    first_row : int -- first of these rows
+    """
+
+    x: np.ndarray
+    middle: np.ndarray
+    first_row: int
+
+
 @dataclass
 class Frame:
     """One frame before the sensor sees it.
@@ -126,7 +140,7 @@ class Frame:
     older_share : float -- so much of the light is that of the frame before
     is_repeated : bool -- the camera shows the frame before again
     shadow : Shadow or None -- that lies on the picture
-    second_field : (ndarray, int) or None -- ``x`` of every second row [m], and the first of these rows
+    second_field : SecondField or None -- another instant, which every second row shows
     in_sight : ndarray of bool, shape (n_markers,) -- nothing touches the marker
     """
 
@@ -141,7 +155,7 @@ class Frame:
     older_share: float = 0.0
     is_repeated: bool = False
     shadow: Shadow | None = None
-    second_field: tuple[np.ndarray, int] | None = None
+    second_field: SecondField | None = None
     in_sight: np.ndarray = field(default_factory=lambda: np.ones(N_MARKERS, dtype=bool))
     specks: list[tuple[float, float, float, float]] = field(default_factory=list)
     threads: list[tuple[float, float, float, float, float]] = field(default_factory=list)
@@ -613,7 +627,7 @@ def interlaced(rng: np.random.Generator) -> Scene:
     later = CubicSpline(np.arange(len(frames)), np.stack([frame.x for frame in frames]))
     first = int(rng.integers(2))
     for k, frame in enumerate(frames):
-        frame.second_field = later(k + apart), (first + k * is_woven) % 2
+        frame.second_field = SecondField(later(k + apart), later(k + apart / 2), (first + k * is_woven) % 2)
     return scene
 
 
@@ -715,12 +729,10 @@ def pictures(
         ).astype(np.float32)
         truth = mean_columns(scene, frame)
         if frame.second_field is not None:
-            second = replace(frame, x=frame.second_field[0])
-            strip = np.interp(renderer.strip_heights, HEIGHTS, second.x.mean(axis=0))
-            clean[frame.second_field[1] :: 2] = renderer.render(second.x, rng, strip, marker_z=frame.z)[
-                frame.second_field[1] :: 2
-            ]
-            truth = (truth + mean_columns(scene, second)) / 2
+            x, middle, first_row = frame.second_field
+            strip = np.interp(renderer.strip_heights, HEIGHTS, x.mean(axis=0))
+            clean[first_row::2] = renderer.render(x, rng, strip, marker_z=frame.z)[first_row::2]
+            truth = mean_columns(scene, replace(frame, x=middle))
         _drawn(clean, frame)
         if scene.texture:
             clean += grain * (1 - np.clip((clean - camera.background) / camera.contrast, 0, 1))
