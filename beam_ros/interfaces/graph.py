@@ -61,7 +61,7 @@ class Topic:
     meaning : str -- one line with units
     is_command : bool -- moves an axis when somebody publishes on it; never replayed unasked
     is_image : bool -- large; recorded on request only
-    is_drawing : bool -- made from other topics for people to look at; never recorded
+    is_derived : bool -- holds nothing but what others hold, to look at or to send far; never recorded
     is_needed : bool -- no identification without it: a recorder that hears nothing of it says so
     """
 
@@ -71,7 +71,7 @@ class Topic:
     meaning: str
     is_command: bool = False
     is_image: bool = False
-    is_drawing: bool = False
+    is_derived: bool = False
     is_needed: bool = False
 
 
@@ -165,6 +165,14 @@ TOPICS: dict[str, Topic] = {
             "camera/image_raw", "sensor_msgs/msg/Image", QualityOfService(5), "camera frames", is_image=True
         ),
         Topic(
+            "camera/image_raw/compressed",
+            "sensor_msgs/msg/CompressedImage",
+            QualityOfService(5),
+            "the same frames as JPEG or PNG, for a network; the simulated ones only while somebody listens",
+            is_image=True,
+            is_derived=True,
+        ),
+        Topic(
             "camera/camera_info",
             "sensor_msgs/msg/CameraInfo",
             QualityOfService(5),
@@ -188,7 +196,7 @@ TOPICS: dict[str, Topic] = {
             "visualization_msgs/msg/Marker",
             QualityOfService(1),
             "the deflected beam as a line, as far as the markers tell [m]; only while somebody listens",
-            is_drawing=True,
+            is_derived=True,
         ),
         Topic(
             "tracker/debug_image",
@@ -196,7 +204,7 @@ TOPICS: dict[str, Topic] = {
             QualityOfService(1),
             "the camera's frame with what was measured drawn into it; only while somebody listens",
             is_image=True,
-            is_drawing=True,
+            is_derived=True,
         ),
         Topic(
             "excitation/info",
@@ -260,8 +268,8 @@ _HUB_PUBLISHES = (
     "/diagnostics",
 )
 _HUB_SERVES = ("hub/enable", "hub/home", "hub/stop", "hub/clear_fault")
-_CAMERA = ("camera/image_raw", "camera/camera_info")
-_RECORDED = tuple(name for name, topic in TOPICS.items() if not topic.is_drawing)
+_CAMERA = ("camera/image_raw", "camera/image_raw/compressed", "camera/camera_info")
+_RECORDED = tuple(name for name, topic in TOPICS.items() if not topic.is_derived)
 
 
 def _group(group: str, *left_out: str) -> tuple[str, ...]:

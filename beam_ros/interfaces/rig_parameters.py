@@ -216,7 +216,9 @@ class TrackerSettings:
     """Where frames come from, and how markers are found in them."""
 
     polarity: Literal["bright", "dark"] = setting("markers against ground")
-    source: str = setting("where frames come from: topic, device, file, or a kind that a package adds")
+    source: str = setting(
+        "where frames come from: topic, device, file, compressed, or a kind that a package adds"
+    )
     device: str = setting("path, number or address of the camera, where the tracker reads it")
     device_format: str = setting("four characters such as GREY, YUYV, MJPG; empty: the driver's choice")
     sets_exposure: bool = setting("set the device to camera.exposure")

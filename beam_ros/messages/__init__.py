@@ -16,6 +16,7 @@ from beam_ros.messages.batches import parse_batch_frame as parse_batch_frame
 from beam_ros.messages.batches import read_trajectory_batch as read_trajectory_batch
 from beam_ros.messages.batches import trajectory_batch as trajectory_batch
 from beam_ros.messages.camera import camera_info as camera_info
+from beam_ros.messages.camera import compressed_image as compressed_image
 from beam_ros.messages.camera import image as image
 from beam_ros.messages.clocks import clock_sync as clock_sync
 from beam_ros.messages.clocks import read_clock_sync as read_clock_sync

@@ -1,4 +1,4 @@
-"""The camera's frames and what it is: ``camera/image_raw`` and ``camera/camera_info``."""
+"""The camera's frames, as they are and compressed, and what it is: ``camera/camera_info``."""
 
 from __future__ import annotations
 
@@ -24,6 +24,16 @@ def image(types: MessageTypes, stamp_ns: int, pixels: ByteArray) -> Any:
         is_bigendian=0,
         step=pixels.nbytes // height,
         data=types.octets(pixels.tobytes()),
+    )
+
+
+def compressed_image(types: MessageTypes, stamp_ns: int, jpeg: bytes) -> Any:
+    """Build a CompressedImage from a grey JPEG."""
+    return types.make(
+        "sensor_msgs/msg/CompressedImage",
+        header=header(types, stamp_ns, graph.CAMERA_FRAME),
+        format="mono8; jpeg compressed mono8",
+        data=types.octets(jpeg),
     )
 
 

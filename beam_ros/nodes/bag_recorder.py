@@ -113,7 +113,7 @@ class BagRecorder(RigNode):
         )
         self._begun_at, self._has_complained = time.monotonic(), False
         with_images = self.rig.recorder.images
-        topics = [t for t in graph.TOPICS.values() if (with_images or not t.is_image) and not t.is_drawing]
+        topics = [t for t in graph.TOPICS.values() if (with_images or not t.is_image) and not t.is_derived]
         self._taps = [TopicTap(self, topic, self._recording) for topic in topics]
         self.get_logger().info(f"recording to {path}")
 

@@ -323,7 +323,7 @@ def _graph_topics() -> tuple[TopicRecord, ...]:
     return tuple(
         TopicRecord(name if name.startswith("/") else f"/{name}", row.type_name, "", (row.qos,))
         for name, row in graph.TOPICS.items()
-        if not row.is_drawing
+        if not row.is_derived
     )
 
 

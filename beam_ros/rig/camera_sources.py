@@ -30,9 +30,10 @@ def _video(rig: Rig) -> VideoPlayback:
 
 
 CAMERA_SOURCES: Mapping[str, CameraKind] = {
-    "topic": None,  # the frames come from another process, on camera/image_raw
+    "topic": None,  # the frames come from another process, on camera/image_raw, ...
     "device": _device,
     "file": _video,
+    "compressed": None,  # ... or on camera/image_raw/compressed
 }
 
 

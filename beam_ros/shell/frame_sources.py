@@ -12,7 +12,10 @@ from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import RigNode
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.camera.capture import CaptureLoop
-from beam_ros.vision.camera.image_messages import read_image
+from beam_ros.vision.camera.image_messages import (
+    read_compressed_image,
+    read_image,
+)
 from beam_ros.vision.camera.source import CameraSource
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.diagnosis import Complaint
@@ -59,7 +62,7 @@ class FrameSource(ABC):
 
 
 class CameraTopics(FrameSource):
-    """Frames from ``camera/image_raw``, read as bytes, and the lens from ``camera/camera_info``.
+    """Frames from a topic, as they are or compressed, read as bytes, and the lens from ``camera/camera_info``.
 
     The lens of a camera does not change from frame to frame: its topic is listened to until it has spoken, and
     again when a camera comes or ``reset`` asks for it.
@@ -69,15 +72,20 @@ class CameraTopics(FrameSource):
     node : RigNode
     sink : FrameSink
     image_size : (int, int) -- width and height that the frames should have [px]
+    is_compressed : bool -- they come as JPEG or PNG
     """
 
-    def __init__(self, node: RigNode, sink: FrameSink, image_size: tuple[int, int]) -> None:
+    def __init__(
+        self, node: RigNode, sink: FrameSink, image_size: tuple[int, int], *, is_compressed: bool
+    ) -> None:
         self._log = node.get_logger()
         self._sink = sink
         self._image_size = image_size
         self._lens_trouble = ""
         self._is_lens_known = False
-        images, infos = graph.TOPICS["camera/image_raw"], graph.TOPICS["camera/camera_info"]
+        self._read = read_compressed_image if is_compressed else read_image
+        images = graph.TOPICS["camera/image_raw/compressed" if is_compressed else "camera/image_raw"]
+        infos = graph.TOPICS["camera/camera_info"]
         self.silence = (
             f"no frames on {node.resolve_topic_name(images.name)}: start a camera, or set tracker.source"
         )
@@ -97,7 +105,7 @@ class CameraTopics(FrameSource):
     def _on_image(self, message: bytes) -> None:
         stamp_ns = None
         try:
-            image = read_image(message)
+            image = self._read(message)
             stamp_ns = image.stamp_ns
             grey = image.grey()
         except ImageFormatError as err:
@@ -222,8 +230,9 @@ def frame_source(node: RigNode, sink: FrameSink) -> FrameSource:
     ParameterFileError
         There is no such kind of source.
     """
-    make_camera = camera_kind(node.rig.tracker.source)
+    kind = node.rig.tracker.source
+    make_camera = camera_kind(kind)
     if make_camera is None:
         camera = node.rig.camera_parameters()
-        return CameraTopics(node, sink, (camera.width, camera.height))
+        return CameraTopics(node, sink, (camera.width, camera.height), is_compressed=kind == "compressed")
     return CameraReader(node, sink, make_camera(node.rig))

@@ -11,6 +11,7 @@ from beam_ros import messages
 from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.shell.node import RigNode
+from beam_ros.vision.camera.images import as_jpeg
 from beam_ros.vision.rendering.frames import SceneRenderer
 
 MAX_LAG_S = 0.1
@@ -57,6 +58,7 @@ class SimulatedCamera:
                 full_well=rig.simulation.full_well,
             )
             self._images = node.offer("camera/image_raw")
+            self._compressed = node.offer("camera/image_raw/compressed")
             self._infos = node.offer("camera/camera_info")
             self._show = self._show_frame
         else:
@@ -98,6 +100,10 @@ class SimulatedCamera:
         camera = self._film.camera
         frame = self._renderer.render(exposure.markers, self._rng, exposure.strip)
         self._images.publish(messages.image(self._types, exposure.stamp_ns, frame))
+        if self._compressed.get_subscription_count():
+            self._compressed.publish(
+                messages.compressed_image(self._types, exposure.stamp_ns, as_jpeg(frame))
+            )
         self._infos.publish(messages.camera_info(self._types, exposure.stamp_ns, camera.width, camera.height))
 
     def _show_displacement(self, exposure: Exposure) -> None:

@@ -99,7 +99,7 @@ def qos_overrides(_markers: Sequence[str], namespace: str = "") -> str:
                 "durability": "transient_local" if topic.qos.is_latched else "volatile",
             }
             for topic in TOPICS.values()
-            if not topic.is_drawing
+            if not topic.is_derived
         }
     )
 

@@ -2,18 +2,19 @@
 
 ``image_view`` looks at the message's bytes in place, honouring ``step``; ``grey_image`` goes on to the single
 channel that the tracker works on, as ``grey_frame`` does for frames that OpenCV read. Whatever does not fit is
-refused with an error that names the numbers.
+refused with an error that names the numbers. ``uncompressed`` decodes pictures of compressed topics.
 """
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 
-from beam_ros.arrays import ImageArray
+from beam_ros.arrays import ByteArray, ImageArray
 from beam_ros.vision.errors import ImageFormatError
 
 
@@ -46,6 +47,10 @@ _ENCODINGS: dict[str, _Encoding] = {
 }
 
 SUPPORTED_ENCODINGS: tuple[str, ...] = tuple(_ENCODINGS)
+
+_COMPRESSED = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND\xaeB`\x82"}
+"""How JPEG and PNG begin and end."""
+_GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 def image_view(
@@ -141,6 +146,47 @@ def grey_image(
     if code is None:
         return np.asarray(view)
     return _converted(np.ascontiguousarray(view), code)
+
+
+def as_jpeg(pixels: ByteArray) -> bytes:
+    """Compress grey pixels of shape (height, width) to a JPEG, as good as camera drivers make them (quality 95)."""
+    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+
+def uncompressed(data: Any, kind: str) -> ImageArray:
+    """Decode a JPEG or a PNG to one grey channel.
+
+    Parameters
+    ----------
+    data : bytes-like -- the picture; zeros may follow it
+    kind : str -- what the sender calls it, for the message that refuses it
+
+    Returns
+    -------
+    ndarray, shape (height, width), uint8 or uint16 -- of colour the luminance; not turned as a tag of a JPEG asks
+
+    Raises
+    ------
+    ImageFormatError -- it is neither, is cut off before its end, or cannot be decoded
+    """
+    octets = bytes(data).rstrip(b"\0")
+    end = next((end for start, end in _COMPRESSED.items() if octets.startswith(start)), None)
+    if end is None:
+        raise ImageFormatError(
+            f"compressed image is {kind!r} and begins with {octets[:4].hex(' ') or '(nothing)'}; expected a JPEG "
+            "or a PNG: set the format of the camera driver's compressed topic to jpeg or png"
+        )
+    image = None
+    # Of what is cut off, decoders make up the rest.
+    if octets.endswith(end):
+        with contextlib.suppress(cv2.error):
+            image = cv2.imdecode(np.frombuffer(octets, dtype=np.uint8), _GREY_AS_STORED)
+    if image is None:
+        raise ImageFormatError(
+            f"compressed image {kind!r} of {len(octets)} bytes is damaged or cut off; expected a whole JPEG or PNG: "
+            "check the camera's cable and the network"
+        )
+    return np.asarray(image)
 
 
 def grey_frame(frame: ImageArray) -> ImageArray:

@@ -127,9 +127,9 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
     runs.start("simulator", "a", *slow)
     runs.start("vision_tracker", "a", *slow, "tracker.averaged_frames:=2")
     # The lens is listened to until it is known: here a camera never says it, and the subscription can be seen.
-    for topic in ("camera/image_raw", "camera/camera_info"):
+    for topic in ("camera/image_raw/compressed", "camera/camera_info"):
         graph.publisher(topic, namespace="/e")
-    runs.start("vision_tracker", "e", *slow)
+    runs.start("vision_tracker", "e", *slow, "tracker.source:=compressed")
     runs.start("excitation_generator", "a", "excitation.duration:=2.0", "excitation.still:=1.0")
     runs.start("bag_recorder", "a", f"recorder.path:={tmp_path / 'recording'}", "recorder.images:=true")
     runs.start("identifier", "a", f"identifier.bag:={tmp_path / 'nowhere'}")

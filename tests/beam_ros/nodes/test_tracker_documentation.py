@@ -9,7 +9,7 @@ from beam_ros.interfaces.graph import NODES, TOPICS
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "tracker-node.md").read_text(encoding="utf-8")
-WORDS = set(re.findall(r"`([a-z_]+[./][a-z_]+)`", PAGE))
+WORDS = set(re.findall(r"`([a-z_]+[./][a-z_]+(?:/[a-z_]+)?)`", PAGE))
 
 
 def test_every_parameter_of_the_tracker_is_told_and_every_one_told_exists() -> None:

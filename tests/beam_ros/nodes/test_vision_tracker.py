@@ -64,6 +64,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrackerScene]:
             tracker__save_calibration=folder / "new.yaml",
             camera__name="lab",
         )
+        scene.start("small", tracker__source="compressed")
         scene.start("foretold", tracker__prediction="beam")
         scene.start("film", tracker__source="file", tracker__video=folder / "film.avi")
         names = {("tracker", f"/{namespace}") for namespace in scene.processes}
@@ -120,6 +121,22 @@ def test_every_encoding_gives_the_same_positions(scene) -> None:
         for _ in range(3):
             found = scene.answer("plain", scene.image(grey, **changes))
         assert found.positions == pytest.approx(expected, abs=2e-5), changes["encoding"]
+
+
+def test_compressed_images_are_measured_and_damaged_ones_said(scene) -> None:
+    scene.camera("small", topic="camera/image_raw/compressed")
+
+    def answer(x: float, suffix: str, length: int | None = None):
+        data = cv2.imencode(suffix, scene.pixels(x))[1].tobytes()[:length]
+        return scene.answer("small", messages.compressed_image(scene.graph.types, scene.stamp(), data))
+
+    for suffix in (".jpg", ".png"):
+        for x in (-2e-3, 1e-3, 1.5e-3, 1.5e-3):
+            assert answer(x, suffix).positions == pytest.approx([x] * 3, abs=3e-5)
+    assert _is_seen(answer(1.5e-3, ".jpg", -200)) == [False] * 3
+    scene.complaint("small", "damaged or cut off")
+    assert _is_seen(answer(1.5e-3, ".bmp")) == [False] * 3
+    scene.complaint("small", "expected a JPEG or a PNG")
 
 
 @pytest.mark.parametrize(

@@ -79,10 +79,12 @@ class TrackerScene:
         )
         self.seen[namespace] = Seen(self.graph, f"/{namespace}")
 
-    def camera(self, namespace: str, qos: QualityOfService = RELIABLE) -> Any:
+    def camera(
+        self, namespace: str, qos: QualityOfService = RELIABLE, topic: str = "camera/image_raw"
+    ) -> Any:
         """Make the camera of a namespace, matched with its tracker."""
         if namespace not in self._cameras:
-            publisher = self.graph.publisher("camera/image_raw", qos, f"/{namespace}")
+            publisher = self.graph.publisher(topic, qos, f"/{namespace}")
             self._cameras[namespace] = publisher
             self.graph.wait(
                 lambda: publisher.get_subscription_count() > 0, "the tracker's subscription", 20.0

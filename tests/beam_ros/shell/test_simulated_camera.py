@@ -11,6 +11,7 @@ from beam_ros.hub.simulated.axis import Snapshots
 from beam_ros.messages import BagTypes, read_displacement
 from beam_ros.messages.stamps import stamp_ns
 from beam_ros.rig.rig import Rig
+from beam_ros.vision.camera.images import uncompressed
 
 pytest.importorskip("rclpy", reason="the shell needs rclpy")
 from beam_ros.shell.simulated_camera import SimulatedCamera
@@ -21,7 +22,7 @@ EXPOSURE_S, READOUT_S, LATENCY_S = 0.002, 0.006, 0.003
 
 
 def published(
-    with_images: bool, until_ns: int = 50_000_000, **values: object
+    with_images: bool, until_ns: int = 50_000_000, n_listeners: int = 0, **values: object
 ) -> tuple[Rig, dict[str, list], SimulatedCamera]:
     """Film a hub that travels at a constant speed, the beam straight; return what came on each topic."""
     quiet = {"simulation.displacement_noise": 0.0, "camera.noise": 0.0}
@@ -36,7 +37,9 @@ def published(
         )
 
     def offer(topic: str) -> SimpleNamespace:
-        return SimpleNamespace(publish=came.setdefault(topic, []).append)
+        return SimpleNamespace(
+            publish=came.setdefault(topic, []).append, get_subscription_count=lambda: n_listeners
+        )
 
     node = SimpleNamespace(rig=rig, types=BagTypes(), offer=offer)
     camera = SimulatedCamera(node, model, snapshots, START, with_images=with_images)
@@ -71,6 +74,18 @@ def test_an_image_shows_every_marker_where_the_hub_was_when_its_row_was_exposed(
             assert column == pytest.approx(
                 camera.origin_px[0] + camera.pixels_per_metre * SPEED * middle, abs=0.03
             )
+
+
+def test_compressed_images_are_those_of_the_other_topic_and_sent_while_somebody_listens() -> None:
+    came = published(True, n_listeners=1)[1]
+    images, compressed = came["camera/image_raw"], came["camera/image_raw/compressed"]
+    assert [stamp_ns(image) for image in compressed] == [stamp_ns(image) for image in images]
+    for image, small in zip(images, compressed, strict=True):
+        pixels = np.asarray(image.data).reshape(image.height, image.width)
+        seen = uncompressed(small.data, small.format)
+        assert np.abs(seen.astype(int) - pixels).max() <= 12
+        assert len(small.data) < pixels.size / 10
+    assert published(True)[1]["camera/image_raw/compressed"] == []
 
 
 @pytest.mark.parametrize("readout", [0.0, READOUT_S])

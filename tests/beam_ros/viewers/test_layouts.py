@@ -121,7 +121,7 @@ def test_qualities_of_service_are_those_of_the_table() -> None:
     assert set(content) == {
         name if name.startswith("/") else f"/rig1/{name}"
         for name, row in TOPICS.items()
-        if not row.is_drawing
+        if not row.is_derived
     }
     for name, profile in content.items():
         row = TOPICS.get(name) or TOPICS[name.removeprefix("/rig1/")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from beam_ros.messages import BagTypes
 from beam_ros.vision.errors import ImageFormatError
 
 pytest.importorskip("cv2")
-from beam_ros.vision.camera.image_messages import read_image
+from beam_ros.vision.camera.image_messages import read_compressed_image, read_image
 
 STAMP_NS = 1_700_000_000_123_456_789
 PIXELS = np.arange(5 * 7, dtype=np.uint8).reshape(5, 7)
@@ -100,6 +101,23 @@ def test_every_flipped_bit_is_refused_or_read_without_leaving_the_message() -> N
         except ImageFormatError:
             continue
         assert grey.shape == (5, 7) or grey.nbytes <= 35
+
+
+def test_compressed_images_are_read_alike_and_their_truncations_refused() -> None:
+    types = BagTypes()
+    wide = (PIXELS.astype(np.uint16) << 8) + 7
+    for pixels, suffix in ((PIXELS, ".png"), (wide, ".png"), (np.full((16, 16), 90, np.uint8), ".jpg")):
+        picture = cv2.imencode(suffix, pixels)[1].tobytes()
+        message = messages.compressed_image(types, STAMP_NS, picture)
+        data = types.serialize(message, "sensor_msgs/msg/CompressedImage")
+        image = read_compressed_image(data)
+        assert (image.stamp_ns, image.frame_id) == (STAMP_NS, "camera_optical_frame")
+        assert bytes(image.data) == picture
+        np.testing.assert_array_equal(image.grey(), pixels)
+        assert image.grey().dtype == pixels.dtype
+        for length in range(len(data) - 3):  # 3: the padding behind it
+            with pytest.raises(ImageFormatError, match="check the camera driver"):
+                read_compressed_image(data[:length])
 
 
 def test_a_foreign_representation_is_named() -> None:

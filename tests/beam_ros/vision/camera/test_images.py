@@ -6,7 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from beam_ros.vision.camera.images import SUPPORTED_ENCODINGS, grey_frame, grey_image, image_view
+from beam_ros.vision.camera.images import (
+    SUPPORTED_ENCODINGS,
+    grey_frame,
+    grey_image,
+    image_view,
+    uncompressed,
+)
 from beam_ros.vision.errors import ImageFormatError
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.tracking.tracker import MarkerTracker
@@ -145,3 +151,26 @@ def test_a_captured_frame_of_any_layout_becomes_grey():
 def test_a_captured_frame_that_is_no_image_is_refused_with_its_shape(frame):
     with pytest.raises(ImageFormatError, match=r"of shape .*expected 8 or 16 bits.*device_format"):
         grey_frame(frame)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_compressed_picture_that_is_cut_off_is_refused_and_zeros_behind_it_are_none_of_it(suffix):
+    pixels = np.full((48, 64), 90, np.uint8)
+    pixels[20:30, 20:40] = 200
+    whole = cv2.imencode(suffix, pixels)[1].tobytes()
+    np.testing.assert_array_equal(uncompressed(whole, ""), uncompressed(whole + bytes(64), ""))
+    for length in range(8, len(whole) - 1):
+        with pytest.raises(ImageFormatError, match="damaged or cut off"):
+            uncompressed(whole[:length], "jpeg")
+
+
+def test_a_colour_picture_gives_its_luminance_and_other_kinds_are_named():
+    colours = np.zeros((16, 16, 3), np.uint8)
+    colours[...] = 30, 120, 200
+    found = uncompressed(cv2.imencode(".png", colours)[1].tobytes(), "bgr8; png compressed bgr8")
+    np.testing.assert_allclose(found, 0.114 * 30 + 0.587 * 120 + 0.299 * 200, atol=1.0)
+    for data, start in ((b"", r"\(nothing\)"), (b"\0\0\1\x09\x10\1", "00 00 01 09")):
+        with pytest.raises(
+            ImageFormatError, match=f"'h264' and begins with {start}; expected a JPEG or a PNG"
+        ):
+            uncompressed(data, "h264")
