@@ -249,6 +249,11 @@ def _remarks(
             f"{video.n_times} frame times are given for {n_frames} frames: where frames are missing but at the end, "
             "the times are not theirs"
         )
+    if video.predicting_codec:
+        yield (
+            f"the codec {video.predicting_codec} keeps what changes from frame to frame: places scatter several "
+            "times as much as in the camera's own pictures. Film in Motion JPEG or FFV1, or with key frames only"
+        )
     if unchanged := max(counts.get("repeated", 0) for counts in reasons):
         yield (
             f"{unchanged} of {n_frames} frames are the one before, bit for bit, though what they show moves: they "

@@ -12,10 +12,7 @@ from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import RigNode
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.camera.capture import CaptureLoop
-from beam_ros.vision.camera.image_messages import (
-    read_compressed_image,
-    read_image,
-)
+from beam_ros.vision.camera.image_messages import read_compressed_image, read_image
 from beam_ros.vision.camera.source import CameraSource
 from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.measurement.diagnosis import Complaint

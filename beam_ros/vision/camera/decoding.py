@@ -36,6 +36,8 @@ _MAX_COMPLAINT = 300
 _MAX_STATED_HZ = 50_000.0
 """Where a file states a higher rate, it states its clock's."""
 _FFV1, _MOTION_JPEG, _GREY = b"ffv1", b"mjpg", b"y800"
+_PREDICTED = "P", "B", "S"
+"""Types of pictures that hold what changed since others."""
 _PICTURE, _PICTURE_RAW, _IS_KEY = (int.from_bytes(word, "little") for word in (b"dc", b"db", b"\x10"))
 _Item = TypeVar("_Item")
 
@@ -71,6 +73,8 @@ class Decoder:
     n_frames : int -- what the file claims; 0 where it does not say
     rate_hz : float -- what the file claims, its clock's rate, too [Hz]
     stated_hz : float -- the same where it can be the rate of frames, else NaN [Hz]
+    codec : str -- its four letters
+    is_predicted : bool -- a picture that was decoded holds what changed since others
 
     Raises
     ------
@@ -82,6 +86,7 @@ class Decoder:
         self._complaints = _Complaints() if is_heeded else None
         self._keys: frozenset[int] | None = None
         self._is_whole = True
+        self.is_predicted = False
         capture = self._open()
         try:
             self.width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
@@ -93,6 +98,7 @@ class Decoder:
             capture.release()
         is_frames = math.isfinite(self.rate_hz) and 0 < self.rate_hz <= _MAX_STATED_HZ
         self.stated_hz = self.rate_hz if is_frames else math.nan
+        self.codec = self._codec.decode("ascii", "replace").upper()
 
     def _open(self, *, is_one_by_one: bool = False) -> Any:
         if self.path.is_dir():
@@ -200,6 +206,7 @@ class Decoder:
                     continue
                 n_undecodable, failed = n_undecodable + failed, 0
                 shown_ns = round(float(capture.get(cv2.CAP_PROP_POS_MSEC)) * _MILLISECOND_NS)
+                self.is_predicted = self.is_predicted or _type(capture) in _PREDICTED
                 if heard is not None:
                     # A picture that builds on a damaged one is damaged, too, up to the next that stands by itself.
                     number = self._number(count + n_undecodable, shown_ns)
@@ -259,8 +266,7 @@ class Decoder:
             if self._keys is None:
                 self._keys = _key_frames(self.path)
             return k in self._keys
-        kind = getattr(cv2, "CAP_PROP_FRAME_TYPE", None)
-        return kind is not None and int(capture.get(kind)) == ord("I")
+        return _type(capture) == "I"
 
 
 def _ahead(items: Generator[_Item, None, None]) -> Generator[_Item, None, None]:
@@ -297,6 +303,12 @@ def _ahead(items: Generator[_Item, None, None]) -> Generator[_Item, None, None]:
 def _letters(capture: Any, what: int) -> bytes:
     """Four letters of a codec or a pixel format; OpenCV 5 writes some small that were large in OpenCV 4."""
     return (int(capture.get(what)) & 0xFFFFFFFF).to_bytes(4, "little").lower()
+
+
+def _type(capture: Any) -> str:
+    """Letter of the type of the picture read last; "" where OpenCV does not say it."""
+    kind = getattr(cv2, "CAP_PROP_FRAME_TYPE", None)
+    return "" if kind is None else chr(max(int(capture.get(kind)), 0))
 
 
 def _key_frames(path: Path) -> frozenset[int]:

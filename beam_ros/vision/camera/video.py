@@ -183,6 +183,11 @@ class VideoFile:
         )
 
     @property
+    def predicting_codec(self) -> str:
+        """Letters of a codec that wrote what changes from picture to picture; "" where none of those read is such."""
+        return self._decoder.codec if self._decoder.is_predicted else ""
+
+    @property
     def first_complaint(self) -> str:
         """What the decoder, where it is heeded, complained about first; "" where it did not."""
         return self._decoder.first_complaint

@@ -63,9 +63,9 @@ def contents(path: Path) -> list[tuple[str, bytes]]:
         return [(message.topic, message.data) for message in opened.raw_messages()]
 
 
-def write_video(path: Path, frames: list[np.ndarray]) -> Path:
+def write_video(path: Path, frames: list[np.ndarray], codec: str = "FFV1") -> Path:
     height, width = frames[0].shape
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 100.0, (width, height), False)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 100.0, (width, height), False)
     for frame in frames:
         writer.write(frame)
     writer.release()
@@ -127,6 +127,20 @@ def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
     notes = track_video(VideoFile(write_video(tmp_path / "interlaced.mkv", frames)), rig).notes
     (note,) = (note for note in notes if "interlaced" in note)
     assert "-vf bwdif" in note
+
+
+@pytest.mark.skipif(
+    not hasattr(cv2, "CAP_PROP_FRAME_TYPE"), reason="OpenCV before 4.6 does not tell key frames from others"
+)
+def test_a_codec_that_keeps_what_changes_is_named_and_one_of_whole_pictures_not(tmp_path: Path) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    renderer, rng = SceneRenderer(rig.camera_parameters(), rig.markers.heights), np.random.default_rng(4)
+    frames = [renderer.render(1e-3 * np.sin(0.3 * k) * np.ones(3), rng) for k in range(30)]
+    for codec, said in (("mp4v", ["FMP4"]), ("MJPG", []), ("FFV1", [])):
+        notes = track_video(VideoFile(write_video(tmp_path / f"{codec}.mkv", frames, codec)), rig).notes
+        assert [
+            word for note in notes for word in re.findall("the codec (.*) keeps what changes", note)
+        ] == said
 
 
 def test_the_video_finds_its_time_in_the_hubs() -> None:
