@@ -47,6 +47,8 @@ _SOME, _LIKELY = 0.6, 3.0
 """Jitter is refused from this share of the limit on where it is significant, from the limit on where it is likely."""
 _EVEN = 0.1
 """Share of a period by which frames may be shown to be uneven where some are taken for lost."""
+_TO_SIGMA = 1.4826
+"""Standard deviation of Gaussian noise over its median absolute deviation."""
 _RECURSION = 6
 _BROKEN = 9.0
 """So many standard deviations of its innovations break the recursion of a free swing, ..."""
@@ -376,9 +378,14 @@ def _shifted(found: Synchronisation, by_s: float) -> Synchronisation:
 
 
 def _spread(residual: FloatArray) -> float:
-    """Robust standard deviation."""
+    """Robust standard deviation, infinite where nothing is known."""
     known = residual[np.isfinite(residual)]
-    return float(1.4826 * np.median(np.abs(known - np.median(known)))) if known.size else math.inf
+    return float(_spread_of_sizes(np.abs(known - np.median(known)))) if known.size else math.inf
+
+
+def _spread_of_sizes(sizes: FloatArray) -> FloatArray:
+    """Robust standard deviation of what is so far from its middle, along the last axis; NaN is left out."""
+    return np.asarray(_TO_SIGMA * np.nanmedian(sizes, axis=-1))
 
 
 def _growth(squares: FloatArray, speeds: FloatArray) -> tuple[float, float]:
@@ -483,7 +490,7 @@ def _usual_of_late(sizes: FloatArray) -> FloatArray:
     last = sliding_window_view(before, 4 * _RECURSION)
     enough = 2 * np.count_nonzero(np.isfinite(last), axis=1) > last.shape[1]
     usual = np.zeros(len(sizes))
-    usual[enough] = 1.4826 * np.nanmedian(last[enough], axis=1)
+    usual[enough] = _spread_of_sizes(last[enough])
     return usual
 
 
