@@ -127,6 +127,12 @@ class Recovery:
                     reach = min(reach, abs(other.v - marker.v) / 2)
         return spots_in_row(self._meter, image, marker.v, reach, marker.light, marker.appearance, own)
 
+    def note_losses(self, frame: int) -> None:
+        """Note the loss of every marker that is followed, in a frame that shows none of them."""
+        for k, marker in enumerate(self._markers):
+            if marker.is_followed:
+                self.note_loss(k, frame)
+
     def note_loss(self, k: int, frame: int) -> None:
         """Note where a marker was last seen, and what was beside it in that frame."""
         marker = self._markers[k]

@@ -176,9 +176,9 @@ class MarkerTracker:
     def pass_over(self, n_frames: int) -> None:
         """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
         self._frame += n_frames
-        for k, marker in enumerate(self._markers):
+        self._recovery.note_losses(self._frame)
+        for marker in self._markers:
             if marker.is_followed:
-                self._recovery.note_loss(k, self._frame)
                 marker.lost_frames += n_frames
 
     @property
@@ -236,9 +236,7 @@ class MarkerTracker:
             self._shape = (int(image.shape[0]), int(image.shape[1]))
         self._frame += 1
         if self._repeats.is_repeated(image) and any(marker.is_moving for marker in self._markers):
-            for k, marker in enumerate(self._markers):
-                if marker.is_followed:
-                    self._recovery.note_loss(k, self._frame)
+            self._recovery.note_losses(self._frame)
             nothing = [self._invalid(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
             return FrameResult(stamp_ns, tuple(nothing), ())
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
