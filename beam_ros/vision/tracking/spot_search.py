@@ -86,15 +86,14 @@ def spots_in_row(
             if candidate is None:
                 found.others.append((x, "shape"))
                 continue
-            spot, own_light = candidate = meter.undimmed(image, *candidate, appearance, is_narrow=is_crowded)
-            gates = meter.gates(own_light, appearance)
+            spot, own_light, gates = meter.undimmed(image, *candidate, appearance, is_narrow=is_crowded)
             why = meter.judge(spot, gates._replace(row=(row - reach, row + reach)))
             if why == "jump":
                 continue
             if why != "ok":
                 found.others.append((x, why))
             elif all(math.dist(spot[:2], other[:2]) > 1.0 for other, _ in found.alike):
-                found.alike.append(candidate)
+                found.alike.append((spot, own_light))
     return found
 
 

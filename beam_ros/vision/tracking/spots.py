@@ -449,14 +449,21 @@ class SpotMeter:
 
     def undimmed(
         self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance, *, is_narrow: bool
-    ) -> tuple[Spot, Light]:
-        """Measure a spot again in the light that its marker has at rest, where a smear has taken some from it."""
-        share = self.lit_share(spot, self.gates(light, appearance))
+    ) -> tuple[Spot, Light, Gates]:
+        """Measure a spot again in the light that its marker has at rest, where a smear has taken some from it.
+
+        Returns
+        -------
+        Spot, Light, and the Gates in this light
+        """
+        gates = self.gates(light, appearance)
+        share = self.lit_share(spot, gates)
         if share == 1.0:
-            return spot, light
+            return spot, light, gates
         contrast = abs(spot.plateau - light.background) / share
         whole = Light(self.parameters, light.background, contrast, light.noise)
-        return self.measure(image, spot.u, spot.v, whole, is_narrow=is_narrow)[0] or spot, whole
+        again, _ = self.measure(image, spot.u, spot.v, whole, is_narrow=is_narrow)
+        return again or spot, whole, self.gates(whole, appearance)
 
     def lit_share(self, spot: Spot, gates: Gates) -> float:
         """Share of its contrast that a smear has left to a spot."""
