@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class FitPoint:
     zetas: FloatArray
     clock: ClockState
     coefficients: tuple[FloatArray, ...]
+
+    def begins(self, clock_is_free: tuple[bool, bool]) -> list[int]:
+        """Return where the linear parameters of every output begin, and behind them the number of all parameters."""
+        n_common = 2 * len(self.omegas) + sum(clock_is_free)
+        return list(accumulate(map(len, self.coefficients), initial=n_common))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +156,7 @@ class NoiseDraws:
         """
         scores, information = [], 0.0
         n = len(self._draws)
-        n_columns = 2 * len(point.omegas) + sum(self._clock_is_free) + sum(map(len, point.coefficients)) + 1
+        n_columns = point.begins(self._clock_is_free)[-1] + 1
         at_once = max(_AT_ONCE // (n_columns * sum(map(len, spreads))), 1)
         for first in range(0, n, at_once):
             drawn = [
@@ -179,17 +185,16 @@ class NoiseDraws:
         """
         regression = self._on_inputs(draw.inputs)
         blocks = regression.blocks(point.omegas, point.zetas, point.clock, gradients=True)
-        sizes = [len(found) for found in point.coefficients]
-        first = 2 * len(point.omegas) + sum(self._clock_is_free)
-        total, rows = first + sum(sizes), []
-        for output, (number, found) in enumerate(zip(regression.block_of, point.coefficients, strict=True)):
+        *begins, total = point.begins(self._clock_is_free)
+        rows = []
+        of_outputs = zip(regression.block_of, point.coefficients, begins, strict=True)
+        for output, (number, found, first) in enumerate(of_outputs):
             block, shared = blocks[number], found[: self._n_shared]
             through = _padded(shared, block)
             full = np.zeros((len(block.matrix), total + 1))
-            full[:, : total - sum(sizes)] = block.slopes(through, *self._clock_is_free)
+            full[:, : begins[0]] = block.slopes(through, *self._clock_is_free)
             full[:, first : first + len(shared)] = block.matrix[:, : len(shared)]
             full[:, -1] = spreads[output] * draw.own[output] - block.matrix @ through
-            first += sizes[output]
             rows.append(full)
         # What the stamps' jitter does to the outputs, (I.26).
         for jitter, seen, late in zip(jitters, self._observations, draw.late, strict=False):
