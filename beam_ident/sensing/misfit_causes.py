@@ -172,9 +172,7 @@ def _without(cause: _Cause, columns: Mapping[str, Column], left: FloatArray, tur
     leave nothing of it.
     """
     names = cause.columns if cause.kind in _LIKE_COLOUR else (*cause.columns, *cause.beside)
-    own = _stacked(columns, names, len(left))
-    size = np.linalg.norm(own, axis=0)
-    cause_alone = LinearSolution.of(own / np.where(size > 0.0, size, 1.0))
+    cause_alone = LinearSolution.of(_stacked(columns, names, len(left)))
     return _Whitened.of(left, cause_alone.left_of(left), turn)
 
 
