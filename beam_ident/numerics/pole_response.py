@@ -271,11 +271,11 @@ class _RegularKnots:
         n_segments, n_coefficients = coefficients.shape
         self.n_coefficients = n_coefficients
         self.length = length = _BLOCK_WIDTH // n_coefficients
-        n_blocks = -(-n_segments // length)
-        if n_blocks * length > n_segments:
-            rest = np.zeros((n_blocks * length - n_segments, n_coefficients))
-            coefficients = np.concatenate([coefficients, rest])
-        self.blocks = coefficients.reshape(n_blocks, length * n_coefficients)
+        n_blocks, width = -(-n_segments // length), length * n_coefficients
+        # Zeros fill the last block, and stand for one before the first.
+        self.padded = np.zeros((n_blocks + 1) * width)
+        self.padded[width : width + coefficients.size] = coefficients.ravel()
+        self.blocks = self.padded[width:].reshape(n_blocks, width)
         weights = _Weights.of(poles, np.array([period]), n_coefficients - 1, gradients)
         carry, gains = weights.carry[:, :, 0], weights.gains[:, :, :, 0]
         # What a block's first state, and its coefficients, do 0, 1, .. length knots later.
@@ -315,8 +315,7 @@ class _RegularKnots:
                 return np.asarray(np.take(dense, index - first_block * self.length, axis=2))
         # A block's worth of coefficients before each knot, without those of the block before its own.
         width = self.blocks.shape[1]
-        padded = np.concatenate([np.zeros(width), self.blocks.ravel()])
-        rows = sliding_window_view(padded, width)[index * self.n_coefficients]
+        rows = sliding_window_view(self.padded, width)[index * self.n_coefficients]
         rows[np.arange(width) < width - self.n_coefficients * later[:, None]] = 0.0
         result = _products(self.reach[:, :n_orders], rows)
         powers, first = np.take(self.powers, later, axis=2), np.take(self.first[:, :n_orders], block, axis=2)
