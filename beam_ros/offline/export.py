@@ -191,9 +191,9 @@ class _JointStateRows:
 
     def __init__(self, signal: _Signal) -> None:
         types = BagTypes()
-        names = [name.removesuffix("_m") for name in signal.columns]
-        if signal.topic != "beam/displacement":
-            names = list(signal.columns)
+        # Displacements have the names of the markers, as on the graph.
+        unit = "_m" if signal.topic == "beam/displacement" else ""
+        names = [name.removesuffix(unit) for name in signal.columns]
         zeros = np.zeros(len(names))
         message = messages.displacement(types, 0, names, zeros)
         self._template = types.serialize(message, graph.JOINT_STATE)

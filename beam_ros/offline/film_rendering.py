@@ -49,7 +49,8 @@ class FilmOrder:
     faults : CameraFaults
     is_whole : bool -- the strip alone, without dots
     strip_contrast : float or None -- strip above ground [grey levels of 255]; None: 120 for the strip alone, else
-    faint strip_width_px : float or None -- width of the strip in the image [px]; None: from beam.thickness
+        faint
+    strip_width_px : float or None -- width of the strip in the image [px]; None: from beam.thickness
     container : str -- one of ``CONTAINERS``
     keeps_images : bool -- the frames on camera/image_raw in the bag, too
     unevenness_s : float -- frames come by up to so much sooner or later [s]

@@ -169,7 +169,6 @@ class _Run:
 def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     rng = np.random.default_rng(rig.simulation.seed)
     noise = rig.simulation.displacement_noise
-
     names = rig.markers.names
 
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:

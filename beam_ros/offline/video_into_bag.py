@@ -192,17 +192,15 @@ def _film_notes(tracked: TrackedVideo, times: FilmTimes) -> Iterator[str]:
     n_frames = len(times.lost)
     if times.n_lost:
         yield (
-            f"the camera dropped {times.n_lost} frames that the file does not tell of; the hub's motion told "
-            f"where, and "
-            "the frames behind were given their right times"
+            f"the camera dropped {times.n_lost} frames that the file does not tell of; the hub's motion told where, "
+            "and the frames behind were given their right times"
         )
     untimed = n_frames - int(np.count_nonzero(times.is_timed))
     if untimed:
         yield (
             f"nobody can tell when {untimed} of {n_frames} frames were taken, for the hub and the beam hardly moved "
             "beside a lost frame: they are marked as not seen; a container with frame times (Matroska, MP4) or "
-            "--times "
-            "would keep them"
+            "--times would keep them"
         )
     if abs(found.gain - 1) > _GAIN_TOLERANCE:
         yield (

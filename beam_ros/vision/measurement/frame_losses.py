@@ -364,10 +364,9 @@ class _Search:
         is_some = jitter > _SOME * limit and slope > _SIGNIFICANT * slope_sd
         if heeds_jitter and (is_some or (jitter > limit and slope > _LIKELY * slope_sd)):
             raise SynchronisationError(
-                f"the film's frames come {jitter * 1e3:.2f} +- {jitter_sd * 1e3:.2f} ms (rms) off the times "
-                f"that it states; "
-                f"expected {limit * 1e3:g} ms at most: give the camera's own times with --times, or film at a "
-                f"constant rate"
+                f"the film's frames come {jitter * 1e3:.2f} +- {jitter_sd * 1e3:.2f} ms (rms) off the times that "
+                f"it states; expected {limit * 1e3:g} ms at most: give the camera's own times with --times, or film "
+                "at a constant rate"
             )
         return jitter, jitter_sd
 
