@@ -17,13 +17,12 @@ import cv2
 import numpy as np
 
 from beam_ident.report.page import write_whole
-from beam_ros import messages
 from beam_ros.arrays import ByteArray, FloatArray
 from beam_ros.errors import UsageError
 from beam_ros.excitation.recipes import recipe_of_rig
 from beam_ros.messages import BagTypes
-from beam_ros.offline.simulation import Measure, simulate
-from beam_ros.offline.whole_beam import strip_parameters
+from beam_ros.offline.simulation import Measure, image_messages, simulate
+from beam_ros.offline.whole_beam import point_names, strip_parameters
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.rig.rig import Rig
@@ -154,8 +153,8 @@ class _Film:
             # The same points as `beam track --points full` follows.
             parameters = strip_parameters(camera, rig.beam.length, order.row_step)
             rows = StripFollower(parameters, (camera.height, camera.width)).rows_px
-            self.heights = tuple(((camera.origin_px[1] - rows) / camera.pixels_per_metre).tolist())
-            self.names = tuple(f"z{height * 1e3:05.1f}" for height in self.heights)
+            self.heights = tuple(camera.heights(rows).tolist())
+            self.names = point_names(self.heights)
         self._write_frame, self._close = self._opened()
         self._table = (folder / "truth.csv").open("w", encoding="utf-8", newline="")
         self._rows = csv.writer(self._table)
@@ -215,11 +214,7 @@ class _Film:
             self._tell(exposure, weights, film, du)
             self.count += 1
             if self._order.keeps_images:
-                yield "camera/image_raw", messages.image(types, exposure.stamp_ns, picture)
-                yield (
-                    "camera/camera_info",
-                    messages.camera_info(types, exposure.stamp_ns, camera.width, camera.height),
-                )
+                yield from image_messages(types, exposure.stamp_ns, picture)
 
         return measure
 

@@ -180,6 +180,13 @@ def _noisy(rig: Rig, film: Film, types: BagTypes) -> Measure:
     return measure
 
 
+def image_messages(types: BagTypes, stamp_ns: int, frame: ByteArray) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message of what a camera publishes with a frame: the image, and its size."""
+    height, width = frame.shape
+    yield "camera/image_raw", messages.image(types, stamp_ns, frame)
+    yield "camera/camera_info", messages.camera_info(types, stamp_ns, width, height)
+
+
 def rendered(rig: Rig, film: Film) -> Callable[[Exposure], ByteArray]:
     """Return what draws the rig's frames, with the noise of its camera."""
     from beam_ros.vision.rendering.frames import SceneRenderer
@@ -212,11 +219,7 @@ def _tracked(rig: Rig, film: Film, types: BagTypes) -> Measure:
     def measure(exposure: Exposure) -> Iterator[tuple[str, Any]]:
         frame = render(exposure)
         if rig.recorder.images:
-            yield "camera/image_raw", messages.image(types, exposure.stamp_ns, frame)
-            yield (
-                "camera/camera_info",
-                messages.camera_info(types, exposure.stamp_ns, camera.width, camera.height),
-            )
+            yield from image_messages(types, exposure.stamp_ns, frame)
         seen = chain.measure(exposure.stamp_ns, frame)
         found = seen.displacement
         for _, message in messages.displacement_messages(types, names, seen.stamps_ns, found.x_m):

@@ -7,7 +7,7 @@ of the experiment has these points for markers.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,6 +74,11 @@ def strip_parameters(camera: CameraParameters, length_m: float, row_step: int) -
     )
 
 
+def point_names(heights: Iterable[float]) -> tuple[str, ...]:
+    """Names of points of the strip by their heights above the clamp, to a tenth of a millimetre."""
+    return tuple(f"z{height * 1e3:05.1f}" for height in heights)
+
+
 def follow_strip(
     video: VideoFile,
     camera: CameraParameters,
@@ -115,7 +120,7 @@ def follow_strip(
     rows = follower.rows_px
     scale = calibration or LinearCalibration.from_camera(camera, len(rows))
     lens = Lens.from_dict(scale.provenance["lens"]) if "lens" in scale.provenance else None
-    heights = (camera.origin_px[1] - rows) / camera.pixels_per_metre
+    heights = camera.heights(rows)
     if perspective is not None:
         at_rest = np.full(len(rows), expected.rest_column), rows
         heights = perspective.heights(scale.travel_axes(*(lens.undistort(*at_rest) if lens else at_rest))[1])
@@ -156,7 +161,7 @@ def follow_strip(
     stamps = np.array([[timing.row_middle(0, float(row)) for row in rows]], dtype=np.int64)
     frame_times = np.array(times, dtype=np.int64)
     return FollowedPoints(
-        tuple(f"z{height * 1e3:05.1f}" for height in heights[chosen]),
+        point_names(heights[chosen]),
         heights[chosen],
         frame_times,
         (frame_times[:, None] + stamps)[:, chosen],

@@ -207,6 +207,10 @@ class CameraParameters:
         """
         return np.asarray(self.origin_px[1] - self.pixels_per_metre * np.asarray(heights, dtype=np.float64))
 
+    def heights(self, rows: FloatArray) -> FloatArray:
+        """Heights above the clamp of image rows [m]: the reverse of ``rows``."""
+        return np.asarray((self.origin_px[1] - rows) / self.pixels_per_metre)
+
 
 @dataclass(frozen=True)
 class TrackerParameters:
