@@ -6,7 +6,7 @@ hub's: first coarsely, by the lag of the largest normalised correlation, then by
     x_low(t) = gain * alpha((1 + drift) t + offset) + zero
 
 in which slow, large motion decides, and there the marker follows the hub without lag. What the beam's own
-deflection leaves in the residuals counts as noise that is correlated over the correlation time given.
+deflection leaves in the residuals counts as noise that is correlated over half a second.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ _MIN_FRAMES = 20
 _MIN_CORRELATION = 0.8
 _MIN_OVERLAP = 0.5
 _CLEARLY = 2.0
+_CORRELATION_TIME_S = 0.5
+"""Residuals remember for so long, which enters the standard deviations."""
 _MIN_MOTION = 1e-3
 """A marker that moves by less than this share of the hub's way stands still."""
 
@@ -68,7 +70,6 @@ def synchronise(
     low_marker_m: npt.ArrayLike,
     *,
     fits_drift: bool = False,
-    correlation_time_s: float = 0.5,
     expected_s: float = 0.0,
 ) -> Synchronisation:
     """Find the camera's time in the hub's.
@@ -79,7 +80,6 @@ def synchronise(
     camera_times_s, low_marker_m : array_like, shape (n_frames,) -- rising times of mid-exposure by the camera's
         clock, and displacement of the lowest marker; NaN where it was not seen
     fits_drift : bool -- also fit the ratio of the clocks' rates
-    correlation_time_s : float -- how long residuals remember; enters the standard deviations [s]
     expected_s : float -- an offset within this, either way, is preferred where it explains the motion about as well
         as any other: less than twice the unexplained power (by chance e^-7 with twenty independent frames) [s]
 
@@ -114,7 +114,7 @@ def synchronise(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
             f"{_MIN_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
         )
-    return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, correlation_time_s)
+    return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift)
 
 
 def _chosen_offset(
@@ -166,7 +166,6 @@ def _refined(
     offset: float,
     correlation: float,
     fits_drift: bool,
-    correlation_time_s: float,
 ) -> Synchronisation:
     """Gauss-Newton for offset, gain, zero and drift."""
     slopes = np.gradient(hub_x, hub_t)
@@ -193,10 +192,10 @@ def _refined(
         drift += float(step[3]) if fits_drift else 0.0
         if abs(step[0]) < _CONVERGED_S:
             break
-    covariance = _robust_covariance(design, residual, t[inside], correlation_time_s)
+    covariance = _robust_covariance(design, residual, t[inside], _CORRELATION_TIME_S)
     # A few stretches of that length say little about their own scatter: Student's t for as many, less two, takes the
     # normal distribution's place (Cameron and Miller 2015), folded into the standard deviation at 95 %.
-    stretches = residual.size / (_remembered(t[inside], correlation_time_s) + 1)
+    stretches = residual.size / (_remembered(t[inside], _CORRELATION_TIME_S) + 1)
     covariance *= (float(stdtrit(max(stretches - 2.0, 1.0), 0.975)) / 1.96) ** 2
     back = np.array([1.0, -middle]) if fits_drift else np.array([1.0])
     chosen = np.array([0, 3]) if fits_drift else np.array([0])
