@@ -187,14 +187,18 @@ class _Search:
         """Differences between film and hub [m], NaN where one is missing, and the hub's speed then [m/s]."""
         at = found.hub_times(times)
         inside = (at >= self.hub_t[0]) & (at <= self.hub_t[-1])
-        speed = np.interp(at, self.hub_t, np.gradient(self.hub_x, self.hub_t))
         hub = np.interp(at, self.hub_t, self.hub_x)
-        return np.where(inside, self.seen - found.gain * hub - found.zero_m, np.nan), found.gain * speed
+        residual = np.where(inside, self.seen - found.gain * hub - found.zero_m, np.nan)
+        return residual, found.gain * self._hub_speed(at)
+
+    def _hub_speed(self, at: FloatArray) -> FloatArray:
+        """The hub's speed at times of its own [m/s]."""
+        return np.interp(at, self.hub_t, np.gradient(self.hub_x, self.hub_t))
 
     def is_moving(self, found: Synchronisation, times: FloatArray) -> np.ndarray:
         """Whether the hub moves by more than the film's noise within a period."""
-        speed = np.interp(found.hub_times(times), self.hub_t, np.gradient(self.hub_x, self.hub_t))
-        return np.asarray(np.abs(speed) * (self.period_s or 0.0) > 3.0 * max(self.sigma, 1e-9))
+        speed = self._hub_speed(found.hub_times(times))
+        return np.asarray(np.abs(speed) * (self.period_s or 0.0) > _MOVING * max(self.sigma, 1e-9))
 
     # -- the best path -------------------------------------------------------------------------------------
 
