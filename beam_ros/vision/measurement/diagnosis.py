@@ -131,14 +131,8 @@ class Diagnosis:
             found.append(Complaint("ERROR", self._trouble))
         if chain.calibration_fault:
             found.append(Complaint("ERROR", chain.calibration_fault))
-        if chain.calibration_doubt:
-            found.append(Complaint("WARN", chain.calibration_doubt))
-        if chain.exposure_doubt:
-            found.append(Complaint("WARN", chain.exposure_doubt))
-        if chain.fields_doubt:
-            found.append(Complaint("WARN", chain.fields_doubt))
-        if chain.lens_fault:
-            found.append(Complaint("WARN", chain.lens_fault))
+        doubts = chain.calibration_doubt, chain.exposure_doubt, chain.fields_doubt, chain.lens_fault
+        found += [Complaint("WARN", doubt) for doubt in doubts if doubt]
         if not since["arrived"]:
             return found if is_source_silent else [*found, Complaint("WARN", silence)]
         if since["repeated"] and not since["measured"]:
