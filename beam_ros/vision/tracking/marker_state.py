@@ -18,7 +18,15 @@ from typing import NamedTuple
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.repeats import LATELY, is_on_its_way
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.rivals import APART, COURSE_FRAMES, Course, Place, Track, on_course
+from beam_ros.vision.tracking.rivals import (
+    APART,
+    COURSE_FRAMES,
+    FORGET_AFTER_FRAMES,
+    Course,
+    Place,
+    Track,
+    on_course,
+)
 from beam_ros.vision.tracking.spots import Gates, Spot
 
 TOGETHER_FRAMES = 5
@@ -156,6 +164,11 @@ class MarkerState:
     def is_moving(self) -> bool:
         """True where it came farther than noise in its last steps."""
         return self.is_followed and is_on_its_way(self.lately, self.sigma)
+
+    @property
+    def is_anywhere(self) -> bool:
+        """True where it was lost for so long, with one spot alone in its row, that its old place says nothing."""
+        return self.lost_frames > FORGET_AFTER_FRAMES and self.alone_frames >= LONELY_FRAMES
 
     @property
     def predicted(self) -> float:

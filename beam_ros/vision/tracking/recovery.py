@@ -17,7 +17,6 @@ from beam_ros.arrays import ImageArray
 from beam_ros.vision.tracking.appearance import Light
 from beam_ros.vision.tracking.marker_state import (
     CONFIRMED_FRAMES,
-    LONELY_FRAMES,
     SAME_PLACE_PX,
     TOGETHER_FRAMES,
     Foretold,
@@ -29,7 +28,6 @@ from beam_ros.vision.tracking.marker_state import (
 )
 from beam_ros.vision.tracking.rivals import (
     APART,
-    FORGET_AFTER_FRAMES,
     LEVERAGE,
     REST_PX,
     Course,
@@ -275,8 +273,7 @@ class Recovery:
         """First and last column where a lost marker may be beside those that are seen in these columns [px]."""
         parameters = self._parameters
         moves = [u - marker.company_u[k] for k, u in seen.items() if math.isfinite(marker.company_u[k])]
-        is_anywhere = marker.lost_frames > FORGET_AFTER_FRAMES and marker.alone_frames >= LONELY_FRAMES
-        if math.isfinite(parameters.max_bend_px) or not moves or is_anywhere:
+        if math.isfinite(parameters.max_bend_px) or not moves or marker.is_anywhere:
             return beam_reach(seen.values(), parameters.max_bend_px)
         # Nobody says how far the beam bends: no farther than a lost marker is believed, from where the others went.
         middle, reach = marker.u + median(moves), parameters.max_gate_px + 3 * parameters.marker_diameter_px
@@ -365,14 +362,13 @@ class Recovery:
             parameters.max_gate_px,
             witness.farthest,
         )
-        is_anywhere = marker.lost_frames > FORGET_AFTER_FRAMES and marker.alone_frames >= LONELY_FRAMES
-        if is_anywhere:
+        if marker.is_anywhere:
             gate = math.inf
         light_of = {
             spot: light
             for spot, light in lit
             if witness.left <= spot.u <= witness.right
-            and (is_anywhere or self._is_in_row(marker, spot, witness.moved))
+            and (marker.is_anywhere or self._is_in_row(marker, spot, witness.moved))
         }
         spots = list(light_of)
         if marker.lost_frames == 0 and (same := self._goes_on(marker, spots, gate)) is not None:
@@ -385,7 +381,7 @@ class Recovery:
             gate if marker.is_mixed else parameters.max_jump_px,
             math.nan if marker.is_mixed or marker.lost_frames else marker.predicted,
         )
-        expected = None if is_anywhere else witness.expected
+        expected = None if marker.is_anywhere else witness.expected
         near = [
             spot
             for spot in free
