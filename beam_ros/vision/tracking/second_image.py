@@ -227,7 +227,7 @@ class SecondImages:
     @property
     def is_usual(self) -> bool:
         """True where a second image may have been there of late."""
-        return self._odds > _MIN_ODDS or self._unreflected_frames < _MEMORY_FRAMES
+        return self._odds > _MIN_ODDS or self._is_reflected
 
     @property
     def _is_reflected(self) -> bool:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter, disc_scatter
 
 _THRESHOLD = 0.5
 """Fraction of a contrast at which a marker is looked for."""
@@ -123,7 +123,7 @@ def one_disc(spot: Spot, light: Light, disc: Appearance, parameters: TrackerPara
     the moment along v what is known of it. A second disc that touches adds area, which the moment along v does not
     follow.
     """
-    scatter = light.noise / (light.height * math.sqrt(disc.area))
+    scatter = disc_scatter(light, disc.area)
     tolerance = (parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter) * disc.variance_v
     uniform = disc.area / (4 * math.pi)
     excess = spot.variance_u - disc.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)

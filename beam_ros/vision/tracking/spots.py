@@ -93,7 +93,7 @@ _DIP = 2.5
 """Whatever is further than so many noise standard deviations from the background, away from the markers or beyond
 their rim, counts as no more than that to the disc model."""
 _EXCESS_SCATTER = math.sqrt(2.0) * 1.6
-"""Standard deviation of the difference of two second moments over ``_scatter`` times such a moment."""
+"""Standard deviation of the difference of two second moments over ``disc_scatter`` times such a moment."""
 _BENT = 0.5 / 120
 """A speed v that grows by a during the exposure adds v^2 a / 120 to the third moment; it may by half of itself."""
 _ROUND = 0.01
@@ -199,7 +199,7 @@ class Gates(NamedTuple):
     smears: Smears
 
 
-def _scatter(light: Light, area: float) -> float:
+def disc_scatter(light: Light, area: float) -> float:
     """Relative scatter of a disc by white noise.
 
     The standard deviations of area, second moments and asymmetry are this number times 1, 1.6 and 2.2.
@@ -354,7 +354,7 @@ class SpotMeter:
 
     def _excess_scatter(self, light: Light, appearance: Appearance) -> float:
         """Standard deviation by noise of the second moment along u beyond that along v [px^2]."""
-        return _EXCESS_SCATTER * _scatter(light, appearance.area) * appearance.variance_v
+        return _EXCESS_SCATTER * disc_scatter(light, appearance.area) * appearance.variance_v
 
     def refine(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
@@ -412,7 +412,7 @@ class SpotMeter:
         parameters = self.parameters
         contrast, noise = light.contrast, light.noise
         # Specks add to the asymmetry with the region's size.
-        scatter = _scatter(light, appearance.area)
+        scatter = disc_scatter(light, appearance.area)
         area = parameters.area_tolerance + _SIGNIFICANT * (scatter + 0.4 * noise / contrast)
         shape = parameters.shape_tolerance + _SIGNIFICANT * 1.6 * scatter
         asymmetry = parameters.shape_tolerance + _SIGNIFICANT * 2.2 * scatter
@@ -695,7 +695,7 @@ class SpotMeter:
         roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
         # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
         uniform = disc.area / (4 * math.pi)
-        round_u = disc.variance_v - uniform * (1 / aspect - aspect)
+        round_u = disc.variance_v + self.flatness(disc)
         is_marker = (
             low * nominal <= disc.area <= high * nominal
             and spot.variance_u >= round_u * (1 - roundness)
