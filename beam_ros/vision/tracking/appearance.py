@@ -56,6 +56,8 @@ _SAMPLES_PER_PX = 2
 """Such discs are sampled so often per pixel, ..."""
 _RIM = 4.0
 """... to so many standard deviations of the rim's blur beyond the radius."""
+_MIN_VARIANCE = 0.1
+"""No rim is sharper [px^2]."""
 _ROOT = math.sqrt(2 * math.pi)
 _SLOW = 0.15
 """Weight of a new value in the slow averages of brightness, background and noise."""
@@ -388,12 +390,19 @@ class Appearance:
         shift, share = _cut(self.level)
         squared = self.area / math.pi
         # The second moment of a disc is radius^2 / 4; blur adds its own.
-        rim = max(self.variance_v - squared / 4, 0.1)
+        rim = max(self.variance_v - squared / 4, _MIN_VARIANCE)
         self.edge = math.sqrt(rim / share)
         seen = math.sqrt(max(squared - rim, 1.0))
         self.radius = seen + shift * self.edge + rim / share / (2 * seen)
         self.disc = disc_steps(self.radius, self.edge, self.disc)
         self.is_settled = self.frames >= _SETTLING_FRAMES
+
+    def change(self, area: float, variance: float) -> None:
+        """Take a growth of the area, relative, and of the second moments [px^2] into the averages."""
+        self.area *= 1.0 + area
+        self.variance_u = max(self.variance_u + variance, _MIN_VARIANCE)
+        self.variance_v = max(self.variance_v + variance, _MIN_VARIANCE)
+        self.derive()
 
     def changes(self, level: float) -> tuple[float, float]:
         """Changes of the area and of both second moments where another level is subtracted [px^2]."""

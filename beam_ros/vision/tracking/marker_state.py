@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
@@ -298,6 +298,15 @@ def is_taken(markers: list[MarkerState], spot: Spot, k: int, near: float) -> boo
 def is_common(n_together: int, n_markers: int) -> bool:
     """True when so many of the markers, lost together, can have one reason: most of them, and two at least."""
     return n_together >= 2 and 2 * n_together > n_markers
+
+
+def shared(changes: Sequence[float], n_markers: int) -> float:
+    """The part of some markers' changes that most of all markers have in common; 0 where they have none."""
+    most = max(n_markers // 2 + 1, 2)
+    if len(changes) < most:
+        return 0.0
+    ordered = sorted(changes)
+    return max(ordered[-most], 0.0) + min(ordered[most - 1], 0.0)
 
 
 def moved_together(

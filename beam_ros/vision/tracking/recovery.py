@@ -25,6 +25,7 @@ from beam_ros.vision.tracking.marker_state import (
     is_common,
     is_taken,
     moved_together,
+    shared,
 )
 from beam_ros.vision.tracking.rivals import (
     APART,
@@ -164,6 +165,8 @@ class Recovery:
         for k in lost:
             self.note_loss(k, frame)
         rows = {k: self.in_row(image, k, is_wide=True) for k in lost}
+        if self._adapt(rows, spots, reasons):
+            rows = {k: self.in_row(image, k, is_wide=True) for k in lost}
         contrasts = self._contrasts(image, rows, spots, reasons)
         seen = {k: spots[k].u for k in range(len(self._markers)) if reasons.get(k) == "ok"}
         elsewhere: dict[int, tuple[Spot, Light]] = {}
@@ -238,6 +241,29 @@ class Recovery:
                 others = [track for track in marker.rivals if abs(track.u - marker.u) > SAME_PLACE_PX]
                 marker.rivals = [*others, Track(marker.u, 0.0, self._frame)] if others else []
                 marker.forget()
+
+    def _adapt(self, rows: dict[int, RowSpots], spots: dict[int, Spot], reasons: dict[int, Reason]) -> bool:
+        """Take a change that most markers share, as of the camera's focus, into what they look like.
+
+        Returns
+        -------
+        bool -- False: there is none that lost markers show
+        """
+        changed = {k: row.changed[0] for k, row in rows.items() if len(row.changed) == 1 and not row.alike}
+        if not changed:
+            return False
+        shown = {**{k: spot for k, spot in spots.items() if reasons[k] == "ok"}, **changed}
+        gates = {k: own for k in shown if (own := self._markers[k].gates) is not None}
+        changes = [self._meter.change(shown[k], own) for k, own in gates.items()]
+        area = shared([change[0] for change in changes], len(self._markers))
+        variance = shared([change[1] for change in changes], len(self._markers))
+        if area == variance == 0.0:
+            return False
+        for marker in self._markers:
+            if marker.appearance is not None and marker.light is not None:
+                marker.appearance.change(area, variance)
+                marker.gates = self._meter.gates(marker.light, marker.appearance)
+        return True
 
     def _take_back_what_is_apart(
         self, lost: list[int], spots: dict[int, Spot], reasons: dict[int, Reason]

@@ -27,10 +27,12 @@ class RowSpots(NamedTuple):
     ----------
     alike : list of (Spot, Light) -- spots with the marker's appearance, each in its own light
     others : list of (float, Reason) -- column of every other spot [px], and why it is not the marker's image
+    changed : list of Spot -- those of the others that are as bright as the marker, and of another size or shape
     """
 
     alike: list[tuple[Spot, Light]]
     others: list[tuple[float, Reason]]
+    changed: list[Spot]
 
     def nearest(self, u: float) -> Reason:
         """Why the other spot nearest to a column is not the marker's image; "hidden" where there is none."""
@@ -61,7 +63,7 @@ def spots_in_row(
     """
     top = max(0, math.floor(row - reach) - meter.half)
     bottom = min(image.shape[0], math.ceil(row + reach) + meter.half + 1)
-    found = RowSpots([], [])
+    found = RowSpots([], [], [])
     if bottom <= top:
         return found
     band = image[top:bottom]
@@ -92,6 +94,8 @@ def spots_in_row(
                 continue
             if why != "ok":
                 found.others.append((x, why))
+                if why in ("area", "shape"):
+                    found.changed.append(spot)
             elif all(math.dist(spot[:2], other[:2]) > 1.0 for other, _ in found.alike):
                 found.alike.append((spot, own_light))
     return found

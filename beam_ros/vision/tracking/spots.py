@@ -107,6 +107,8 @@ _SMEARED = 2.0
 _ALIKE = 9.0
 """Either side shows the same noise and texture where its variance is no more than so many times the other one's: a
 coarse texture has few grains in so few columns."""
+_CHANGED = 2.0
+"""A disc has changed by what is more than so many standard deviations of its noise."""
 _LONGER = 1.2
 """A smear is so many times as long as the part of it that stands above the subtracted level."""
 _BELOW = 2.0
@@ -205,6 +207,16 @@ def disc_scatter(light: Light, area: float) -> float:
     The standard deviations of area, second moments and asymmetry are this number times 1, 1.6 and 2.2.
     """
     return light.noise / (light.height * math.sqrt(area))
+
+
+def _middle(bounds: Bounds) -> tuple[float, float]:
+    """Middle of some bounds, and how far they are from it."""
+    return 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
+
+
+def _beyond(value: float, noise: float) -> float:
+    """What of a value is more than so much noise of either sign."""
+    return math.copysign(max(abs(value) - noise, 0.0), value)
 
 
 def _at_rest(value: float, bounds: Bounds, scatter: float, *shares: float) -> float:
@@ -445,6 +457,27 @@ class SpotMeter:
                 (own_area, own_v, light.above / contrast, noise / contrast),
                 parameters.max_smear_px,
             ),
+        )
+
+    def change(self, spot: Spot, gates: Gates) -> tuple[float, float]:
+        """By how much a spot is larger, and wider, than its marker was.
+
+        Returns
+        -------
+        area : float -- growth of the area, relative
+        variance : float -- growth of the second moments [px^2]; of both, what is surely more than noise
+        """
+        parameters, smears = self.parameters, gates.smears
+        area, area_room = _middle(gates.area)
+        variance_v, room = _middle(gates.variance_v)
+        wider = spot.variance_v - variance_v
+        # A disc out of focus is wider along u and v; only beyond that it is smeared.
+        look = smears.looks.at(spot.variance_u - smears.own_u - wider - _SMEARED * smears.scatter)
+        noise = look.scatter * (area_room - parameters.area_tolerance * area) / _SIGNIFICANT
+        noise_v = look.scatter * (room - parameters.shape_tolerance * variance_v) / _SIGNIFICANT
+        return (
+            _beyond(spot.area / look.area - area, _CHANGED * noise) / area,
+            _beyond(spot.variance_v / look.variance_v - variance_v, _CHANGED * noise_v),
         )
 
     def undimmed(

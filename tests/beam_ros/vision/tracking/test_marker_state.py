@@ -5,7 +5,7 @@ import pytest
 
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.tracking.marker_state import MarkerState, moved_together
+from beam_ros.vision.tracking.marker_state import MarkerState, moved_together, shared
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -269,3 +269,22 @@ def test_the_speed_of_a_marker_that_was_lost_is_that_of_its_way_until_it_was_los
     for lost, share in ((1, 0.5), (3, 0.25), (4, 0.0)):
         marker.lost_frames = lost
         assert marker.speed(cubic(4) - 3.0, 9) == pytest.approx((-3.0 * share, 3.0 * share))
+
+
+@pytest.mark.parametrize(
+    ("changes", "n_markers", "found"),
+    [
+        ([0.3], 1, 0.0),  # one alone may be covered
+        ([0.3, 0.1], 2, 0.1),
+        ([0.3, -0.1], 2, 0.0),
+        ([-0.3, -0.1], 2, -0.1),
+        ([0.3, 0.0, 0.0], 3, 0.0),
+        ([0.3, 0.2, -0.1], 3, 0.2),
+        ([0.3, 0.2], 3, 0.2),
+        ([0.3, 0.2], 4, 0.0),
+        ([0.3, 0.2, 0.1, 0.0], 4, 0.1),
+        ([], 3, 0.0),
+    ],
+)
+def test_a_change_is_shared_as_far_as_most_markers_have_it(changes, n_markers, found):
+    assert shared(changes, n_markers) == found

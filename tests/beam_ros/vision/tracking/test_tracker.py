@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import zip_longest
+
 import cv2
 import numpy as np
 import pytest
@@ -176,6 +178,50 @@ def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_vis
             assert np.isnan(result.markers[1].sigma_px)
         valid = np.array([marker.is_valid for marker in result.markers])
         assert columns(result)[valid] == pytest.approx(camera.columns(x)[valid], abs=0.04)
+
+
+@pytest.mark.parametrize("refinement", ["none", "disc_model"])
+@pytest.mark.parametrize(
+    ("blurs", "diameters"),
+    [
+        (np.linspace(0.8, 1.3, 13)[1:], [12.0]),  # a lens that drifts for 1.2 s
+        ([1.3], [12.0]),  # one that jumps: before, it is 0.8 px
+        ([0.5], [12.0]),
+        ([0.8], np.linspace(12.0, 12.6, 13)[1:]),  # focusing that makes the picture larger
+    ],
+)
+def test_a_camera_that_focuses_anew_loses_no_marker(blurs, diameters, refinement):
+    camera = packaged_camera(noise_grey=2.0)
+    renderer, tracker = make(camera, refinement=refinement)
+    rng, errors = np.random.default_rng(3), []
+    changes = zip_longest(blurs, diameters)
+    for k in range(200):
+        if k >= 50 and k % 10 == 0 and (change := next(changes, None)) is not None:
+            blur, diameter = (now or first[0] for now, first in zip(change, (blurs, diameters), strict=True))
+            size = float(diameter) / 1500
+            now = packaged_camera(noise_grey=2.0, blur_px=float(blur), marker_diameter_m=size)
+            renderer = SceneRenderer(now, HEIGHTS)
+        x = 0.004 * np.sin(0.1 * k + np.arange(3))
+        result = tracker.process(renderer.render(x, rng), k)
+        errors.append((columns(result) - camera.columns(x)) / [marker.sigma_px for marker in result.markers])
+    assert np.isfinite(errors).mean() >= 0.99
+    assert np.sqrt(np.nanmean(np.square(errors))) < 1.35
+    assert np.nanmax(np.abs(errors)) < 6.0
+
+
+def test_an_edge_that_covers_all_markers_from_the_side_is_no_change_of_focus():
+    camera = packaged_camera(background=30.0)
+    renderer, tracker = make(camera)
+    rng, valid = np.random.default_rng(4), []
+    for k in range(320):
+        edge = camera.origin_px[0] - 8.0 + 0.03 * max(k - 40, 0)
+        cover = Disturbances(occluders=(Occluder(edge - 60.0, 0.0, edge, float(camera.height), 30.0),))
+        result = tracker.process(renderer.render(np.zeros(3), rng, disturbances=cover), k)
+        valid.append([marker.is_valid for marker in result.markers])
+        for marker in result.markers:
+            # What one percent of the disc under the cover does, and noise.
+            assert not marker.is_valid or abs(marker.u_px - camera.origin_px[0]) < 0.2
+    assert not np.any(valid[-10:])
 
 
 @pytest.mark.parametrize("side", ["left", "right", "above", "below"])
