@@ -70,6 +70,7 @@ class Light:
     Attributes
     ----------
     background, contrast, noise : float -- [grey levels]
+    fraction : float -- of the contrast is subtracted at least
     level : float -- what is subtracted (for dark markers: subtracted from), a whole grey level
     above : float -- distance of this level from the background
     height : float -- of a marker above this level, at least 1
@@ -80,9 +81,14 @@ class Light:
     """
 
     def __init__(
-        self, parameters: TrackerParameters, background: float, contrast: float, noise: float
+        self,
+        parameters: TrackerParameters,
+        background: float,
+        contrast: float,
+        noise: float,
+        fraction: float = 0.0,
     ) -> None:
-        self._fraction = parameters.level_fraction
+        self.fraction = max(parameters.level_fraction, fraction)
         self._is_dark = parameters.polarity == "dark"
         self._fixed_noise = parameters.noise_grey
         self.background = background
@@ -95,7 +101,7 @@ class Light:
         if self._fixed_noise is not None:
             self.noise = self._fixed_noise
         quiet = min(_QUIET_LEVEL * self.noise, _MAX_QUIET * self.contrast)
-        above = max(self._fraction * self.contrast, quiet, _NOISE_LEVEL * self.noise, 1.0)
+        above = max(self.fraction * self.contrast, quiet, _NOISE_LEVEL * self.noise, 1.0)
         below = _FLOOR * self.noise
         if self._is_dark:
             self.level = float(math.floor(self.background - above))

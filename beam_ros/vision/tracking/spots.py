@@ -83,6 +83,11 @@ _REFINED_PX = 4
 """A refinement uses the pixels up to this far beyond a marker's radius [px]."""
 _SIDE_PX = 2
 """Width of the columns at either side of the region in which the background is measured [px]."""
+_CLEAR_SHARE, _CLEAR_NOISE = 2.0, 2.5
+"""The level lies so many times as far from the background as what a marker lies on, and so many standard deviations
+of the noise beyond, ..."""
+_MAX_CLEAR = 0.5
+"""... up to so much of the contrast: the rim then looks about as wide above and below as at the sides."""
 _CLEAR_PX = 3
 """Room between the longest smear of a marker and these columns [px]."""
 APART_PX = 4
@@ -494,7 +499,7 @@ class SpotMeter:
         if share == 1.0:
             return spot, light, gates
         contrast = abs(spot.plateau - light.background) / share
-        whole = Light(self.parameters, light.background, contrast, light.noise)
+        whole = Light(self.parameters, light.background, contrast, light.noise, light.fraction)
         again, _ = self.measure(image, spot.u, spot.v, whole, is_narrow=is_narrow)
         return again or spot, whole, self.gates(whole, appearance)
 
@@ -698,7 +703,7 @@ class SpotMeter:
         if not (1 <= column < width - 1 and 1 <= row < height - 1):
             return None
         plateau = float(image[row - 1 : row + 2, column - 1 : column + 2].mean())
-        noise = 0.0
+        noise = strip = 0.0
         light: Light | None = None
         spot: Spot | None = None
         disc: Appearance | None = None
@@ -707,7 +712,7 @@ class SpotMeter:
             contrast = background - plateau if self._is_dark else plateau - background
             if contrast < parameters.min_contrast_grey:
                 return None
-            light = Light(parameters, background, contrast, noise)
+            light = Light(parameters, background, contrast, noise, strip)
             if light.above >= contrast:
                 return None
             spot, _ = self.measure(image, u, v, light, is_narrow=is_narrow)
@@ -718,6 +723,7 @@ class SpotMeter:
             shown = abs(spot.plateau - background)
             if Light(parameters, background, shown, noise).above >= shown:
                 return None  # no more than what lies beside it: not worth the search for a smear
+            strip = self._strip_fraction(image, spot, background, shown, noise)
             disc, share = self._at_rest(spot, light)
             plateau, u, v = background + (spot.plateau - background) / share, spot.u, spot.v
         if spot is None or light is None or disc is None:
@@ -740,6 +746,23 @@ class SpotMeter:
             and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
         )
         return (spot, light) if is_marker else None
+
+    def _strip_fraction(
+        self, image: ImageArray, spot: Spot, background: float, contrast: float, noise: float
+    ) -> float:
+        """Level above what a spot lies on, which is seen above and below it, as a fraction of its contrast; or 0."""
+        _, top, _, bottom = spot.region
+        first, last = max(round(spot.u - self.radius), 0), round(spot.u + self.radius) + 1
+        above, below = (
+            cv2.reduce(image[rows, first:last], 0, cv2.REDUCE_AVG, dtype=cv2.CV_32F)
+            for rows in (slice(top, top + _SIDE_PX), slice(bottom - _SIDE_PX, bottom))
+        )
+        least = np.maximum(above, below) if self._is_dark else np.minimum(above, below)
+        lowest, highest, _, _ = cv2.minMaxLoc(cv2.blur(least, (_SIDE_PX + 1, 1)))
+        shown = background - lowest if self._is_dark else highest - background
+        if shown <= noise:
+            return 0.0
+        return min((_CLEAR_SHARE * shown + _CLEAR_NOISE * noise) / contrast, _MAX_CLEAR)
 
     def appearance(self, spot: Spot, light: Light) -> Appearance:
         """Appearance of a marker that has just been found."""

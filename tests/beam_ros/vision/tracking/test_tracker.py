@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import zip_longest
 
 import cv2
@@ -178,6 +179,24 @@ def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_vis
             assert np.isnan(result.markers[1].sigma_px)
         valid = np.array([marker.is_valid for marker in result.markers])
         assert columns(result)[valid] == pytest.approx(camera.columns(x)[valid], abs=0.04)
+
+
+@pytest.mark.parametrize(("strip", "width"), [(0.1, 3.0), (0.15, 3.0), (0.15, 1.5), (0.1, 6.0)])
+@pytest.mark.parametrize("contrast", [180.0, -180.0])
+def test_a_strip_that_shows_behind_the_markers_hides_none(strip, width, contrast):
+    camera = packaged_camera(noise_grey=2.0, contrast=contrast, background=20.0 if contrast > 0 else 220.0)
+    camera = replace(camera, strip_width_m=width / 1500, strip_contrast=strip * abs(contrast))
+    _, tracker = make(camera)
+    heights = np.linspace(0.0, 0.3, 31)
+    renderer = SceneRenderer(camera, HEIGHTS, strip_heights=heights)
+    rng, errors = np.random.default_rng(6), []
+    for k in range(100):
+        x = 0.006 * np.sin(0.2 * k) * np.array(HEIGHTS) / 0.3
+        frame = renderer.render(x, rng, strip=0.006 * np.sin(0.2 * k) * heights / 0.3)
+        result = tracker.process(frame, k)
+        errors.append((columns(result) - camera.columns(x)) / [marker.sigma_px for marker in result.markers])
+    assert np.isfinite(errors).mean() >= 0.95
+    assert np.sqrt(np.nanmean(np.square(errors))) < 1.2
 
 
 @pytest.mark.parametrize("refinement", ["none", "disc_model"])
