@@ -135,6 +135,7 @@ TESTED_IN = (
     ("beam_ros/viewers", "curves foxglove plotjuggler ros_tools", "viewers/test_layouts"),
     ("beam_ros/vision/camera", "source", "vision/camera/test_capture"),
     ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
+    ("beam_ros/vision/calibration", "lens_covariance", "vision/calibration/test_board_fits"),
     ("beam_ros/vision/calibration", "perspective", "offline/test_whole_beam"),
     ("beam_ros/vision/strip", "blur noise prediction search", "vision/strip/test_following"),
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),

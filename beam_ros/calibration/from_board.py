@@ -14,7 +14,7 @@ from beam_ros.vision.calibration.board_fits import MIN_PICTURES, LensFit, ScaleF
 from beam_ros.vision.calibration.boards import Board
 from beam_ros.vision.calibration.lens import Lens, lens_to_dict
 from beam_ros.vision.calibration.linear import LinearCalibration
-from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.errors import CalibrationError, UndeterminedLensError
 
 FRAMES_OF_A_VIDEO = 25
 """So many frames of a video are looked at, evenly over its length."""
@@ -32,7 +32,7 @@ class BoardCalibration:
     ----------
     calibration : LinearCalibration
     scale : ScaleFit
-    lens : LensFit or None -- None where there were too few pictures for one
+    lens : LensFit or None -- None where no pictures were given for one, or they do not determine it
     warnings : tuple of str -- what a reader should know
     """
 
@@ -83,13 +83,16 @@ def calibrate_from_board(
     lens: Lens | None = None
     warnings = []
     if tilted:
-        lens_fit = fit_lens([picture for path in (plane, *tilted) for picture in shown[path]], board)
-        lens = lens_fit.lens
+        try:
+            lens_fit = fit_lens([picture for path in (plane, *tilted) for picture in shown[path]], board)
+            lens = lens_fit.lens
+        except UndeterminedLensError as err:
+            warnings.append(f"no lens, it is taken for perfect: {err}")
     else:
         warnings.append(
             f"no tilted pictures: the lens is taken for perfect; {MIN_PICTURES} or more give its distortion"
         )
-    scale = _scale(shown[plane], board, lens, plane)
+    scale = _scale(shown[plane], board, lens_fit, plane)
     if scale.tilt > _LARGE_TILT:
         warnings.append(
             f"the scale changes by {100 * scale.tilt:.1f} % over the board: hold it parallel to the image"
@@ -142,13 +145,14 @@ def _lens_sd(fit: LensFit) -> dict[str, list[float]]:
     }
 
 
-def _scale(pictures: list[ImageArray], board: Board, lens: Lens | None, path: Path) -> ScaleFit:
+def _scale(pictures: list[ImageArray], board: Board, lens_fit: LensFit | None, path: Path) -> ScaleFit:
     """Scale of the picture, or of the frame of a video, in which the corners fit best."""
+    lens, covariance = (None, None) if lens_fit is None else (lens_fit.lens, lens_fit.covariance)
     fits = []
     fault: CalibrationError | None = None
     for picture in pictures:
         try:
-            fits.append(fit_scale(picture, board, lens))
+            fits.append(fit_scale(picture, board, lens, covariance))
         except CalibrationError as err:
             fault = err
     if not fits:

@@ -21,6 +21,10 @@ class CalibrationError(VisionError, ValueError):
     """A calibration cannot be fitted, read, or used with this camera."""
 
 
+class UndeterminedLensError(CalibrationError):
+    """Pictures of a board leave the lens open, as those of a board that was never tilted."""
+
+
 class SynchronisationError(VisionError, ValueError):
     """A camera's record cannot be laid over the hub's."""
 

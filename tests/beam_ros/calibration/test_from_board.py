@@ -86,6 +86,28 @@ def test_a_folder_of_a_charuco_board_gives_scale_and_lens_with_their_deviations(
     assert "there is no dictionary" in capsys.readouterr().err
 
 
+def test_a_board_that_is_never_tilted_gives_the_scale_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    turns = np.linspace(-0.3, 0.3, 6)
+    for pictures in (
+        [picture(*POSES[0], lens=PERFECT, seed=k) for k in range(6)],
+        [
+            picture([0.0, 0.0, turn], [-0.07 + 0.1 * turn, -0.05, 0.36], lens=PERFECT, seed=k)
+            for k, turn in enumerate(turns)
+        ],
+    ):
+        files = [str(write(tmp_path / f"{k}.png", image)) for k, image in enumerate(pictures)]
+        assert main(["calibrate", files[0], *BOARD, "--json"]) == 0
+        alone = json.loads(capsys.readouterr().out)
+        assert main(["calibrate", *files, *BOARD, "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["calibration"]["pixels_per_metre"] == alone["calibration"]["pixels_per_metre"]
+        assert result["scale_sd"] == alone["scale_sd"]
+        assert result["calibration"]["provenance"]["lens"] is None
+        assert "6 pictures leave the focal length open" in result["warnings"][0]
+
+
 def test_a_video_of_the_board_will_do(tmp_path: Path) -> None:
     frame = picture(*POSES[0], lens=PERFECT)
     video = tmp_path / "board.avi"

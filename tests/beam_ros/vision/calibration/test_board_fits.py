@@ -10,7 +10,7 @@ from beam_ros.vision.calibration import board_fits
 from beam_ros.vision.calibration.board_fits import fit_lens, fit_scale
 from beam_ros.vision.calibration.boards import Board, BoardView
 from beam_ros.vision.calibration.lens import Lens
-from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.errors import CalibrationError, UndeterminedLensError
 
 BOARD = Board(8, 6, 0.02)
 LENS = Lens((900.0, 905.0), (322.0, 238.0), (-0.21, 0.08, 0.0, 0.0, 0.0))
@@ -167,3 +167,73 @@ def test_the_coefficients_that_corners_support_are_chosen_and_scatter_as_stated(
         ]
     # Sixteen numbers, of which fx and fy go together.
     assert 0.5 < np.sqrt(np.mean(np.square(deviations))) < 1.6
+
+
+MATRIX = np.array([[900.0, 0.0, 322.0], [0.0, 900.0, 238.0], [0.0, 0.0, 1.0]])
+CORNERS = np.hstack([BOARD.corners(), np.zeros((48, 1))])
+
+
+def seen(rng, rotation, translation, k1=0.0, noise=0.04):
+    """Corners where a pinhole images them, with white noise."""
+    distortion = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+    places, _ = cv2.projectPoints(
+        CORNERS, np.array(rotation, float), np.array(translation, float), MATRIX, distortion
+    )
+    return BoardView(BOARD.corners(), places.reshape(-1, 2) + noise * rng.standard_normal((48, 2)))
+
+
+def tilted_about(rng, tilt, spread):
+    """A pose with this tilt in any direction [rad], shifted by so much of what leaves it in view."""
+    around = rng.uniform(0.0, 2.0 * np.pi)
+    shift = np.array([-0.07, -0.05, 0.55]) + spread * np.array([0.05, 0.04, 0.1]) * rng.uniform(-1.0, 1.0, 3)
+    return tilt * np.array([np.cos(around), np.sin(around), 0.0]), shift
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.2])
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+@pytest.mark.parametrize("n_views", [6, 12])
+def test_a_board_that_is_never_tilted_gives_no_lens(k1, spread, n_views):
+    for seed in range(2):
+        rng = np.random.default_rng([seed, n_views])
+        views = [seen(rng, *tilted_about(rng, 0.0, spread), k1) for _ in range(n_views)]
+        with pytest.raises(
+            UndeterminedLensError, match=r"leave the focal length open .* tilt it by 20 to 40"
+        ):
+            board_fits.fit_lens_to_views(views, (640, 480))
+
+
+def test_a_board_that_keeps_one_tilt_gives_no_lens():
+    # All turned alike, wherever they are: each picture repeats what the first one says of the matrix.
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        turn, _ = tilted_about(rng, 0.5, 0.0)
+        views = [seen(rng, turn, tilted_about(rng, 0.0, 1.0)[1]) for _ in range(6)]
+        with pytest.raises(UndeterminedLensError):
+            board_fits.fit_lens_to_views(views, (640, 480))
+
+
+def test_copies_of_a_picture_count_once():
+    with pytest.raises(CalibrationError, match="in 3 of 9 pictures, of which 3 are different ones"):
+        fit_lens([picture(*pose) for pose in POSES[:3]] * 3, BOARD)
+
+
+@pytest.mark.parametrize("tilt", [0.1, 0.5])
+def test_lens_and_scale_scatter_as_stated(tilt, monkeypatch):
+    deviations, scales = [], []
+    for seed in range(16):
+        rng = np.random.default_rng([seed, 5])
+        views = [seen(rng, *tilted_about(rng, tilt, 1.0), -0.2) for _ in range(8)]
+        # Away from the centre, so that the lens's part is most of it.
+        plane = seen(rng, [0.0, 0.0, 0.0], [0.05, 0.02, 0.6], -0.2)
+        fit = board_fits.fit_lens_to_views([plane, *views], (640, 480))
+        found = (*fit.lens.focal_px, *fit.lens.centre_px, fit.lens.distortion[0])
+        sds = (*fit.focal_sd_px, *fit.centre_sd_px, fit.distortion_sd[0])
+        deviations.append((np.array(found) - [900.0, 900.0, 322.0, 238.0, -0.2]) / sds)
+        monkeypatch.setattr(board_fits, "find_board", lambda image, board, view=plane: view)
+        blank = np.zeros((480, 640), np.uint8)
+        scale = fit_scale(blank, BOARD, fit.lens, fit.covariance)
+        scales.append((scale.pixels_per_metre - 900.0 / 0.6) / scale.sd)
+        assert scale.sd > 2.0 * fit_scale(blank, BOARD, fit.lens).sd
+    # 16 draws: an RMS is known to 18 %; three of these.
+    assert np.all(np.abs(np.sqrt(np.mean(np.square(deviations), axis=0)) - 1.0) < 0.54)
+    assert abs(np.sqrt(np.mean(np.square(scales))) - 1.0) < 0.54
