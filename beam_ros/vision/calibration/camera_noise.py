@@ -237,11 +237,19 @@ def photon_transfer(series: Sequence[Series], dark: Series | None = None) -> Cam
 
 
 def _fitted(points: FloatArray, degree: int) -> tuple[list[float], FloatArray, float]:
-    """Coefficients of a polynomial from the lowest power, their covariance, and the scatter about it (1 or more)."""
+    """Coefficients of a polynomial from the lowest power, their covariance, and the scatter about it (1 or more).
+
+    Columns are scaled to one length: powers of levels of 16 bits are too far apart for what a double tells apart.
+    Coefficients that the levels leave open are 0 with an infinite variance.
+    """
     level, variance, sd = points.T
     columns = np.vander(level, degree + 1, increasing=True) / sd[:, None]
-    covariance = np.linalg.pinv(columns.T @ columns)
-    found = covariance @ (columns.T @ (variance / sd))
+    lengths = np.linalg.norm(columns, axis=0)
+    left, singular, directions = np.linalg.svd(columns / lengths, full_matrices=False)
+    if singular[-1] <= np.finfo(float).eps * len(level):
+        return [0.0] * (degree + 1), np.diag(np.full(degree + 1, np.inf)), 1.0
+    root = directions.T / singular / lengths[:, None]
+    found = root @ (left.T @ (variance / sd))
     freedom = len(level) - degree - 1
     misfit = float(np.sum((variance / sd - columns @ found) ** 2))
-    return found.tolist(), covariance, math.sqrt(max(1.0, misfit / freedom)) if freedom > 0 else 1.0
+    return found.tolist(), root @ root.T, math.sqrt(max(1.0, misfit / freedom)) if freedom > 0 else 1.0

@@ -3,6 +3,8 @@ reading with noise of its own, rounding."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,48 @@ def test_what_cannot_show_the_noise_is_refused_with_a_remedy():
     calm = [np.full((60, 80), 200, np.uint8)] * 10
     with pytest.raises(CalibrationError, match="switch off the camera's denoising"):
         photon_transfer([sensor.series(40.0), Series.of(calm, "calm")])
+
+
+def linear_series(rng, level, steps=1, shape=(60, 80), n_frames=16, white=255, name="series"):
+    """Series of a linear sensor whose grey levels are so many times finer than those of 8 bits."""
+    response = 1.0 + PRNU * np.random.default_rng(99).standard_normal(shape)
+    dtype = np.uint8 if white == 255 else np.uint16
+    frames = []
+    for _ in range(n_frames):
+        electrons = rng.poisson((level - BIAS) / GAIN * response)
+        read = BIAS + GAIN * electrons + READ * rng.standard_normal(shape)
+        frames.append(np.clip(np.rint(steps * read), 0, white).astype(dtype))
+    return Series.of(frames, name)
+
+
+def coarser(one: Series, steps: int) -> Series:
+    """The same series in coarser grey levels, without rounding."""
+    return replace(one, mean=one.mean / steps, variance=one.variance / steps**2, white=one.white / steps)
+
+
+def test_a_linear_sensor_is_straight_at_any_depth():
+    z = []
+    for seed in range(9):
+        rng = np.random.default_rng([seed, 16])
+        fine = [linear_series(rng, level, 257, white=65535) for level in (46.0, 96.0, 156.0)]
+        noise = photon_transfer(fine)
+        z.append(
+            [noise.curvature / noise.curvature_sd, (noise.per_grey / 257 - GAIN) / noise.per_grey_sd * 257]
+        )
+        # Grey levels that are so many times finer have so many times the gain, whatever the computer's numbers are.
+        again = photon_transfer([coarser(one, 257) for one in fine])
+        assert again.per_grey * 257 == pytest.approx(noise.per_grey, rel=1e-2)
+        assert again.curvature == pytest.approx(noise.curvature, abs=0.1 * noise.curvature_sd)
+    # 9 values each: an RMS is known to 24 %; 2.5 of these.
+    assert np.all(np.sqrt(np.mean(np.square(z), axis=0)) < 1.6)
+
+
+def test_a_bend_that_two_levels_leave_open_is_not_stated():
+    rng = np.random.default_rng(0)
+    frames = [
+        np.full((15, 20), level) + rng.integers(0, 2, (15, 20)) for level in (40, 90) for _ in range(20)
+    ]
+    low = [frame.astype(np.uint8) for frame in frames[:20]]
+    high = [(frame + rng.integers(0, 4, frame.shape)).astype(np.uint8) for frame in frames[20:]]
+    noise = photon_transfer([Series.of(low, "low"), *[Series.of(high, "high")] * 2])
+    assert (noise.curvature, noise.curvature_sd) == (0.0, np.inf)
