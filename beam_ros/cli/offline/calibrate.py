@@ -175,13 +175,20 @@ def _camera_noise(arguments: argparse.Namespace, circumstances: dict[str, Any]) 
         f"variance     {noise.variance:.4g} +- {noise.variance_sd:.2g} grey levels^2 at level 0, and "
         f"{noise.per_grey:.4g} +- {noise.per_grey_sd:.2g} more for each grey level",
         f"gain         {noise.electrons_per_grey:.4g} +- {noise.electrons_per_grey_sd:.2g} electrons per grey level",
-        f"PRNU         {100 * noise.prnu:.3g} +- {100 * noise.prnu_sd:.2g} %",
+        "PRNU         "
+        + (
+            "not known"
+            if noise.prnu is None or noise.prnu_sd is None
+            else f"{100 * noise.prnu:.3g} +- {100 * noise.prnu_sd:.2g} %"
+        ),
         f"linearity    the variance leaves the line by {100 * noise.curvature:+.2g} +- "
         f"{100 * noise.curvature_sd:.2g} % from level {noise.levels[0]:.1f} to {noise.levels[1]:.1f}",
     ]
-    warnings = []
+    warnings = list(noise.warnings)
     if noise.bias is None:
-        warnings.append("without --dark, bias and read noise are not known")
+        warnings.append(
+            "without --dark, bias and read noise are not known, and the PRNU takes the bias for light"
+        )
     else:
         table[1:1] = [
             f"bias         {noise.bias:.4g} +- {noise.bias_sd:.2g} grey levels",

@@ -20,7 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from beam_ros.arrays import FloatArray, ImageArray
+from beam_ros.arrays import ByteArray, FloatArray, ImageArray
 from beam_ros.vision.errors import CalibrationError
 
 MIN_FRAMES = 8
@@ -33,6 +33,14 @@ _RANGE = 0.2
 """The brightest level must be above the darkest by this fraction of it."""
 _EVEN_PX = 15
 """What is smooth over so many pixels is light and no pattern of the pixels."""
+_CUT = 0.01
+"""So many pixels whose noise is cut off are worth a note."""
+_BURIED = 2.0
+"""A dark level closer than so many standard deviations to black has lost part of its noise there."""
+_SURE = 3.0
+"""A dark series is not the darkest where it is brighter by so many of the frames' standard deviations."""
+_WHITES = frozenset(white for k in (10, 12, 14) for white in (2**k - 1, 2**16 - 2 ** (16 - k)))
+"""White of cameras that fill part of 16 bits, from below or from above."""
 _ROUNDING = 1.0 / 12.0
 
 
@@ -42,13 +50,18 @@ class Series:
 
     Attributes
     ----------
-    n_frames : int
+    name : str -- what messages call it
+    bits : int -- of a grey level, as stored
+    n_frames, n_repeated : int -- frames that count, and those that repeat the one before bit for bit
     mean, variance : ndarray, shape (height, width) -- over time [grey levels, grey levels^2]
     drift : float -- standard deviation of the frames' mean [grey levels]
     white : float -- largest grey level that such a frame can hold
     """
 
+    name: str
+    bits: int
     n_frames: int
+    n_repeated: int
     mean: FloatArray
     variance: FloatArray
     drift: float
@@ -66,40 +79,67 @@ class Series:
         Raises
         ------
         CalibrationError
-            The frames are too few or of several sizes.
+            The frames are too few, or of several sizes or depths.
         """
         total: FloatArray | None = None
         before = squares = np.empty(0)
         means: list[float] = []
-        white = 255.0
-        for frame in frames:
+        peak, bits, n_repeated = 0, 8, 0
+        for k, frame in enumerate(frames):
             grey = np.asarray(frame, dtype=np.float64)
-            means.append(float(grey.mean()))
-            white = float(np.iinfo(frame.dtype).max)
             if total is None:
-                total, squares = np.zeros_like(grey), np.zeros_like(grey)
-            elif grey.shape != total.shape:
+                total, squares, bits = np.zeros_like(grey), np.zeros_like(grey), 8 * frame.dtype.itemsize
+            elif (grey.shape, 8 * frame.dtype.itemsize) != (total.shape, bits):
                 raise CalibrationError(
-                    f"{name}: frame {len(means) - 1} has shape {grey.shape}; expected {total.shape}, as the frames "
-                    "before: give one series of one camera"
+                    f"{name}: frame {k} has shape {grey.shape} and {8 * frame.dtype.itemsize} bits; expected "
+                    f"{total.shape} and {bits}, as the frames before: give one series of one camera"
                 )
+            elif np.array_equal(grey, before) and grey.min() < grey.max():
+                n_repeated += 1
+                continue
             else:
                 step = grey - before
                 squares += (step - step.mean()) ** 2
+            means.append(float(grey.mean()))
+            peak = max(peak, int(frame.max()))
             total += grey
             before = grey
         if total is None or len(means) < MIN_FRAMES:
+            copies = f" and {n_repeated} that repeat the one before bit for bit" if n_repeated else ""
             raise CalibrationError(
-                f"{name}: holds {len(means)} frames; expected at least {MIN_FRAMES} of one scene at rest: film longer"
+                f"{name}: holds {len(means)} frames{copies}; expected at least {MIN_FRAMES} of one scene at rest: "
+                "film longer" + (", as copies of a picture show no noise" if n_repeated else "")
             )
         return cls(
-            len(means), total / len(means), squares / (2 * (len(means) - 1)), float(np.std(means)), white
+            name,
+            bits,
+            len(means),
+            n_repeated,
+            total / len(means),
+            squares / (2 * (len(means) - 1)),
+            float(np.std(means)),
+            float(peak if bits == 16 and peak in _WHITES else 2**bits - 1),
         )
+
+    @property
+    def level(self) -> float:
+        """Mean of all pixels [grey levels]."""
+        return float(self.mean.mean())
+
+    @property
+    def margin(self) -> float:
+        """Distance from black and white within which noise is cut off [grey levels]."""
+        return _CLEAR * math.sqrt(float(self.variance.mean()))
+
+    @property
+    def clear(self) -> ByteArray:
+        """1 for pixels whose noise is cut off neither at black nor at white, 0 for others, shape (height, width)."""
+        is_clear = (self.mean > self.margin) & (self.mean < self.white - self.margin)
+        return np.asarray(is_clear, dtype=np.uint8)
 
     def points(self) -> FloatArray:
         """Mean, variance and the variance's own standard deviation by level, shape (n, 3)."""
-        margin = _CLEAR * np.sqrt(self.variance.mean())
-        is_clear = (self.mean > margin) & (self.mean < self.white - margin)
+        is_clear = self.clear > 0
         level, variance = self.mean[is_clear], self.variance[is_clear]
         if level.size < _BINS:
             return np.empty((0, 3))
@@ -112,11 +152,20 @@ class Series:
             found.append((float(level[part].mean()), of_bin, sd))
         return np.array(found)
 
-    def pattern(self, bias: float) -> tuple[float, float]:
-        """Non-uniformity of the pixels' response over the light above the bias, and its standard deviation."""
+    def pattern(self, bias: float) -> tuple[float, float] | None:
+        """Non-uniformity of the pixels' response over the light above the bias, and its standard deviation.
+
+        Only surroundings without a pixel whose noise is cut off count: to leave out the bright pixels alone would
+        make the others look even. None where these are less than half of the image.
+        """
         smooth = cv2.blur(self.mean, (_EVEN_PX, _EVEN_PX))
         edge = _EVEN_PX // 2
-        inner = np.s_[edge:-edge, edge:-edge]
+        surroundings = np.ones((_EVEN_PX, _EVEN_PX), dtype=np.uint8)
+        inner = cv2.erode(self.clear, surroundings) > 0
+        inner[:edge] = inner[-edge:] = inner[:, :edge] = inner[:, -edge:] = False
+        height, width = inner.shape
+        if np.count_nonzero(inner) <= 0.5 * max(0, height - 2 * edge) * max(0, width - 2 * edge):
+            return None
         relative = ((self.mean - smooth) / np.maximum(smooth - bias, 1.0))[inner]
         share = 1.0 - 1.0 / _EVEN_PX**2
         spread = (1.4826 * float(np.median(np.abs(relative - np.median(relative))))) ** 2 / share
@@ -127,6 +176,26 @@ class Series:
         sd = spread * math.sqrt(2.0 / (0.37 * relative.size))
         prnu = math.sqrt(max(spread - of_noise, 0.0))
         return prnu, sd / (2.0 * prnu) if prnu > 0.0 else math.sqrt(sd)
+
+    def doubts(self) -> list[str]:
+        """Return what of the series does not count, and the remedy."""
+        found = []
+        if self.n_repeated:
+            found.append(
+                f"{self.name}: {self.n_repeated} frames repeat the one before bit for bit and are left out; film "
+                "without copies"
+            )
+        black, white = np.mean(self.mean <= self.margin), np.mean(self.mean >= self.white - self.margin)
+        for share, edge, remedy in (
+            (black, "black (0)", "brighter"),
+            (white, f"white ({self.white:.0f})", "darker"),
+        ):
+            if share > _CUT:
+                found.append(
+                    f"{self.name}: noise of {100 * share:.0f} % of its pixels is cut off at {edge}, and they are "
+                    f"left out; film it {remedy}"
+                )
+        return found
 
 
 @dataclass(frozen=True)
@@ -140,11 +209,13 @@ class CameraNoise:
     electrons_per_grey, electrons_per_grey_sd : float -- 1 / b
     bias, bias_sd, read_noise, read_noise_sd : float or None -- level without light, and its noise without that of
         rounding [grey levels]; None without a dark series
-    prnu, prnu_sd : float -- non-uniformity of the response, over the response
+    prnu, prnu_sd : float or None -- non-uniformity of the response, over the response (over the level without a dark
+        series); None where no series shows it
     curvature, curvature_sd : float -- how much the variance at the highest level departs from the line, over what the
         line has gained there: a gamma, an automatic gain or denoising shows in it
     levels : (float, float) -- lowest and highest level used [grey levels]
     n_frames : tuple of int -- of each series
+    warnings : tuple of str -- what a reader should know
     """
 
     variance: float
@@ -157,12 +228,13 @@ class CameraNoise:
     bias_sd: float | None
     read_noise: float | None
     read_noise_sd: float | None
-    prnu: float
-    prnu_sd: float
+    prnu: float | None
+    prnu_sd: float | None
     curvature: float
     curvature_sd: float
     levels: tuple[float, float]
     n_frames: tuple[int, ...]
+    warnings: tuple[str, ...]
 
     @property
     def is_straight(self) -> bool:
@@ -170,9 +242,11 @@ class CameraNoise:
         return abs(self.curvature) <= max(3.0 * self.curvature_sd, 0.03)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the figures as plain values."""
+        """Return the figures as plain values, without the warnings."""
         return {
-            name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(self).items()
+            if name != "warnings"
         }
 
 
@@ -187,8 +261,12 @@ def photon_transfer(series: Sequence[Series], dark: Series | None = None) -> Cam
     Raises
     ------
     CalibrationError
-        The levels do not differ enough, or the variance does not grow with them.
+        Series are of several sizes or depths, the dark one is not the darkest, the levels do not differ enough, or
+        the variance does not grow with them.
     """
+    _require_one_camera([*series, *([dark] if dark else [])])
+    if dark is not None:
+        _require_darkest(dark, series)
     points = np.vstack([one.points() for one in (*series, *([dark] if dark else []))])
     low, high = (float(points[:, 0].min()), float(points[:, 0].max())) if len(points) else (0.0, 0.0)
     if len(points) < 3 or high - low < _RANGE * high:
@@ -207,14 +285,25 @@ def photon_transfer(series: Sequence[Series], dark: Series | None = None) -> Cam
     curve = (high - low) ** 2 / 4.0 / (line[1] * (high - low))
     bias = bias_sd = read = read_sd = None
     if dark is not None:
-        bias = float(dark.mean.mean())
+        bias = dark.level
         bias_sd = dark.drift / math.sqrt(dark.n_frames)
         of_dark = float(dark.variance.mean())
         read = math.sqrt(max(of_dark - _ROUNDING, 0.0))
         of_dark_sd = of_dark * math.sqrt(3.0 / (dark.mean.size * dark.n_frames))
         read_sd = of_dark_sd / (2.0 * read) if read > 0.0 else math.sqrt(of_dark_sd)
-    brightest = max(series, key=lambda one: float(one.mean.mean()))
-    prnu, prnu_sd = brightest.pattern(bias or 0.0)
+    warnings = [doubt for one in series for doubt in one.doubts()]
+    if dark is not None and dark.level <= _BURIED * math.sqrt(float(dark.variance.mean())):
+        warnings.append(
+            f"{dark.name}: the dark level, {dark.level:.2g}, lies in its own noise at black: bias and read noise are "
+            "not the sensor's; raise the camera's black level (offset)"
+        )
+    patterns = (one.pattern(bias or 0.0) for one in sorted(series, key=lambda one: -one.level))
+    prnu, prnu_sd = next((pattern for pattern in patterns if pattern is not None), (None, None))
+    if prnu is None:
+        warnings.append(
+            f"no series shows the PRNU: expected one more than {_EVEN_PX} px wide and high with half of its pixels "
+            "clear of black and white; film an even scene of medium light"
+        )
     sds = np.sqrt(np.diag(covariance)) * scatter
     return CameraNoise(
         line[0],
@@ -233,7 +322,28 @@ def photon_transfer(series: Sequence[Series], dark: Series | None = None) -> Cam
         math.sqrt(bent_covariance[2, 2]) * scatter * abs(curve),
         (low, high),
         tuple(one.n_frames for one in (*series, *([dark] if dark else []))),
+        tuple(warnings),
     )
+
+
+def _require_one_camera(series: Sequence[Series]) -> None:
+    first = series[0]
+    for one in series:
+        if (one.mean.shape, one.bits) != (first.mean.shape, first.bits):
+            (height, width), (of_first, across) = one.mean.shape, first.mean.shape
+            raise CalibrationError(
+                f"{one.name}: frames are {width} x {height} of {one.bits} bits; expected {across} x {of_first} of "
+                f"{first.bits} bits, as those of {first.name}: give series of one camera with the same settings"
+            )
+
+
+def _require_darkest(dark: Series, series: Sequence[Series]) -> None:
+    for one in series:
+        if dark.level - one.level > _SURE * math.hypot(dark.drift, one.drift):
+            raise CalibrationError(
+                f"{dark.name}: has level {dark.level:.1f}, and {one.name} has {one.level:.1f}; expected the dark "
+                "series to be the darkest: give --dark the frames that were taken with the lens covered"
+            )
 
 
 def _fitted(points: FloatArray, degree: int) -> tuple[list[float], FloatArray, float]:

@@ -127,3 +127,87 @@ def test_a_bend_that_two_levels_leave_open_is_not_stated():
     high = [(frame + rng.integers(0, 4, frame.shape)).astype(np.uint8) for frame in frames[20:]]
     noise = photon_transfer([Series.of(low, "low"), *[Series.of(high, "high")] * 2])
     assert (noise.curvature, noise.curvature_sd) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize(("white", "steps"), [(255, 1), (4095, 16), (65520, 257)])
+@pytest.mark.parametrize("level", [247.0, 262.0, 400.0])
+def test_the_prnu_is_taken_from_the_brightest_series_that_is_not_saturated(level, white, steps):
+    rng = np.random.default_rng([white, int(level)])
+    lit = [linear_series(rng, grey, steps, white=white, name=f"at {grey}") for grey in (60.0, 160.0, level)]
+    noise = photon_transfer(lit, linear_series(rng, BIAS, steps, white=white, name="dark"))
+    assert noise.prnu == pytest.approx(PRNU, abs=4 * noise.prnu_sd)
+    assert (noise.prnu, noise.prnu_sd) == lit[1].pattern(noise.bias)
+    assert noise.prnu_sd < 0.05 * PRNU
+    assert noise.per_grey / steps == pytest.approx(GAIN, abs=4 * noise.per_grey_sd / steps)
+    (warning,) = noise.warnings
+    assert f" % of its pixels is cut off at white ({white})" in warning
+    assert warning.startswith((f"at {level}: noise of 9", f"at {level}: noise of 100 %"))
+    assert warning.endswith("film it darker")
+
+
+def test_a_part_that_is_saturated_is_left_out_and_named():
+    rng = np.random.default_rng(4)
+    scene = np.full((60, 80), 150.0)
+    scene[:, :16] = 400.0
+    noise = photon_transfer([linear_series(rng, 60.0), linear_series(rng, scene)], linear_series(rng, BIAS))
+    assert noise.prnu == pytest.approx(PRNU, abs=4 * noise.prnu_sd)
+    assert "noise of 20 % of its pixels is cut off at white" in noise.warnings[0]
+
+
+def test_where_no_series_shows_the_prnu_none_is_stated():
+    rng = np.random.default_rng(5)
+    halves = [np.full((60, 80), level) for level in (60.0, 160.0)]
+    for half in halves:
+        half[:, 36:] = 400.0
+    noise = photon_transfer([linear_series(rng, half) for half in halves])
+    assert (noise.prnu, noise.prnu_sd) == (None, None)
+    assert noise.per_grey == pytest.approx(GAIN, abs=4 * noise.per_grey_sd)
+    assert "no series shows the PRNU" in noise.warnings[-1]
+    small = [linear_series(rng, level, shape=(14, 40)) for level in (60.0, 110.0, 160.0)]
+    assert photon_transfer(small).prnu is None
+
+
+def test_series_that_do_not_belong_together_are_refused():
+    rng = np.random.default_rng(6)
+    dim, bright, dark = (linear_series(rng, level, name=f"at {level}") for level in (60.0, 160.0, BIAS))
+    with pytest.raises(CalibrationError, match=r"at 160\.0: has level 160\.0.*give --dark the frames"):
+        photon_transfer([dark, dim], bright)
+    # A series of the same light as the dark one is as dark, within its noise.
+    assert photon_transfer([dim, bright, linear_series(rng, BIAS)], dark).bias == pytest.approx(BIAS, abs=0.1)
+    fine = linear_series(rng, 60.0, 257, white=65535, name="fine")
+    with pytest.raises(
+        CalibrationError, match="fine: frames are 80 x 60 of 16 bits; expected 80 x 60 of 8 bits"
+    ):
+        photon_transfer([dim, fine])
+    with pytest.raises(
+        CalibrationError, match=r"80 x 60 of 8 bits, as those of at 60\.0: give series of one"
+    ):
+        photon_transfer([dim, bright], linear_series(rng, BIAS, shape=(30, 40)))
+    with pytest.raises(CalibrationError, match=r"frame 1 has shape .* and 16 bits; expected .* and 8"):
+        Series.of([np.zeros((4, 5), np.uint8), np.zeros((4, 5), np.uint16)], "series")
+
+
+def test_frames_that_repeat_the_one_before_do_not_count():
+    rng = np.random.default_rng(7)
+    frames = [(100 + rng.integers(0, 9, (60, 80))).astype(np.uint8) for _ in range(10)]
+    once = Series.of(frames, "once")
+    twice = Series.of([frame for frame in frames for _ in range(2)], "twice")
+    assert (twice.n_frames, twice.n_repeated) == (10, 10)
+    assert np.array_equal(twice.variance, once.variance)
+    noise = photon_transfer([twice, linear_series(rng, 40.0)])
+    assert noise.warnings == (
+        "twice: 10 frames repeat the one before bit for bit and are left out; film without copies",
+    )
+    with pytest.raises(CalibrationError, match="holds 1 frames and 9 that repeat the one before"):
+        Series.of(frames[:1] * 10, "copies")
+
+
+def test_a_dark_series_in_its_own_noise_at_black_is_named():
+    rng = np.random.default_rng(8)
+    crushed = Series.of(
+        [np.clip(np.rint(READ * rng.standard_normal((60, 80))), 0, 255).astype(np.uint8) for _ in range(16)],
+        "crushed",
+    )
+    noise = photon_transfer([linear_series(rng, 60.0), linear_series(rng, 160.0)], crushed)
+    assert "crushed: the dark level" in noise.warnings[0]
+    assert "raise the camera's black level" in noise.warnings[0]
