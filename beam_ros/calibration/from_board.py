@@ -21,6 +21,8 @@ FRAMES_OF_A_VIDEO = 25
 _ZERO_SD_PX = 1.0
 """Standard deviation of a zero that only the rig file states [px]: ``tracker/tare`` measures it."""
 _LARGE_TILT = 0.01
+_OTHER_UNIT = 10.0
+"""A scale so many times the rig's is one in another unit: inches, the nearest to metres, are 39 times off."""
 _LARGE_RESIDUAL_PX = 0.3
 
 
@@ -96,6 +98,13 @@ def calibrate_from_board(
     if scale.tilt > _LARGE_TILT:
         warnings.append(
             f"the scale changes by {100 * scale.tilt:.1f} % over the board: hold it parallel to the image"
+        )
+    factor = scale.pixels_per_metre / camera.pixels_per_metre
+    if not 1.0 / _OTHER_UNIT < factor < _OTHER_UNIT:
+        warnings.append(
+            f"the scale is {scale.pixels_per_metre:.4g} px/m by squares of {board.square_m:g} m, and the rig's "
+            f"camera.pixels_per_metre is {camera.pixels_per_metre:.4g}: is --square in metres? If it is, set "
+            "camera.pixels_per_metre"
         )
     if scale.residual_rms_px > _LARGE_RESIDUAL_PX:
         warnings.append(

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 
 from beam_ros.arrays import ImageArray
+from beam_ros.bags.errors import NotABagError
 from beam_ros.bags.reading import Bag
 from beam_ros.vision.camera.image_messages import read_image
 from beam_ros.vision.camera.images import grey_frame
@@ -36,7 +37,7 @@ def frames_of(path: Path) -> Iterator[ImageArray]:
     Raises
     ------
     CalibrationError
-        A picture of a folder cannot be read, or a bag holds no frames.
+        A picture cannot be read, a folder holds neither pictures nor a bag, or a bag holds no frames.
     VideoError
         The file is neither a picture nor a video.
     """
@@ -47,7 +48,7 @@ def frames_of(path: Path) -> Iterator[ImageArray]:
         yield from _of_bag(path)
     elif not path.is_file():
         raise VideoError(f"{path}: no such picture or video; check the path")
-    elif path.suffix.lower() in _PICTURES and cv2.haveImageReader(str(path)):
+    elif path.suffix.lower() in _PICTURES:
         yield _picture(path)
     else:
         yield from (image for _, image in VideoFile(path, rate_hz=_ANY_RATE_HZ).frames())
@@ -56,12 +57,25 @@ def frames_of(path: Path) -> Iterator[ImageArray]:
 def _picture(path: Path) -> ImageArray:
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise CalibrationError(f"{path}: is no picture; expected one: take it out of the folder")
+        size = path.stat().st_size
+        raise CalibrationError(
+            f"{path}: is not a picture that OpenCV can read ({size} bytes); expected a whole one: copy it again, or "
+            "leave it out"
+        )
     return grey_frame(image)
 
 
 def _of_bag(path: Path) -> Iterator[ImageArray]:
-    with Bag(path) as bag:
+    try:
+        opened = Bag(path)
+    except NotABagError as err:
+        if not path.is_dir():
+            raise
+        raise CalibrationError(
+            f"{path}: is a folder without pictures ({', '.join(_PICTURES)}), and without a bag; expected either: "
+            "check the path, or give the files themselves"
+        ) from err
+    with opened as bag:
         if not bag.count(_IMAGES):
             raise CalibrationError(
                 f"{path}: holds no frames on {_IMAGES}; expected a bag recorded with the camera's topic"

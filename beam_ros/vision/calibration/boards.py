@@ -57,11 +57,13 @@ class Board:
         least = _MIN_COUNTS[self.pattern]
         if self.columns < least or self.rows < least:
             raise CalibrationError(
-                f"{self.pattern} has {self.columns} x {self.rows} {self.counted}; expected at least {least} x {least}"
+                f"{self.pattern} has {self.columns} x {self.rows} {self.counted}; expected at least {least} x "
+                f"{least}: count them again for --board"
             )
-        if not (math.isfinite(self.square_m) and self.square_m > 0 and self.square_sd_m >= 0):
+        if not (0 < self.square_m < math.inf and 0 <= self.square_sd_m < math.inf):
             raise CalibrationError(
-                f"{self.pattern} has squares of {self.square_m!r} +- {self.square_sd_m!r} m; expected metres > 0"
+                f"{self.pattern} has squares of {self.square_m!r} +- {self.square_sd_m!r} m; expected metres > 0 and "
+                "a standard deviation of 0 or more: measure them, and give --square and --square-sd"
             )
         if self.pattern != "checkerboard":
             if not 0 < self.marker_m < self.square_m:

@@ -108,6 +108,19 @@ def test_a_board_that_is_never_tilted_gives_the_scale_alone(
         assert "6 pictures leave the focal length open" in result["warnings"][0]
 
 
+@pytest.mark.parametrize(
+    ("square", "is_noted"), [("0.02", False), ("0.04", False), ("2", True), ("20", True)]
+)
+def test_squares_in_another_unit_than_metres_are_noted(
+    square: str, is_noted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plane = write(tmp_path / "plane.png", picture(*POSES[0], lens=PERFECT))
+    assert main(["calibrate", str(plane), "--board", "8x6", "--square", square]) == 0
+    shown = capsys.readouterr().out
+    assert ("camera.pixels_per_metre is 1500: is --square in metres?" in shown) is is_noted
+    assert (f"by squares of {square} m" in shown) is is_noted
+
+
 def test_a_video_of_the_board_will_do(tmp_path: Path) -> None:
     frame = picture(*POSES[0], lens=PERFECT)
     video = tmp_path / "board.avi"
@@ -122,16 +135,25 @@ def test_a_video_of_the_board_will_do(tmp_path: Path) -> None:
 def test_what_shows_no_board_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     empty = write(tmp_path / "empty.png", np.full((480, 640), 90, np.uint8))
     small = write(tmp_path / "small.png", np.full((240, 320), 90, np.uint8))
+    zero = tmp_path / "zero.png"
+    zero.touch()
+    (tmp_path / "nothing").mkdir()
     text = tmp_path / "text.png"
     text.write_text("no picture", encoding="utf-8")
     for words, message in (
         ([str(empty), *BOARD], "no checkerboard of 8 x 6"),
         ([str(small), *BOARD], "is 320 x 240; expected 640 x 480"),
         ([str(text), *BOARD], "text.png"),
+        ([str(text), *BOARD], "text.png: is not a picture that OpenCV can read (10 bytes)"),
+        ([str(zero), *BOARD], "zero.png: is not a picture that OpenCV can read (0 bytes)"),
+        ([str(tmp_path / "nothing"), *BOARD], "nothing: is a folder without pictures (.png"),
         ([str(tmp_path / "absent.png"), *BOARD], "no such picture or video"),
         ([str(empty), "--board", "8by6", "--square", "0.02"], "as 8x6"),
         ([str(empty), "--board", "8x6"], "needs --square"),
         ([str(empty), "--board", "2x6", "--square", "0.02"], "at least 3 x 3"),
+        ([str(empty), "--board", "8x6", "--square", "0"], "squares of 0.0 +- 0.0 m; expected metres > 0"),
+        ([str(empty), "--board", "8x6", "--square", "0"], "give --square and --square-sd"),
+        ([str(empty), *BOARD, "--square-sd", "inf"], "a standard deviation of 0 or more"),
         ([str(empty), "--board", "8x6", "--square", "-1"], "expected metres > 0"),
     ):
         status = main(["calibrate", *words])
