@@ -19,6 +19,7 @@ from beam_ros.vision.tracking.marker_state import (
     MarkerState,
     beam_reach,
     is_taken,
+    shared,
 )
 from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
 from beam_ros.vision.tracking.spot_search import one_disc
@@ -55,6 +56,7 @@ class Acquisition:
         self._markers = markers
         self._exposure_s = exposure_s
         self._frame = self._elapsed_ns = 0
+        self._narrower = 0.0
 
     def acquire(self, image: ImageArray, frame: int, elapsed_ns: int) -> dict[int, Reason]:
         """Find markers in a frame, by its number and the time since the one before [ns]; return what keeps others."""
@@ -68,6 +70,7 @@ class Acquisition:
         others: list[tuple[float, float]] = []
         for top, bottom in self._bands(missing, image.shape[0]):
             self._look(image, top, bottom, found, others)
+        self._narrower = self._sharpened(found)
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
         unequal = self._unequal(chosen)
@@ -76,6 +79,16 @@ class Acquisition:
             appearance = self._meter.appearance(spot, light)
             self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
         return {**reasons, **dict.fromkeys(unequal, "area")}
+
+    def _sharpened(self, found: list[Candidate]) -> float:
+        """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
+
+        A rim that overshoots adds to the area. A second disc that touches does so, too, but of one marker.
+        """
+        looks = [marker.appearance for marker in self._markers if marker.appearance is not None]
+        looks += [self._meter.appearance(*candidate) for candidate in found]
+        narrower = [look.variance_v - look.area / (4 * math.pi * self._parameters.aspect) for look in looks]
+        return min(shared(narrower, max(len(self._markers), len(looks))), 0.0)
 
     def _bands(self, missing: list[int], height: int) -> list[tuple[int, int]]:
         """First rows, and those after the last, in which to look for markers: their own, or the whole image."""
@@ -204,7 +217,8 @@ class Acquisition:
         self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
     ) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        disc = one_disc(spot, light, self._meter.appearance(spot, light), self._parameters)
+        look = self._meter.appearance(spot, light)
+        disc = one_disc(spot, light, look, self._parameters, self._narrower)
         before = marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
         marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0

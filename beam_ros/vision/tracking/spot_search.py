@@ -117,8 +117,12 @@ class OneDisc:
     tolerance: float
 
 
-def one_disc(spot: Spot, light: Light, disc: Appearance, parameters: TrackerParameters) -> OneDisc:
+def one_disc(
+    spot: Spot, light: Light, disc: Appearance, parameters: TrackerParameters, narrower: float = 0.0
+) -> OneDisc:
     """Compare a spot with the image of one disc, and with what that would be at rest.
+
+    The second moments of discs are greater by so much than their areas say, or less where it is negative [px^2].
 
     Notes
     -----
@@ -134,6 +138,6 @@ def one_disc(spot: Spot, light: Light, disc: Appearance, parameters: TrackerPara
     is_round = (
         excess >= -tolerance
         and abs(spot.covariance) <= tolerance
-        and disc.variance_v - uniform / parameters.aspect >= -tolerance
+        and disc.variance_v - uniform / parameters.aspect >= narrower - tolerance
     )
     return OneDisc("ok" if is_round else "shape", excess, tolerance)

@@ -181,6 +181,30 @@ def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_vis
         assert columns(result)[valid] == pytest.approx(camera.columns(x)[valid], abs=0.04)
 
 
+@pytest.mark.parametrize("amount", [0.7, 1.0, 1.5])
+def test_a_camera_that_sharpens_hides_no_marker_but_one_that_a_second_disc_touches(amount):
+    camera = packaged_camera(noise_grey=2.0)
+    renderer, tracker = make(camera)
+    touching = SecondSpot(renderer.camera.origin_px[0] + 3.0, float(camera.rows(0.225)))
+    rng, errors, is_seen = np.random.default_rng(8), [], []
+    beside = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3)
+
+    def sharpened(picture):
+        light = picture.astype(np.float32)
+        light += amount * (light - cv2.GaussianBlur(light, (0, 0), 2.0))
+        return np.clip(np.rint(light), 0, 255).astype(np.uint8)
+
+    for k in range(60):
+        x = 0.004 * np.sin(0.2 * k + np.arange(3))
+        result = tracker.process(sharpened(renderer.render(x, rng)), k)
+        errors.append((columns(result) - camera.columns(x)) / [marker.sigma_px for marker in result.markers])
+        twin = renderer.render(np.zeros(3), rng, disturbances=Disturbances(spots=(touching,)))
+        is_seen.append([marker.is_valid for marker in beside.process(sharpened(twin), k).markers])
+    assert np.isfinite(errors).mean() >= 0.98
+    assert 0.5 < np.sqrt(np.nanmean(np.square(errors))) < 1.15
+    assert np.mean(is_seen, axis=0) == pytest.approx([1.0, 0.0, 1.0], abs=0.1)
+
+
 @pytest.mark.parametrize(("strip", "width"), [(0.1, 3.0), (0.15, 3.0), (0.15, 1.5), (0.1, 6.0)])
 @pytest.mark.parametrize("contrast", [180.0, -180.0])
 def test_a_strip_that_shows_behind_the_markers_hides_none(strip, width, contrast):
