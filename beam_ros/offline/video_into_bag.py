@@ -197,10 +197,11 @@ def _film_notes(tracked: TrackedVideo, times: FilmTimes) -> Iterator[str]:
         )
     untimed = n_frames - int(np.count_nonzero(times.is_timed))
     if untimed:
+        is_told = float(np.max(np.diff(tracked.frame_times_ns))) * 1e-9 > 1.5 * (tracked.period_s or math.inf)
+        remedy = "--times" if is_told else "a container with frame times (Matroska, MP4) or --times"
         yield (
             f"nobody can tell when {untimed} of {n_frames} frames were taken, for the hub and the beam hardly moved "
-            "beside a lost frame: they are marked as not seen; a container with frame times (Matroska, MP4) or "
-            "--times would keep them"
+            f"beside a lost frame: they are marked as not seen; {remedy} would keep them"
         )
     if abs(found.gain - 1) > _GAIN_TOLERANCE:
         yield (

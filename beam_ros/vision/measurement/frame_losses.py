@@ -131,7 +131,9 @@ def time_film(
             instants = found.hub_times(times)[:, None] - period_s * np.arange(4 * _RECURSION + 1) / 4
             hub = np.interp(instants, hub_times_s, hub_positions_m)
             moving = search.is_moving(found, times)
-            is_timed = _as_the_swing_tells(is_timed, lost, moving, high_markers_m, hub)
+            told = np.rint((camera_times_s - camera_times_s[0]) / period_s).astype(np.intp)
+            missing = lost + told - np.arange(len(told))
+            is_timed = _as_the_swing_tells(is_timed, lost, missing, moving, high_markers_m, hub)
         # Frames that nobody can time are there only where some are lost, whether they were found or not.
         largest = _largest(jitter, jitter_sd) if np.any(is_timed) else math.inf
         if (np.any(lost) or not np.all(is_timed)) and largest > _EVEN * period_s:
@@ -460,6 +462,7 @@ def _well_placed(lost: IndexArray, tells: np.ndarray) -> np.ndarray:
 def _as_the_swing_tells(
     is_timed: np.ndarray,
     lost: IndexArray,
+    missing: IndexArray,
     is_moving: np.ndarray,
     high: FloatArray,
     hub: FloatArray,
@@ -467,11 +470,12 @@ def _as_the_swing_tells(
     """Judge the stretches in which the hub rests by the beam's swing.
 
     Frames after a broken recursion are not timed until the hub tells again. Where a swing is large enough to break
-    and does not, frames are timed although the hub does not tell, if those before or behind them are.
+    and does not, frames are timed although the hub does not tell, if those before or behind them are. ``missing``
+    counts the frames that are lost or, as the film itself tells, not there before each frame.
     """
     judged = is_timed.copy()
     has_losses = bool(np.any(np.diff(lost)))
-    broken, silent = _breaks(high, hub, lost, is_timed)
+    broken, silent = _breaks(high, hub, missing, is_timed)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], is_moving, [True]]).astype(int)))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         own = np.flatnonzero(broken[first:last])
@@ -498,7 +502,7 @@ def _usual_of_late(sizes: FloatArray) -> FloatArray:
 
 
 def _breaks(
-    high: FloatArray, hub: FloatArray, lost: IndexArray, is_timed: np.ndarray
+    high: FloatArray, hub: FloatArray, missing: IndexArray, is_timed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frames that break the recursion of the driven beam, and frames in which a lost one would not be noticed.
 
@@ -509,14 +513,14 @@ def _breaks(
     ----------
     high : ndarray, shape (n_frames, n) -- displacements [m]
     hub : ndarray, shape (n_frames, n_instants) -- the hub's positions in the periods before each frame [m]
-    lost, is_timed -- of every frame
+    missing, is_timed -- of every frame; lags count periods only where as many are missing
     """
     n, order = len(high), _RECURSION
     broken, silent = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
     deflection = high - hub[:, :1]
     lagged = [deflection[order - lag : n - lag] for lag in range(1, order + 1)]
     driven = (hub[order:, 1:] - hub[order:, :1])[:, :, None]
-    together = lost[order:] == lost[: n - order]
+    together = missing[order:] == missing[: n - order]
     known = is_timed[order:] & is_timed[: n - order] & together
     scales = np.zeros(deflection.shape[1])
     for j in range(deflection.shape[1]):
@@ -540,4 +544,7 @@ def _breaks(
         broken[order:] |= size > np.maximum(_BROKEN * scale, _SUDDEN * _usual_of_late(size))
     step = np.nan_to_num(np.abs(np.diff(deflection, axis=0)) / scales).max(axis=1)
     around = np.array([step[max(0, k - 6) : k + 6].max(initial=0.0) for k in range(n)])
-    return broken, np.asarray(around < 1.5 * _BROKEN)
+    is_silent = around < 1.5 * _BROKEN
+    # Across a gap nothing is foretold, and another loss would not break it.
+    is_silent[order:] |= ~together
+    return broken, np.asarray(is_silent)

@@ -126,6 +126,26 @@ def test_a_mode_that_wakes_while_the_hub_seems_to_rest_is_no_lost_frame():
         assert len(kept) < len(frames) or found.is_timed.all()
 
 
+@pytest.mark.parametrize("is_one_silent", [False, True])
+def test_gaps_that_the_container_tells_break_no_swing(experiment, is_one_silent):
+    # The recursion counted rows across them: of a film that lacked nothing else 101 frames were not timed.
+    numbers = np.flatnonzero(np.arange(experiment.n_frames) % 37 != 5)
+    told, silent = numbers, experiment.n_frames
+    if is_one_silent:
+        # While the hub rests.
+        silent = int(numbers[-60])
+        numbers = numbers[numbers != silent]
+        told = numbers - (numbers > silent)
+    hub, high = experiment.film(numbers * PERIOD, np.random.default_rng(10))
+    found = time_film(
+        experiment.hub_t, experiment.hub_x, told * PERIOD, hub, period_s=PERIOD, high_markers_m=high
+    )
+    wrong = found.synchronisation.hub_times((told + found.lost) * PERIOD) - numbers * PERIOD
+    assert np.abs(wrong - experiment.begun)[found.is_timed].max() < LIMIT
+    assert found.is_timed[numbers < silent - 20].all()
+    assert not found.is_timed[numbers > silent].any()
+
+
 @pytest.mark.parametrize("kind", ["jitter", "variable"])
 def test_times_that_nobody_can_tell_are_refused(experiment, kind):
     rng = np.random.default_rng([3, *kind.encode()])
