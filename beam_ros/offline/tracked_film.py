@@ -1,7 +1,7 @@
 """A film becomes a record: displacements in metres by the camera's clock, of its markers or of the whole strip.
 
-Frames that the decoder complained about, and frames in which the picture broke for one frame only, are marked: what
-the tracker found there is no measurement.
+Frames that the decoder complained about, frames in which the picture broke for one frame only, and frames that show
+the image of another one, are marked: what the tracker found there is no measurement.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beam_ros.arrays import FloatArray
+from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.offline.whole_beam import FollowedPoints, follow_strip
 from beam_ros.rig.beam_line import marker_shape_fitter
 from beam_ros.rig.rig import Rig
@@ -25,6 +25,7 @@ from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
 from beam_ros.vision.fields import DEINTERLACE
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.measurement.repeated_frames import find_repeated_frames
 from beam_ros.vision.parameters import CameraParameters
 
 _MIN_SEEN = _MAX_DAMAGED = 0.5
@@ -36,7 +37,8 @@ class TrackedVideo(FollowedPoints):
 
     Attributes
     ----------
-    names, heights, frame_times_ns, times_ns, u_px, v_px, x_m, sigma_m, reasons -- as of ``FollowedPoints``
+    names, heights, frame_times_ns, times_ns, u_px, v_px, x_m, sigma_m, reasons, is_repeated -- as of
+        ``FollowedPoints``
     notes : tuple of str -- what a reader should know
     hub_m : ndarray, shape (n,) -- the hub's position, as all markers of a frame show it [m]; NaN where too few do
     period_s : float or None -- time between frames, of which some may be missing; None where every frame has a
@@ -144,7 +146,8 @@ def track_video(
         )
     times, period_s, said = video.settled_times(tracked.frame_times_ns)
     notes += said
-    notes += _remarks(video, tracked.names, tracked.reasons, len(times))
+    tracked, is_wrong, said = _with_repeated_images(tracked, times)
+    notes += [*_remarks(video, tracked.names, tracked.reasons, len(times)), *said]
     record = TrackedVideo(
         tracked.names,
         tracked.heights,
@@ -155,11 +158,12 @@ def track_video(
         tracked.x_m,
         tracked.sigma_m,
         tracked.reasons,
+        tracked.is_repeated,
         tuple(notes),
         seen_hub(rig, tracked.heights, tracked.x_m, tracked.sigma_m),
         period_s,
         is_whole,
-    )
+    ).without(is_wrong, "repeated")
     if np.any(damaged):
         word = f"{np.count_nonzero(damaged)} of {len(times)} frames are damaged in the file and marked as not seen"
         record = replace(record.without(damaged, "damaged"), notes=(*record.notes, word))
@@ -201,6 +205,7 @@ def _track_markers(
             np.array([frame.displacement.x_m for frame in measured]),
             np.array([frame.displacement.sigma_m for frame in measured]),
             reasons,
+            np.array([set(frame.reasons) == {"repeated"} for frame in measured]),
         ),
         [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt, chain.fields_doubt) if doubt]
         + [
@@ -254,14 +259,55 @@ def _remarks(
             f"the codec {video.predicting_codec} keeps what changes from frame to frame: places scatter several "
             "times as much as in the camera's own pictures. Film in Motion JPEG or FFV1, or with key frames only"
         )
-    if unchanged := max(counts.get("repeated", 0) for counts in reasons):
-        yield (
-            f"{unchanged} of {n_frames} frames are the one before, bit for bit, though what they show moves: they "
-            "are left out. Where a converter filled a film up, give it the camera's own file"
-        )
     for name, counts in zip(names, reasons, strict=True):
         if counts.get("ok", 0) < _MIN_SEEN * n_frames:
             yield f"{name} was seen in {counts.get('ok', 0)} of {n_frames} frames ({_in_words(counts)})"
+
+
+def _with_repeated_images(
+    tracked: FollowedPoints, times_ns: StampArray
+) -> tuple[FollowedPoints, np.ndarray, list[str]]:
+    """Give frames that are the one before its places; find more that share an image, and which were not taken then.
+
+    Returns
+    -------
+    tracked : FollowedPoints
+    is_wrong : ndarray of bool, shape (n,) -- frames that show what was there at another time, or may do so
+    notes : list of str
+    """
+    # Every frame takes the places of the last one that was measured.
+    known = tracked.is_repeated
+    source = np.maximum.accumulate(np.where(known, 0, np.arange(len(known))))
+    x_m, sigma_m = tracked.x_m[source], tracked.sigma_m[source]
+    found = find_repeated_frames((times_ns - times_ns[0]).astype(np.float64) * 1e-9, x_m, sigma_m, known)
+    if not np.any(found.is_copy):
+        return tracked, found.is_wrong, []
+    given = np.count_nonzero(np.isfinite(x_m) & known[:, None], axis=0)
+    reasons = tuple(
+        {**counts, "ok": counts.get("ok", 0) + int(n), "repeated": counts.get("repeated", 0) - int(n)}
+        for counts, n in zip(tracked.reasons, given, strict=True)
+    )
+    filled = replace(
+        tracked,
+        u_px=tracked.u_px[source],
+        v_px=tracked.v_px[source],
+        x_m=x_m,
+        sigma_m=sigma_m,
+        reasons=reasons,
+    )
+    n_known, n_more, n_frames = np.count_nonzero(known), np.count_nonzero(found.is_copy & ~known), len(known)
+    said = [f"{n_known} of {n_frames} frames are the one before, bit for bit"] if n_known else []
+    said += (
+        [f"{n_more} of {n_frames} frames are nearly the one before, as a codec gives it back"]
+        if n_more
+        else []
+    )
+    note = (
+        f"{', and '.join(said)}, though what they show moves: {np.count_nonzero(found.is_wrong)} that do not, or may "
+        "not, show what was there at their time are left out. Where a converter filled a film up, give it the "
+        "camera's own file"
+    )
+    return filled, found.is_wrong, [note]
 
 
 def _in_words(counts: dict[str, int]) -> str:

@@ -40,6 +40,7 @@ class FollowedPoints:
     u_px, v_px, x_m, sigma_m : ndarray, shape (n, m) -- place in the image, displacement u(z, t) and its standard
         deviation; NaN where not seen
     reasons : tuple of mapping of str to int, length m -- how often each point was valid ("ok"), or not and why
+    is_repeated : ndarray of bool, shape (n,) -- the image is the one before, bit for bit, though what it shows moves
     """
 
     names: tuple[str, ...]
@@ -51,6 +52,7 @@ class FollowedPoints:
     x_m: FloatArray
     sigma_m: FloatArray
     reasons: tuple[dict[str, int], ...]
+    is_repeated: np.ndarray
 
 
 def strip_parameters(camera: CameraParameters, length_m: float, row_step: int) -> StripParameters:
@@ -173,6 +175,7 @@ def follow_strip(
             {REASONS[k]: int(n) for k, n in enumerate(np.bincount(why[:, j], minlength=len(REASONS))) if n}
             for j in chosen
         ),
+        (why == REASONS.index("repeated")).all(axis=1),
     )
 
 
