@@ -44,12 +44,14 @@ class TrackedVideo(FollowedPoints):
     period_s : float or None -- time between frames, of which some may be missing; None where every frame has a
         time of its own
     is_whole : bool -- points of the strip, not markers
+    is_predicted : bool -- a codec kept what changes from frame to frame
     """
 
     notes: tuple[str, ...]
     hub_m: FloatArray
     period_s: float | None
     is_whole: bool = False
+    is_predicted: bool = False
 
     def without(self, frames: np.ndarray, reason: str) -> TrackedVideo:
         """Return the record with some frames not seen.
@@ -163,6 +165,7 @@ def track_video(
         seen_hub(rig, tracked.heights, tracked.x_m, tracked.sigma_m),
         period_s,
         is_whole,
+        bool(video.predicting_codec),
     ).without(is_wrong, "repeated")
     if np.any(damaged):
         word = f"{np.count_nonzero(damaged)} of {len(times)} frames are damaged in the file and marked as not seen"

@@ -41,7 +41,7 @@ Progress = Callable[[str, float], None]
 
 _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
-_LARGE_OFFSET_SD_S = 0.2e-3
+_LARGE_SD_S = 0.2e-3
 """A time known no better than this is reported: it turns the phase of a mode at 28 Hz by 2 degrees."""
 
 
@@ -85,6 +85,7 @@ def synchronise_with_hub(
         period_s=tracked.period_s,
         high_markers_m=tracked.x_m[:, [(2 * n_high) // 3, n_high - 1]] if n_high > 1 else None,
         fits_drift=not has_exact_rate,
+        fits_lag=tracked.is_predicted,
     )
 
 
@@ -208,13 +209,16 @@ def _film_notes(tracked: TrackedVideo, times: FilmTimes) -> Iterator[str]:
             f"the low marker moves {found.gain:.3f} times as far as the hub: the scale is not right; calibrate, or "
             "correct camera.pixels_per_metre"
         )
-    if found.offset_sd_s > _LARGE_OFFSET_SD_S:
+    if times.time_sd_s > _LARGE_SD_S:
+        where = "beginning" if found.offset_sd_s >= times.time_sd_s else "end"
         remedy = "let the hub move more, or film it longer"
+        if tracked.is_predicted:
+            remedy += ", with less compression"
         if found.drift_sd > 0:
             remedy += "; --exact-rate where the frame times are exact"
         yield (
-            f"the video's time in the hub's is known to +- {found.offset_sd_s * 1e3:.2g} ms; expected "
-            f"{_LARGE_OFFSET_SD_S * 1e3:g} ms or less: {remedy}"
+            f"the video's time in the hub's is known to +- {times.time_sd_s * 1e3:.2g} ms at its {where}; expected "
+            f"{_LARGE_SD_S * 1e3:g} ms or less: {remedy}"
         )
 
 
@@ -246,6 +250,9 @@ def _summary(video: VideoFile, tracked: TrackedVideo, times: FilmTimes) -> dict[
             "offset_sd_s": found.offset_sd_s,
             "drift": found.drift,
             "drift_sd": found.drift_sd,
+            "time_sd_s": times.time_sd_s,
+            "lag_m": found.lag_m,
+            "lag_sd_m": found.lag_sd_m,
             "gain": found.gain,
             "zero_m": found.zero_m,
             "correlation": found.correlation,

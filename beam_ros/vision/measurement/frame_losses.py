@@ -14,14 +14,14 @@ swing of the beam does: it obeys a linear recursion, which a lost frame breaks.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from beam_ros.arrays import FloatArray, IndexArray
 from beam_ros.vision.errors import SynchronisationError
-from beam_ros.vision.measurement.synchronisation import Synchronisation, synchronise
+from beam_ros.vision.measurement.synchronisation import Synchronisation, directions, synchronise
 
 _TOLL = 16.0
 """What a loss costs: it must explain the film better by so much, in units of log-likelihood."""
@@ -65,12 +65,14 @@ class FilmTimes:
     synchronisation : Synchronisation -- between the camera's times, lost frames counted in, and the hub's
     lost : ndarray of int, shape (n_frames,) -- frames lost before each frame
     is_timed : ndarray of bool, shape (n_frames,) -- False: nobody knows when this frame was taken
+    time_sd_s : float -- standard deviation of the first or the last frame's time, the larger: of offset and drift [s]
     jitter_s, jitter_sd_s : float -- irregularity of the frame times, standard deviation [s], and how well it is known
     """
 
     synchronisation: Synchronisation
     lost: IndexArray
     is_timed: np.ndarray
+    time_sd_s: float
     jitter_s: float
     jitter_sd_s: float
 
@@ -89,6 +91,7 @@ def time_film(
     period_s: float | None,
     high_markers_m: FloatArray | None = None,
     fits_drift: bool = True,
+    fits_lag: bool = False,
 ) -> FilmTimes:
     """Find when every frame of a film was taken.
 
@@ -101,6 +104,7 @@ def time_film(
         camera's own, one for each frame, and only judged
     high_markers_m : ndarray, shape (n_frames, n), optional -- displacements that swing when the hub rests [m]
     fits_drift : bool -- also fit the ratio of the clocks' rates
+    fits_lag : bool -- also fit by how much the film stays behind, as behind a codec that keeps what changes
 
     Returns
     -------
@@ -111,7 +115,7 @@ def time_film(
     SynchronisationError
         The records do not resemble each other, or frames come at times that nobody can tell.
     """
-    search = _Search(hub_times_s, hub_positions_m, camera_times_s, seen_hub_m, period_s, fits_drift)
+    search = _Search(hub_times_s, hub_positions_m, camera_times_s, seen_hub_m, period_s, fits_drift, fits_lag)
     found, lost = search.best()
     times = camera_times_s + lost * (period_s or 0.0)
     # Frames beside a loss may still be misplaced, which looks like jitter: they are left out first.
@@ -138,7 +142,8 @@ def time_film(
         largest = _largest(jitter, jitter_sd) if np.any(is_timed) else math.inf
         if (np.any(lost) or not np.all(is_timed)) and largest > _EVEN * period_s:
             raise _uneven(period_s, largest)
-    return FilmTimes(found, lost, is_timed, jitter, jitter_sd)
+    time_sd = float(np.max(found.hub_time_sds(times[[0, -1]])))
+    return FilmTimes(found, lost, is_timed, time_sd, jitter, jitter_sd)
 
 
 def _largest(jitter_s: float, sd_s: float) -> float:
@@ -168,9 +173,11 @@ class _Search:
         seen: FloatArray,
         period_s: float | None,
         fits_drift: bool,
+        fits_lag: bool,
     ) -> None:
         self.hub_t, self.hub_x, self.times, self.seen = hub_t, hub_x, times, seen
-        self.period_s, self.fits_drift = period_s, fits_drift
+        self.period_s, self.fits_drift, self.fits_lag = period_s, fits_drift, fits_lag
+        self.largest_speed = float(np.max(np.abs(np.gradient(hub_x, hub_t)), initial=0.0))
         self.sigma = 0.0
         self.n_states = 1 + min(math.ceil(_MAX_SHARE / (1 - _MAX_SHARE) * len(times)), _MAX_LOST)
 
@@ -183,6 +190,7 @@ class _Search:
             times[chosen],
             self.seen[chosen],
             fits_drift=self.fits_drift if drift is None else drift,
+            fits_lag=self.fits_lag,
         )
 
     def residuals(self, found: Synchronisation, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,8 +198,10 @@ class _Search:
         at = found.hub_times(times)
         inside = (at >= self.hub_t[0]) & (at <= self.hub_t[-1])
         hub = np.interp(at, self.hub_t, self.hub_x)
-        residual = np.where(inside, self.seen - found.gain * hub - found.zero_m, np.nan)
-        return residual, found.gain * self._hub_speed(at)
+        speed = self._hub_speed(at)
+        behind = found.lag_m * directions(speed, self.largest_speed) if found.lag_m else 0.0
+        residual = np.where(inside, self.seen - found.gain * hub - found.zero_m + behind, np.nan)
+        return residual, found.gain * speed
 
     def _hub_speed(self, at: FloatArray) -> FloatArray:
         """The hub's speed at times of its own [m/s]."""
@@ -293,10 +303,10 @@ class _Search:
             residual, _ = self.residuals(found, self.times + lost * self.period_s)
             sigma = max(_spread(residual), 1e-7)
             # The path is counted from the first frame, the states from the window's.
-            found = _shifted(found, int(lost[middle]) * self.period_s)
+            found = found.begun_earlier(int(lost[middle]) * self.period_s)
         if lost is None:
             return None
-        return _shifted(found, -int(lost[middle]) * self.period_s), lost
+        return found.begun_earlier(-int(lost[middle]) * self.period_s), lost
 
     def _costs(self, found: Synchronisation, sigma: float) -> FloatArray:
         """Cost of every frame at every number of lost frames, shape (n_frames, 2 n_states - 1)."""
@@ -375,11 +385,6 @@ class _Search:
                 "at a constant rate"
             )
         return jitter, jitter_sd
-
-
-def _shifted(found: Synchronisation, by_s: float) -> Synchronisation:
-    """Synchronisation of camera times that begin by so much earlier [s]."""
-    return replace(found, offset_s=found.offset_s + (1 + found.drift) * by_s)
 
 
 def _spread(residual: FloatArray) -> float:

@@ -7,12 +7,16 @@ hub's: first coarsely, by the lag of the largest normalised correlation, then by
 
 in which slow, large motion decides, and there the marker follows the hub without lag. What the beam's own
 deflection leaves in the residuals counts as noise that is correlated over half a second.
+
+A codec that keeps what changes leaves small changes out: what it shows stays behind by about the same way however
+fast it moves, so that slow motion comes later than fast. For such a film -lag sign(d alpha/dt) is fitted in addition;
+without it the times would be late, and those of slow motion later than the rest.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +35,8 @@ _CORRELATION_TIME_S = 0.5
 """Residuals remember for so long, which enters the standard deviations."""
 _MIN_MOTION = 1e-3
 """A marker that moves by less than this share of the hub's way stands still."""
+_SLOW = 0.01
+"""At this share of the hub's largest speed it has a direction, and does not rest."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,8 @@ class Synchronisation:
     drift, drift_sd : float -- relative difference of the two clocks' rates; 0 where it was not fitted
     gain : float -- displacement of the marker per displacement of the hub: 1 for a right scale
     zero_m : float -- the marker's displacement where the hub is at zero [m]
+    covariance_s : float -- of offset and drift [s]
+    lag_m, lag_sd_m : float -- way by which the film shows the marker behind its motion [m]; 0 where it was not fitted
     correlation : float -- of the two records at the coarse lag
     residual_rms_m : float -- [m]
     n_frames : int -- frames used
@@ -54,6 +62,9 @@ class Synchronisation:
     drift_sd: float
     gain: float
     zero_m: float
+    covariance_s: float
+    lag_m: float
+    lag_sd_m: float
     correlation: float
     residual_rms_m: float
     n_frames: int
@@ -61,6 +72,26 @@ class Synchronisation:
     def hub_times(self, camera_times_s: npt.ArrayLike) -> FloatArray:
         """Times of the hub's clock at times of the camera's [s]."""
         return np.asarray((1 + self.drift) * np.asarray(camera_times_s, dtype=np.float64) + self.offset_s)
+
+    def hub_time_sds(self, camera_times_s: npt.ArrayLike) -> FloatArray:
+        """Return the standard deviations of ``hub_times`` [s]."""
+        t = np.asarray(camera_times_s, dtype=np.float64)
+        variance = self.offset_sd_s**2 + 2 * t * self.covariance_s + (t * self.drift_sd) ** 2
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def begun_earlier(self, by_s: float) -> Synchronisation:
+        """Return the synchronisation of camera times that begin by so much earlier, and count from there [s]."""
+        return replace(
+            self,
+            offset_s=self.offset_s + (1 + self.drift) * by_s,
+            offset_sd_s=float(self.hub_time_sds(by_s)),
+            covariance_s=self.covariance_s + by_s * self.drift_sd**2,
+        )
+
+
+def directions(speeds: FloatArray, largest: float) -> FloatArray:
+    """Direction of motion, between -1 and 1, and 0 at rest, of speeds and the hub's largest one."""
+    return np.asarray(speeds / np.hypot(speeds, _SLOW * largest))
 
 
 def synchronise(
@@ -70,6 +101,7 @@ def synchronise(
     low_marker_m: npt.ArrayLike,
     *,
     fits_drift: bool = False,
+    fits_lag: bool = False,
     expected_s: float = 0.0,
 ) -> Synchronisation:
     """Find the camera's time in the hub's.
@@ -80,6 +112,7 @@ def synchronise(
     camera_times_s, low_marker_m : array_like, shape (n_frames,) -- rising times of mid-exposure by the camera's
         clock, and displacement of the lowest marker; NaN where it was not seen
     fits_drift : bool -- also fit the ratio of the clocks' rates
+    fits_lag : bool -- also fit by how much the film stays behind, as behind a codec that keeps what changes
     expected_s : float -- an offset within this, either way, is preferred where it explains the motion about as well
         as any other: less than twice the unexplained power (by chance e^-7 with twenty independent frames) [s]
 
@@ -114,7 +147,7 @@ def synchronise(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "
             f"{_MIN_CORRELATION}: is it the lowest marker, the same experiment, the right direction and frame rate?"
         )
-    return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift)
+    return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, fits_lag)
 
 
 def _chosen_offset(
@@ -166,9 +199,11 @@ def _refined(
     offset: float,
     correlation: float,
     fits_drift: bool,
+    fits_lag: bool,
 ) -> Synchronisation:
-    """Gauss-Newton for offset, gain, zero and drift."""
+    """Gauss-Newton for offset, gain, zero, drift and lag."""
     slopes = np.gradient(hub_x, hub_t)
+    largest = float(np.max(np.abs(slopes)))
     # Drift and offset are nearly uncorrelated about the middle of the record.
     middle = float(np.mean(t))
     shift, drift = offset + middle, 0.0
@@ -180,16 +215,18 @@ def _refined(
                 f"{int(inside.sum())} frames lie within the hub's record; expected at least {_MIN_FRAMES}"
             )
         position, velocity = _hermite(hub_t, hub_x, slopes, at[inside])
-        linear = np.stack([position, np.ones_like(position)], axis=1)
-        (gain, zero), *_ = np.linalg.lstsq(linear, x[inside], rcond=None)
-        columns = [gain * velocity, position, np.ones_like(position)]
+        linear = np.stack([position, np.ones_like(position), -directions(velocity, largest)], axis=1)
+        linear = linear[:, : 3 if fits_lag else 2]
+        fitted, *_ = np.linalg.lstsq(linear, x[inside], rcond=None)
+        gain, zero = fitted[:2]
+        columns = [gain * velocity, *linear.T]
         if fits_drift:
             columns.append(gain * velocity * (t[inside] - middle))
         design = np.stack(columns, axis=1)
-        residual = x[inside] - gain * position - zero
+        residual = x[inside] - linear @ fitted
         step, *_ = np.linalg.lstsq(design, residual, rcond=None)
         shift += float(step[0])
-        drift += float(step[3]) if fits_drift else 0.0
+        drift += float(step[-1]) if fits_drift else 0.0
         if abs(step[0]) < _CONVERGED_S:
             break
     covariance = _robust_covariance(design, residual, t[inside], _CORRELATION_TIME_S)
@@ -198,15 +235,19 @@ def _refined(
     stretches = residual.size / (_remembered(t[inside], _CORRELATION_TIME_S) + 1)
     covariance *= (float(stdtrit(max(stretches - 2.0, 1.0), 0.975)) / 1.96) ** 2
     back = np.array([1.0, -middle]) if fits_drift else np.array([1.0])
-    chosen = np.array([0, 3]) if fits_drift else np.array([0])
-    offset_variance = float(back @ covariance[np.ix_(chosen, chosen)] @ back)
+    chosen = np.array([0, len(covariance) - 1]) if fits_drift else np.array([0])
+    of_clock = covariance[np.ix_(chosen, chosen)]
+    offset_variance = float(back @ of_clock @ back)
     return Synchronisation(
         offset_s=shift - (1 + drift) * middle,
         offset_sd_s=math.sqrt(max(offset_variance, 0.0)),
         drift=drift,
-        drift_sd=math.sqrt(float(covariance[3, 3])) if fits_drift else 0.0,
+        drift_sd=math.sqrt(float(of_clock[1, 1])) if fits_drift else 0.0,
         gain=float(gain),
         zero_m=float(zero),
+        covariance_s=float(of_clock[1] @ back) if fits_drift else 0.0,
+        lag_m=float(fitted[2]) if fits_lag else 0.0,
+        lag_sd_m=math.sqrt(float(covariance[3, 3])) if fits_lag else 0.0,
         correlation=correlation,
         residual_rms_m=float(np.sqrt(np.mean(residual**2))),
         n_frames=int(inside.sum()),

@@ -327,6 +327,46 @@ def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
     )
 
 
+def test_a_time_that_is_known_at_the_beginning_of_a_film_and_not_at_its_end_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Offset and drift were compared with 0.2 ms one by one, and the drift not at all.
+    rng = np.random.default_rng(3)
+    noisy = [
+        np.clip(image + 5.0 * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
+        for _, image in VideoFile(VIDEO).frames()
+    ]
+    video = write_video(tmp_path / "noisy.avi", noisy)
+    command = ["track", str(video), "--into", str(bag), "--rig-file", str(RIG_FILE), "--json"]
+    assert main([*command, "--out", str(tmp_path / "fitted")]) == 0
+    result = json.loads(capsys.readouterr().out)
+    found = result["synchronisation"]
+    assert found["offset_sd_s"] < 0.2e-3 < found["time_sd_s"]
+    (note,) = (note for note in result["notes"] if "time in the hub's" in note)
+    assert "ms at its end; expected 0.2 ms or less" in note
+    assert main([*command, "--out", str(tmp_path / "exact"), "--exact-rate"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["synchronisation"]["time_sd_s"] == result["synchronisation"]["offset_sd_s"]
+    assert not any("time in the hub's" in note for note in result["notes"])
+
+
+@pytest.mark.skipif(
+    not hasattr(cv2, "CAP_PROP_FRAME_TYPE"), reason="OpenCV before 4.6 does not tell key frames from others"
+)
+def test_what_a_codec_holds_back_is_fitted_where_it_keeps_what_changes(tmp_path: Path) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    frames = [image for _, image in VideoFile(VIDEO).frames()][:40]
+    whole = track_video(VideoFile(VIDEO), rig)
+    with Bag(RECORDINGS / "chirp_6s") as opened:
+        hub = opened.hub_samples()
+    for codec, is_predicted in (("FFV1", False), ("mp4v", True)):
+        video = write_video(tmp_path / f"{codec}.mkv", frames, codec)
+        assert track_video(VideoFile(video), rig).is_predicted == is_predicted
+        found = synchronise_with_hub(replace(whole, is_predicted=is_predicted), hub).synchronisation
+        assert (found.lag_sd_m > 0) == is_predicted
+        assert abs(found.lag_m) <= 4 * found.lag_sd_m
+
+
 def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,7 +13,7 @@ from scipy.signal import lsim
 from beam_ros.bags.reading import Bag
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.errors import SynchronisationError
-from beam_ros.vision.measurement.frame_losses import FilmTimes, time_film
+from beam_ros.vision.measurement.frame_losses import _RECURSION, FilmTimes, _breaks, time_film
 
 RECORDINGS = Path(__file__).parents[4] / "bags"
 PERIOD = 0.01
@@ -144,6 +144,17 @@ def test_gaps_that_the_container_tells_break_no_swing(experiment, is_one_silent)
     assert np.abs(wrong - experiment.begun)[found.is_timed].max() < LIMIT
     assert found.is_timed[numbers < silent - 20].all()
     assert not found.is_timed[numbers > silent].any()
+
+
+def test_across_a_gap_a_swing_neither_breaks_nor_tells_that_nothing_is_lost():
+    gap, numbers = 200, np.delete(np.arange(400), [200, 201])
+    t = numbers * PERIOD
+    high = np.stack([np.sin(30.0 * t), np.sin(30.0 * t) + 0.3 * np.sin(170.0 * t)], axis=1)
+    high += 1e-3 * np.random.default_rng(11).standard_normal(high.shape)
+    hub = np.zeros((len(t), 4 * _RECURSION + 1))
+    broken, silent = _breaks(high, hub, numbers - np.arange(len(t)), np.ones(len(t), dtype=bool))
+    assert not broken.any()
+    assert np.array_equal(np.flatnonzero(silent[_RECURSION:]) + _RECURSION, np.arange(gap, gap + _RECURSION))
 
 
 @pytest.mark.parametrize("kind", ["jitter", "variable"])

@@ -150,3 +150,47 @@ def test_of_motions_that_repeat_themselves_the_expected_one_is_taken():
         frames = np.arange(1.0, 20.0, 0.01)
         low = 1e-3 * np.sin(2 * np.pi * 2.0 * (frames - 0.03)) + 5e-6 * rng.standard_normal(frames.size)
         assert synchronise(t, hub, frames, low, expected_s=0.1).offset_s == pytest.approx(-0.03, abs=1e-3)
+
+
+def held_back(places, band):
+    """What a codec shows that leaves out changes within a band: it stays behind by so much."""
+    shown = np.empty_like(places)
+    last = places[0]
+    for k, place in enumerate(places):
+        last = min(max(last, place - band), place + band)
+        shown[k] = last
+    return shown
+
+
+@pytest.mark.parametrize("band", [0.0, 10e-6])
+def test_what_a_codec_holds_back_delays_no_time_and_both_ends_are_known_as_well_as_is_stated(band):
+    t = np.arange(0.0, 12.0, PERIOD)
+    # Fast at first, and slow in the end: there the film is later.
+    hub = 5e-3 * np.exp(-t / 3.0) * np.sin(2 * np.pi * (1.5 * t - 0.04 * t**2))
+    camera_t = np.arange(0.5, 10.5, 0.01)
+    errors, plain = [], []
+    for seed in range(20):
+        rng = np.random.default_rng([22, seed])
+        seen = held_back(np.interp(camera_t + 0.3, t, hub), band) + 20e-6 * rng.standard_normal(camera_t.size)
+        ends = camera_t[[0, -1]]
+        found = synchronise(t, hub, camera_t, seen, fits_drift=True, fits_lag=True)
+        errors.append((found.hub_times(ends) - ends - 0.3) / found.hub_time_sds(ends))
+        assert abs(found.lag_m - band) < 4 * found.lag_sd_m
+        found = synchronise(t, hub, camera_t, seen, fits_drift=True)
+        plain.append((found.hub_times(ends) - ends - 0.3) / found.hub_time_sds(ends))
+    # Twenty squares scatter by a third.
+    assert np.all(np.abs(np.sqrt(np.mean(np.square(errors), axis=0)) - 1.0) < 0.4)
+    assert (np.abs(np.mean(plain, axis=0)).max() > 3.0) == (band > 0)
+
+
+def test_times_are_known_as_well_from_wherever_they_are_counted():
+    t, position, _ = experiment()
+    camera_t, seen = film(2.0, np.random.default_rng(23), drift=2e-4)
+    found = synchronise(t, position, camera_t, seen, fits_drift=True)
+    other = found.begun_earlier(3.0)
+    np.testing.assert_allclose(other.hub_times(camera_t - 3.0), found.hub_times(camera_t), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(other.hub_time_sds(camera_t - 3.0), found.hub_time_sds(camera_t), rtol=1e-9)
+    # Least where the motion is, and larger at either end.
+    sds = found.hub_time_sds(camera_t)
+    assert sds[0] == pytest.approx(found.hub_time_sds(camera_t[0]))
+    assert sds.min() < 0.8 * min(sds[0], sds[-1])
