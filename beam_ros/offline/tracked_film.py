@@ -149,7 +149,9 @@ def track_video(
     times, period_s, said = video.settled_times(tracked.frame_times_ns)
     notes += said
     tracked, is_wrong, said = _with_repeated_images(tracked, times)
-    notes += [*_remarks(video, tracked.names, tracked.reasons, len(times)), *said]
+    # A file counts frames by its duration, those that are missing among them.
+    n_spanned = 0 if period_s is None else round(float(times[-1] - times[0]) * 1e-9 / period_s) + 1
+    notes += [*_remarks(video, tracked.names, tracked.reasons, len(times), n_spanned), *said]
     record = TrackedVideo(
         tracked.names,
         tracked.heights,
@@ -246,11 +248,15 @@ def seen_hub(rig: Rig, heights: FloatArray, x_m: FloatArray, sigma_m: FloatArray
 
 
 def _remarks(
-    video: VideoFile, names: tuple[str, ...], reasons: tuple[dict[str, int], ...], n_frames: int
+    video: VideoFile,
+    names: tuple[str, ...],
+    reasons: tuple[dict[str, int], ...],
+    n_frames: int,
+    n_spanned: int,
 ) -> Iterator[str]:
     if video.n_undecodable:
         yield f"{video.n_undecodable} frames cannot be decoded and are missing: the file is damaged"
-    if n_frames + video.n_undecodable < video.n_frames:
+    if max(n_frames + video.n_undecodable, n_spanned) < video.n_frames:
         yield f"the video states {video.n_frames} frames, of which {n_frames} can be read: it is cut short"
     if video.n_times is not None and video.n_times > n_frames:
         yield (

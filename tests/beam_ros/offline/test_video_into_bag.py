@@ -31,6 +31,7 @@ from beam_ros.offline.tracked_film import track_video  # noqa: E402
 from beam_ros.offline.video_into_bag import synchronise_with_hub  # noqa: E402
 from beam_ros.vision.calibration.linear import LinearCalibration  # noqa: E402
 from beam_ros.vision.calibration.storage import save_calibration  # noqa: E402
+from beam_ros.vision.camera.matroska import MatroskaWriter  # noqa: E402
 from beam_ros.vision.camera.video import VideoFile  # noqa: E402
 from beam_ros.vision.rendering.frames import SceneRenderer  # noqa: E402
 from beam_ros.vision.timing import FrameTiming  # noqa: E402
@@ -114,12 +115,28 @@ def test_frames_that_a_converter_repeats_are_left_out_and_said(tmp_path: Path) -
     assert "12 of 60 frames are the one before, bit for bit" in note
 
 
+@pytest.mark.parametrize("n_stated", [60, 66])
+def test_frames_that_the_container_leaves_out_cut_no_film_short(tmp_path: Path, n_stated: int) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    camera, rng = rig.camera_parameters(), np.random.default_rng(4)
+    renderer = SceneRenderer(camera, rig.markers.heights)
+    with MatroskaWriter(tmp_path / "gaps.mkv", camera.width, camera.height, 100.0) as writer:
+        for k in np.delete(np.arange(60), [20, 21, 40]):
+            writer.write(int(k) * 10_000_000, renderer.render(1e-3 * np.sin(0.3 * k) * np.ones(3), rng))
+    video = VideoFile(tmp_path / "gaps.mkv")
+    # As OpenCV makes it of the duration that other programs write.
+    video.n_frames = n_stated
+    notes = track_video(video, rig).notes
+    assert any("3 frames are missing" in note for note in notes)
+    assert any("cut short" in note for note in notes) == (n_stated > 60)
+
+
 @pytest.mark.parametrize("codec", ["FFV1", "mp4v"])
 def test_a_film_that_is_filled_up_from_behind_loses_the_frames_that_come_early(
     tmp_path: Path, codec: str
 ) -> None:
-    # What is the frame before, bit for bit, is the one that was taken at its time; 10 px wrong ones stayed. A codec
-    # that keeps what changes gives it back with a residual, and all of them stayed.
+    # What is the frame before, bit for bit, is the one that was taken at its time: it was left out, and the other, up
+    # to 2 px wrong, stayed. A codec that keeps what changes gives it back with a residual, and most were not noticed.
     rig = Rig.from_file(RIG_FILE)
     camera, rng = rig.camera_parameters(), np.random.default_rng(4)
     renderer, shares = SceneRenderer(camera, rig.markers.heights), np.array([0.1, 0.8, 1.0])

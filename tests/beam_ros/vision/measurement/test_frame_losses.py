@@ -128,7 +128,7 @@ def test_a_mode_that_wakes_while_the_hub_seems_to_rest_is_no_lost_frame():
 
 @pytest.mark.parametrize("is_one_silent", [False, True])
 def test_gaps_that_the_container_tells_break_no_swing(experiment, is_one_silent):
-    # The recursion counted rows across them: of a film that lacked nothing else 101 frames were not timed.
+    # The recursion counted rows across them: of a film that lacked nothing else 142 frames were not timed.
     numbers = np.flatnonzero(np.arange(experiment.n_frames) % 37 != 5)
     told, silent = numbers, experiment.n_frames
     if is_one_silent:
