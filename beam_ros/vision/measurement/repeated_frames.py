@@ -72,8 +72,9 @@ def find_repeated_frames(
     shares = is_copy.copy()
     shares[:-1] |= is_copy[1:]
     right = [_right_one(times_s, scaled, shares, first, last) for first, last in groups]
-    # Where all that can be told were made in one way, so were the others.
-    ways = {where for where in right if where is not None}
+    # Where all that can be told were made in one way, so were the others. Where none can, as every image comes twice,
+    # the first is taken throughout: that is late, if at all, by one and the same time.
+    ways = {where for where in right if where is not None} or {False}
     for (first, last), where in zip(groups, right, strict=True):
         chosen = next(iter(ways)) if where is None and len(ways) == 1 else where
         is_wrong[first : last + 1] = True

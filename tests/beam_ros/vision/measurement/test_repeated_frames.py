@@ -74,6 +74,18 @@ def test_images_whose_own_time_nobody_can_tell_are_all_left_out() -> None:
     assert not np.any(is_off & ~found.is_wrong)
 
 
+@pytest.mark.parametrize("is_known", [False, True])
+def test_of_images_that_all_come_twice_the_first_ones_stay(is_known: bool) -> None:
+    rng = np.random.default_rng(4)
+    truth = swing(rng)
+    places = np.repeat(truth + SIGMA * rng.standard_normal(truth.shape), 2, axis=0)
+    found = found_in(places, np.arange(len(places)) % 2 == 1 if is_known else None)
+    assert not found.is_wrong[::2].any()
+    moves = np.abs(np.diff(truth, axis=0)).max(axis=1) > 0.3
+    assert np.count_nonzero(moves) > 100
+    assert found.is_wrong[3::2][moves].mean() > 0.9
+
+
 def test_turning_points_rest_and_a_sudden_start_are_no_repeated_images() -> None:
     k = np.arange(500)
     for seed in range(60):
