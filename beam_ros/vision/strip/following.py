@@ -42,7 +42,7 @@ _SMEAR_CLASSES_PX = (1.0, 3.0, 6.0, 12.0, 24.0)
 _MAX_TURNS = 6
 _NEAR, _NEAR_POINTS = 0.1, 0.3
 """Steps of the curve and of any point in a turn, over the cross-section's spread, behind which no other is needed: a
-step d is d^3 / (2 spread^2) short."""
+step d is d^3 / (4 spread^2) short."""
 _LINEAR_PX = 0.6
 """Longest step of a point in one turn: beyond it the cross-section is no longer linear in its shift [px]."""
 _LOST_PX = 0.5
@@ -308,11 +308,10 @@ class StripFollower:
                 moves = np.abs(points - self._band_basis @ self._prediction.last)
                 farthest = float(np.max(moves, where=usable, initial=0.0))
             change = float(np.max(np.abs(self._band_basis @ (curve - before))))
-            spread = step.table.spread_px
-            if (
-                change < _NEAR * spread
-                and float(np.max(distance, where=usable, initial=0.0)) < _NEAR_POINTS * spread
-            ):
+            # What the end of the turns would refuse is not near, however wide the cross-section is.
+            near = min(_NEAR * step.table.spread_px, _LOST_PX)
+            near_points = min(_NEAR_POINTS * step.table.spread_px, _LINEAR_PX)
+            if change < near and float(np.max(distance, where=usable, initial=0.0)) < near_points:
                 break
         assert step is not None
         reasons = step.reasons

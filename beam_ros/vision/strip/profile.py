@@ -107,7 +107,8 @@ class ProfileTable:
     ----------
     half : int -- pixels on either side of the one that holds the strip's middle
     size : int -- pixels of a row that are looked at
-    spread_px : float -- half the width at which the cross-section bends: its standard deviation [px]
+    spread_px : float -- over which the cross-section bends: the standard deviation of a narrow strip, and of a wide
+        one 1.7 times that of either edge [px]
     basis : ndarray, shape (n_entries, 3, size) -- orthonormal: 1, then T, then T', each without what those before it
         explain
     shapes : ndarray, shape (n_entries, size) -- T
@@ -119,9 +120,8 @@ class ProfileTable:
         reach = (width_px + max_smear_px) / 2 + _MARGIN_SIGMAS * spread + _BACKGROUND_PX
         self.half = math.ceil(reach) if half is None else half
         self.size = 2 * self.half + 1
-        self.spread_px = math.hypot(spread, width_px / math.sqrt(12.0))
         self._bins = round(max_smear_px / SMEAR_STEP_PX) + 1
-        shape, slope = self._tabulated(width_px, blur_px)
+        shape, slope, self.spread_px = self._tabulated(width_px, blur_px)
         # Gram and Schmidt, with the ground first: the shift's share is then what only a shift explains.
         ground = np.full_like(shape, 1.0 / math.sqrt(self.size))
         raised = shape - shape.mean(axis=1, keepdims=True)
@@ -142,8 +142,15 @@ class ProfileTable:
             [of_raised, of_steep, per_shift, level, of_raised**2 + of_steep**2, per_shift**2]
         )
 
-    def _tabulated(self, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray]:
-        """T and T' of all entries: the ends of the smears lie on the phases' own grid."""
+    def _tabulated(self, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray, float]:
+        """T and T' of all entries, whose smears end on the phases' own grid, and the spread.
+
+        Notes
+        -----
+        Least squares takes a shift d of a T known in height for d <T(x - d), T'> / <T', T'>, which is short by
+        d^3 |T''|^2 / (6 |T'|^2). A Gaussian of standard deviation s has |T''|^2 / |T'|^2 = 3 / (2 s^2), the edge of a
+        wide bar 1 / (2 s^2): with spread^2 = 3 |T'|^2 / (2 |T''|^2) what is short is d^3 / (4 spread^2).
+        """
         reach = (self._bins - 1) * _HALF_STEP
         fine = (np.arange(self.size * PHASES + 2 * reach) - reach + 0.5) / PHASES - self.half - 0.5
         first, second, third = _integrals(fine, width_px, blur_px)
@@ -153,7 +160,9 @@ class ProfileTable:
             right, left, smear = at + k * _HALF_STEP, at - k * _HALF_STEP, k * SMEAR_STEP_PX
             shape.append((third[right] - third[left]) / smear)
             slope.append((second[left] - second[right]) / smear)
-        return np.concatenate(shape), np.concatenate(slope)
+        bend = np.diff(first) * PHASES
+        spread = math.sqrt(1.5 * float(np.sum(first**2) / np.sum(bend**2)))
+        return np.concatenate(shape), np.concatenate(slope), spread
 
     def entries(self, u: FloatArray, smear_px: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Look up where each row's strip is in the table.

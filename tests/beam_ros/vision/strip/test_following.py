@@ -60,6 +60,15 @@ def test_every_point_is_near_the_bound_and_its_standard_deviation_is_true(contra
     assert np.abs(np.nanmean(error[10:], axis=0)).max() < 5 * np.nanmean(sigma) / np.sqrt(60)
 
 
+@pytest.mark.parametrize("width_px", [25.0, 60.0])
+def test_a_wide_strip_that_moves_is_followed_by_its_edges(width_px):
+    strip = made(100.0, 2.0, width_px, n_frames=30)
+    u, sigma, _ = followed(strip, strip.frames(np.random.default_rng(9)))
+    error = u - strip.truth
+    assert np.isfinite(error).mean() > 0.98
+    assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
+
+
 def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
     frames = bright.frames(np.random.default_rng(2))
     frames[30:50, 150:230, 40:130] = 90

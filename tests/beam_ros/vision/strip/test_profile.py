@@ -55,3 +55,16 @@ def test_misfit_and_variances_of_a_fit_are_those_of_the_noise():
     assert np.var(fits.slope / np.sqrt(fits.slope_gain)) == pytest.approx(9.0, rel=0.09)
     assert np.mean(fits.misfit) == pytest.approx(9.0 * (table.size - 3), rel=0.03)
     assert np.abs(u - column).max() <= 0.5
+
+
+@pytest.mark.parametrize(("width", "blur"), [(0.75, 0.8), (3.0, 0.8), (25.0, 0.8), (60.0, 2.0)])
+def test_a_step_is_short_by_its_cube_over_four_spreads_squared(width, blur):
+    table = ProfileTable(width, blur, 0.0)
+    _, entry, tabulated = table.entries(np.array([40.0]), np.zeros(1))
+    places = np.arange(40 - table.half, 41 + table.half) - tabulated
+    at, shift = table.shapes[entry[0]], 0.3 * table.spread_px
+    moved = 100.0 * profile(places - shift, width, blur, 0.0)[0]
+    step = table.fit(entry, moved[None, :].astype(np.float32)).slope[0] / 100.0
+    assert at == pytest.approx(profile(places, width, blur, 0.0)[0], abs=1e-5)
+    # The next term of the series is of the order of 0.3^2 of this one.
+    assert shift - step == pytest.approx(shift**3 / (4 * table.spread_px**2), rel=0.15)
