@@ -25,7 +25,7 @@ import numpy as np
 from beam_ros.arrays import Float32Array, FloatArray, ImageArray, IndexArray
 from beam_ros.vision.errors import VisionParameterError
 from beam_ros.vision.repeats import LATELY, RepeatedImages, is_on_its_way
-from beam_ros.vision.strip.blur import BlurVotes
+from beam_ros.vision.strip.cross_section import CrossSection
 from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance
 from beam_ros.vision.strip.prediction import CurvePrediction
 from beam_ros.vision.strip.profile import SMEAR_STEP_PX, ProfileTable, RowFits
@@ -61,12 +61,12 @@ find a path through noise."""
 _HEIGHT_RATE, _NOISE_RATE = 0.05, 0.1
 _EARLY, _NOISE_FRAMES, _NOISE_ROWS = 10, 8, 3
 """The noise is measured in every one of the first frames, then in every eighth in a third of the rows."""
-_VOTES = frozenset(range(2, 40, 5))
-"""Frames in which the blur is measured again, ..."""
-_VOTING_ROWS = slice(None, None, 3)
+_SECTION_FRAMES = frozenset(range(2, 40, 5))
+"""Frames in which width and blur are measured again, ..."""
+_SECTION_ROWS = slice(None, None, 3)
 """... in these rows."""
+_MAX_SECTIONS = 12
 _NOTHING = 1e-12
-_SAME_BLUR = 0.02
 _SEARCHES_PX = (12, 60)
 
 REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside", "repeated")
@@ -83,7 +83,7 @@ class StripParameters:
     ----------
     first_row, last_row : float -- rows of the tip and of the clamp, first_row < last_row [px]
     rest_column : float -- column of the strip at rest at home [px]
-    width_px : float -- width of the strip as the camera sees it [px]
+    width_px : float -- width of the strip as the camera sees it, where the film does not show another [px]
     is_bright : bool -- brighter than the ground behind it
     max_speed_px : float -- longest smear expected in an exposure [px]
     exposure_frames : float -- exposure as a share of the time between frames
@@ -155,7 +155,7 @@ class StripFollower:
     Attributes
     ----------
     rows_px : ndarray, shape (n_points,) -- row of every point, from the clamp upwards [px]
-    blur_px : float -- blur found in the first frames [px]; NaN before
+    section : CrossSection -- width and blur found in the first frames
     searches : int -- how often the strip was searched
     """
 
@@ -178,10 +178,10 @@ class StripFollower:
         along = 1.0 - 2.0 * (rows - rows[-1]) / (rows[0] - rows[-1])
         self._basis = np.asarray(np.polynomial.chebyshev.chebvander(along, _DEGREE))
         self._band_basis = self._basis.reshape(self._n, step, -1).mean(axis=1)
-        self.blur_px = self._tables_blur_px = float("nan")
+        self._along = along
+        self.section = CrossSection(parameters.width_px, along)
         self.searches = 0
-        self._tables: dict[float, ProfileTable] = {}
-        self._votes = BlurVotes(parameters.width_px)
+        self._tabulate()
         self._heights: FloatArray | None = None
         self._noise: StripNoise | None = None
         self._prediction: CurvePrediction | None = None
@@ -230,8 +230,11 @@ class StripFollower:
             return self._nothing("no_strip")
         curve, frame = found
         self._sigma_px = frame.sigma_px
-        if self._frames in _VOTES and float(self._smear(curve, speed).max()) < 0.5 * self.blur_px:
-            self._vote_for_blur(flat, curve, _VOTING_ROWS)
+        if (
+            self._frames in _SECTION_FRAMES
+            and float(self._smear(curve, speed).max()) < 0.5 * self.section.blur_px
+        ):
+            self._learn_section(flat, curve, _SECTION_ROWS)
         if prediction is None:
             self._prediction = CurvePrediction(curve)
         else:
@@ -266,13 +269,15 @@ class StripFollower:
         return self._table_of(chosen)
 
     def _table_of(self, smear_px: float) -> ProfileTable:
-        """Cross-section with the blur that was found; one that hardly differs is no reason to tabulate it anew."""
-        if not abs(self._tables_blur_px / self.blur_px - 1.0) < _SAME_BLUR:
-            self._tables.clear()
-            self._tables_blur_px = self.blur_px
+        """Cross-section with the widths and the blur that were found."""
         if smear_px not in self._tables:
-            self._tables[smear_px] = ProfileTable(self.parameters.width_px, self._tables_blur_px, smear_px)
+            self._tables[smear_px] = ProfileTable(self._table_widths_px, self.section.blur_px, smear_px)
         return self._tables[smear_px]
+
+    def _tabulate(self) -> None:
+        """Take the cross-section that was found last."""
+        self._tables: dict[float, ProfileTable] = {}
+        self._table_widths_px, self._width_index = self.section.tabulated_widths()
 
     def _pixels(
         self, flat: ImageArray, half: int, column: IndexArray, rows: slice = slice(None)
@@ -336,7 +341,7 @@ class StripFollower:
         dark, (base, growth) = self._noise.ground_grey, self._noise.line
         table = self._table(float(smear.max()))
         u = self._basis @ curve
-        column, entry, tabulated = table.entries(u, smear)
+        column, entry, tabulated = table.entries(u, smear, self._width_index)
         pixels, inside = self._pixels(flat, table.half, column)
         pixels -= np.float32(dark)
         fits = table.fit(entry, pixels)
@@ -431,27 +436,39 @@ class StripFollower:
         levels = noise_levels(step.table, entry, pixels, residual)
         self._noise.learn(levels, max(_NOISE_RATE, 1.0 / self._frames))
 
-    def _vote_for_blur(self, flat: ImageArray, curve: FloatArray, rows: slice) -> None:
-        """Add this frame's rows to the votes; the least misfit of all frames so far decides."""
+    def _learn_section(self, flat: ImageArray, curve: FloatArray, rows: slice = slice(None)) -> bool:
+        """Measure width and blur in this frame, too; False where that changes nothing."""
+        table = self._table_of(0.0)
         u = self._basis[rows] @ curve
-        pixels, inside = self._pixels(flat, self._votes.half, np.floor(u + 0.5).astype(np.intp), rows)
+        column, entry, _ = table.entries(u, np.zeros(len(u)), self._width_index[rows])
+        pixels, inside = self._pixels(flat, table.half, column, rows)
         if np.count_nonzero(inside) < len(u) // 2:
-            return
-        self.blur_px = self._votes.add(u[inside], pixels[inside] - np.median(pixels))
+            return False
+        pixels = pixels[inside] - np.median(pixels)
+        indices = np.arange(len(self._starts))[rows][inside]
+        is_other = self.section.learn(table, entry[inside], pixels, indices)
+        if is_other:
+            self._tabulate()
+        return is_other
 
     # -- search --------------------------------------------------------------------------------------------
 
     def _acquire(self, flat: ImageArray) -> tuple[FloatArray, StripFrame] | None:
-        """Find the strip where nothing is known of it but its width; learn blur, heights and noise."""
+        """Find the strip where no more than its width is known, and that roughly; learn what it looks like."""
         rest = np.zeros(_DEGREE + 1)
         rest[0] = self.parameters.rest_column
         self.searches += 1
-        self.blur_px = 1.0
-        curve = self._searched(flat, rest, max(self._width - 1 - int(rest[0]), int(rest[0])))
-        for _ in range(3):
-            curve = self._settled(flat, curve)
-        self._votes = BlurVotes(self.parameters.width_px)
-        self._vote_for_blur(flat, curve, slice(None))
+        for is_certain in (False, True):
+            self.section = CrossSection(self.parameters.width_px, self._along, is_certain=is_certain)
+            self._tabulate()
+            curve = self._searched(flat, rest, max(self._width - 1 - int(rest[0]), int(rest[0])))
+            for _ in range(_MAX_SECTIONS):
+                curve = self._settled(flat, curve)
+                self.section.forget()
+                if not self._learn_section(flat, curve):
+                    break
+            if self.section.is_plausible:
+                break
         for _ in range(3):
             curve = self._settled(flat, curve)
         table, entry, pixels, inside, fits = self._row_fit(flat, curve)
@@ -477,7 +494,7 @@ class StripFollower:
     ) -> tuple[ProfileTable, IndexArray, Float32Array, np.ndarray, RowFits]:
         """Fit every row at rest on a curve."""
         table = self._table_of(SMEAR_STEP_PX)
-        column, entry, _ = table.entries(self._basis @ curve, np.zeros(len(self._starts)))
+        column, entry, _ = table.entries(self._basis @ curve, np.zeros(len(self._starts)), self._width_index)
         pixels, inside = self._pixels(flat, table.half, column)
         return table, entry, pixels, inside, table.fit(entry, pixels)
 

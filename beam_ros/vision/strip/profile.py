@@ -31,6 +31,7 @@ _MARGIN_SIGMAS = 4.0
 _BACKGROUND_PX = 1.5
 """Columns on either side that show nothing but the ground [px]."""
 _SHARPEST_PX = 0.05
+_DIFFERENCE = 0.01
 
 
 def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> tuple[FloatArray, FloatArray]:
@@ -60,10 +61,12 @@ def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> 
     return (right - left) / smear_px, (slope_left - slope_right) / smear_px
 
 
-def _integrals(x: FloatArray, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _integrals(
+    x: FloatArray, width_px: float | FloatArray, blur_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Integrals of the Gaussian, once to three times from minus infinity, differenced over bar and pixel."""
     sigma = max(blur_px, _SHARPEST_PX)
-    sums = np.zeros((3, *x.shape))
+    sums = np.zeros((3, *np.broadcast_shapes(x.shape, np.shape(width_px))))
     for bar in (1.0, -1.0):
         for pixel in (1.0, -1.0):
             end = (x + 0.5 * (bar * width_px + pixel)) / sigma
@@ -99,7 +102,8 @@ class ProfileTable:
 
     Parameters
     ----------
-    width_px, blur_px : float -- width of the strip, standard deviation of the lens's Gaussian [px]
+    width_px : float or ndarray, shape (n_widths,) -- width of the strip, or all that it has [px]
+    blur_px : float -- standard deviation of the lens's Gaussian [px]
     max_smear_px : float -- longest smear tabulated [px]
     half : int or None -- pixels on either side that are looked at; None: as many as it takes
 
@@ -115,13 +119,16 @@ class ProfileTable:
     freedom : ndarray, shape (n_entries, size) -- share of a pixel's variance that is left in its residual
     """
 
-    def __init__(self, width_px: float, blur_px: float, max_smear_px: float, half: int | None = None) -> None:
+    def __init__(
+        self, width_px: float | FloatArray, blur_px: float, max_smear_px: float, half: int | None = None
+    ) -> None:
+        self._widths_px, self._blur_px = np.atleast_1d(np.asarray(width_px, dtype=np.float64)), blur_px
         spread = math.hypot(blur_px, math.sqrt(1.0 / 12.0))
-        reach = (width_px + max_smear_px) / 2 + _MARGIN_SIGMAS * spread + _BACKGROUND_PX
+        reach = (float(self._widths_px.max()) + max_smear_px) / 2 + _MARGIN_SIGMAS * spread + _BACKGROUND_PX
         self.half = math.ceil(reach) if half is None else half
         self.size = 2 * self.half + 1
         self._bins = round(max_smear_px / SMEAR_STEP_PX) + 1
-        shape, slope, self.spread_px = self._tabulated(width_px, blur_px)
+        shape, slope, self.spread_px = self._tabulated(self._widths_px, blur_px)
         # Gram and Schmidt, with the ground first: the shift's share is then what only a shift explains.
         ground = np.full_like(shape, 1.0 / math.sqrt(self.size))
         raised = shape - shape.mean(axis=1, keepdims=True)
@@ -142,7 +149,7 @@ class ProfileTable:
             [of_raised, of_steep, per_shift, level, of_raised**2 + of_steep**2, per_shift**2]
         )
 
-    def _tabulated(self, width_px: float, blur_px: float) -> tuple[FloatArray, FloatArray, float]:
+    def _tabulated(self, widths_px: FloatArray, blur_px: float) -> tuple[FloatArray, FloatArray, float]:
         """T and T' of all entries, whose smears end on the phases' own grid, and the spread.
 
         Notes
@@ -153,23 +160,44 @@ class ProfileTable:
         """
         reach = (self._bins - 1) * _HALF_STEP
         fine = (np.arange(self.size * PHASES + 2 * reach) - reach + 0.5) / PHASES - self.half - 0.5
-        first, second, third = _integrals(fine, width_px, blur_px)
+        first, second, third = _integrals(fine, widths_px[:, None], blur_px)
         at = reach + np.arange(self.size)[None, :] * PHASES + np.arange(PHASES)[::-1, None]
-        shape, slope = [second[at]], [-first[at]]
+        shape, slope = [second[:, at]], [-first[:, at]]
         for k in range(1, self._bins):
             right, left, smear = at + k * _HALF_STEP, at - k * _HALF_STEP, k * SMEAR_STEP_PX
-            shape.append((third[right] - third[left]) / smear)
-            slope.append((second[left] - second[right]) / smear)
-        bend = np.diff(first) * PHASES
+            shape.append((third[:, right] - third[:, left]) / smear)
+            slope.append((second[:, left] - second[:, right]) / smear)
+        bend = np.diff(first, axis=-1) * PHASES
         spread = math.sqrt(1.5 * float(np.sum(first**2) / np.sum(bend**2)))
-        return np.concatenate(shape), np.concatenate(slope), spread
+        entries = (len(widths_px) * self._bins * PHASES, self.size)
+        return np.stack(shape, axis=1).reshape(entries), np.stack(slope, axis=1).reshape(entries), spread
 
-    def entries(self, u: FloatArray, smear_px: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+    def changes(self) -> Float32Array:
+        """How T changes with the logarithm of the blur, and with the width [1/px], beyond what the basis explains.
+
+        Returns
+        -------
+        ndarray, shape (n_entries, 2, size)
+        """
+        up, down = math.exp(_DIFFERENCE), math.exp(-_DIFFERENCE)
+        of_blur = [self._tabulated(self._widths_px, self._blur_px * factor)[0] for factor in (up, down)]
+        of_width = [
+            self._tabulated(self._widths_px + sign * _DIFFERENCE, self._blur_px)[0] for sign in (1, -1)
+        ]
+        changes = np.stack([more - less for more, less in (of_blur, of_width)], axis=1) / (2.0 * _DIFFERENCE)
+        basis = self.basis.astype(np.float64)
+        changes -= (changes @ basis.transpose(0, 2, 1)) @ basis
+        return np.asarray(changes.astype(np.float32))
+
+    def entries(
+        self, u: FloatArray, smear_px: FloatArray, width: IndexArray | int = 0
+    ) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Look up where each row's strip is in the table.
 
         Parameters
         ----------
         u, smear_px : ndarray, shape (n_rows,) -- middle of the strip, its way during the exposure [px]
+        width : ndarray of int, shape (n_rows,) -- index of its width among those of the table
 
         Returns
         -------
@@ -180,7 +208,7 @@ class ProfileTable:
         position = np.floor((u + 0.5) * PHASES).astype(np.intp)
         column = position >> _PHASE_BITS
         smears = np.minimum((smear_px / SMEAR_STEP_PX + 0.5).astype(np.intp), self._bins - 1)
-        entry = position + (smears - column) * PHASES
+        entry = position + (width * self._bins + smears - column) * PHASES
         return column, entry, (position + 0.5) / PHASES - 0.5
 
     def fit(self, entry: IndexArray, pixels: Float32Array) -> RowFits:

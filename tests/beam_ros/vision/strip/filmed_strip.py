@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.parameters import CameraParameters
@@ -41,11 +42,13 @@ def film(
     *,
     swing_m: float = 0.004,
     hub_m: float = 0.002,
+    taper: float = 0.0,
 ) -> Strip:
-    """Film a beam that swings in two modes on a hub that moves."""
+    """Film a beam that swings in two modes on a hub that moves, and may be narrower at the tip by a share."""
     renderer = SceneRenderer(camera, [0.01], strip_heights=_HEIGHTS)
     tip = MODEL.shape([RIG.beam.length])[0, :2]
     above = (camera.origin_px[1] - rows) / camera.pixels_per_metre
+    every_row = np.clip(_heights_of_rows(camera), 0.0, RIG.beam.length)
 
     def displacement(at: float, heights: np.ndarray) -> np.ndarray:
         q = np.array([swing_m * math.cos(27.5 * at), 0.06 * swing_m * math.cos(177.0 * at)]) / tip
@@ -54,10 +57,43 @@ def film(
     light, truth = [], []
     for k in range(n_frames):
         times = k * camera.period_s + _NODES * camera.exposure_s
-        light.append(renderer.light([np.nan], np.array([displacement(at, _HEIGHTS) for at in times])))
+        if taper:
+            light.append(
+                _tapered(
+                    camera, [displacement(at, every_row) for at in times], renderer.exposure_weights, taper
+                )
+            )
+        else:
+            light.append(renderer.light([np.nan], np.array([displacement(at, _HEIGHTS) for at in times])))
         mean = renderer.exposure_weights @ np.array([displacement(at, above) for at in times])
         truth.append(camera.columns(mean))
     return Strip(camera, np.array(light), np.array(truth), parameters)
+
+
+def _heights_of_rows(camera: CameraParameters) -> np.ndarray:
+    return (camera.origin_px[1] - np.arange(camera.height)) / camera.pixels_per_metre
+
+
+def _tapered(
+    camera: CameraParameters, moved: list[np.ndarray], weights: np.ndarray, taper: float
+) -> np.ndarray:
+    """Light of a strip with straight edges that lean, each a blurred step integrated over the pixels."""
+    above = _heights_of_rows(camera)
+    half = 0.5 * camera.strip_width_m * camera.pixels_per_metre * (1 - taper * above / RIG.beam.length)
+    pixels = np.arange(camera.width)[None, :]
+
+    def ramp(x: np.ndarray) -> np.ndarray:
+        t = x / camera.blur_px
+        return x * ndtr(t) + camera.blur_px * np.exp(-t * t / 2) / math.sqrt(2 * math.pi)
+
+    share = np.zeros((camera.height, camera.width))
+    for displacement, weight in zip(moved, weights, strict=True):
+        x = pixels - np.asarray(camera.columns(displacement))[:, None]
+        for sign in (1, -1):
+            edge = x + sign * half[:, None]
+            share += sign * weight * (ramp(edge + 0.5) - ramp(edge - 0.5))
+    is_strip = (above >= 0) & (above <= RIG.beam.length)
+    return camera.background + camera.strip_contrast * share * is_strip[:, None]
 
 
 def camera_of(contrast: float, noise: float, width_px: float, **changes: object) -> CameraParameters:

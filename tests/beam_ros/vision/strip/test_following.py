@@ -15,18 +15,23 @@ N_FRAMES = 70
 
 
 def made(
-    contrast: float = 150.0, noise: float = 2.0, width_px: float = 0.75, n_frames: int = N_FRAMES
+    contrast: float = 150.0,
+    noise: float = 2.0,
+    width_px: float = 0.75,
+    n_frames: int = N_FRAMES,
+    stated: float = 1.0,
+    taper: float = 0.0,
 ) -> Strip:
     camera = camera_of(contrast, noise, width_px)
     parameters = StripParameters(
         15.0,
         camera.origin_px[1],
         camera.origin_px[0],
-        width_px,
+        width_px * stated,
         exposure_frames=camera.exposure_s * camera.rate_hz,
     )
     rows = StripFollower(parameters, (camera.height, camera.width)).rows_px
-    return film(n_frames, rows, parameters, camera)
+    return film(n_frames, rows, parameters, camera, taper=taper)
 
 
 def followed(strip: Strip, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -67,6 +72,38 @@ def test_a_wide_strip_that_moves_is_followed_by_its_edges(width_px):
     error = u - strip.truth
     assert np.isfinite(error).mean() > 0.98
     assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
+
+
+@pytest.mark.parametrize(
+    ("width_px", "stated", "taper"),
+    [
+        (12.0, 0.8, 0.0),
+        (12.0, 1.2, 0.0),
+        (30.0, 0.8, 0.0),
+        (60.0, 1.2, 0.0),
+        (12.0, 1.0, 0.3),
+        (30.0, 1.1, 0.3),
+    ],
+)
+def test_the_width_is_measured_where_the_stated_one_is_wrong_or_the_strip_is_tapered(width_px, stated, taper):
+    strip = made(100.0, 2.0, width_px, 25, stated, taper)
+    follower = StripFollower(strip.parameters, strip.light.shape[1:])
+    found = [follower.process(frame) for frame in strip.frames(np.random.default_rng(10))]
+    error = np.array([frame.u_px for frame in found]) - strip.truth
+    sigma = np.array([frame.sigma_px for frame in found])
+    assert np.isfinite(error).mean() > 0.98
+    assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
+    # What is off by less than a tenth of the blur does not show in the misfit.
+    truth = np.linspace(width_px, width_px * (1 - taper), len(follower.section.widths_px))
+    assert follower.section.widths_px == pytest.approx(truth, abs=0.1)
+    assert follower.section.blur_px == pytest.approx(strip.camera.blur_px, rel=0.015)
+
+
+def test_a_strip_of_another_kind_is_not_believed_by_its_width():
+    strip = made(100.0, 2.0, 24.0, 2, 0.5)
+    follower = StripFollower(strip.parameters, strip.light.shape[1:])
+    follower.process(strip.frames(np.random.default_rng(10))[0])
+    assert follower.section.widths_px == pytest.approx(12.0)
 
 
 def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
@@ -113,7 +150,7 @@ def test_no_smear_is_expected_that_no_point_shows_before_the_speed_is_known(brig
     follower, longest = StripFollower(parameters, frames.shape[1:]), 0.0
     for frame in frames:
         follower.process(frame)
-        longest = max(longest, *follower._tables)
+        longest = max([longest, *follower._tables])
     # Tables are for smears up to 1, 3, 6, 12 and 24 px. Where the points near the tip are lost in a turn, the curve
     # through the others leads away from it by a hundred pixels.
     smear = np.abs(np.diff(truth, axis=0)).max() * parameters.exposure_frames
@@ -145,7 +182,7 @@ def test_the_blur_is_found_for_a_wrong_one_shifts_what_is_sharp_with_its_place_i
     follower = StripFollower(parameters, (camera.height, camera.width))
     for frame in film(24, follower.rows_px, parameters, camera).frames(np.random.default_rng(8)):
         follower.process(frame)
-    assert follower.blur_px == pytest.approx(blur_px, rel=0.015)
+    assert follower.section.blur_px == pytest.approx(blur_px, rel=0.015)
 
 
 def test_a_few_points_of_many_rows_are_measured_as_well(bright):
