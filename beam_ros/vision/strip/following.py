@@ -29,6 +29,7 @@ from beam_ros.vision.strip.cross_section import CrossSection
 from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance
 from beam_ros.vision.strip.prediction import CurvePrediction
 from beam_ros.vision.strip.profile import SMEAR_STEP_PX, ProfileTable, RowFits
+from beam_ros.vision.strip.scatter import PointScatter
 from beam_ros.vision.strip.search import best_path
 
 _MIN_POINTS = 12
@@ -59,8 +60,9 @@ _MIN_SIGNIFICANCE = 5.0
 """Height of the strip in a typical band over its standard deviation, below which nothing is there: the search would
 find a path through noise."""
 _HEIGHT_RATE, _NOISE_RATE = 0.05, 0.1
-_EARLY, _NOISE_FRAMES, _NOISE_ROWS = 10, 8, 3
-"""The noise is measured in every one of the first frames, then in every eighth in a third of the rows."""
+_EARLY, _NOISE_FRAMES, _NOISE_ROWS, _SCATTER_FRAMES = 10, 8, 3, 16
+"""The noise is measured in every one of the first frames, then in every eighth in a third of the rows; the points'
+scatter then in every sixteenth."""
 _SECTION_FRAMES = frozenset(range(2, 40, 5))
 """Frames in which width and blur are measured again, ..."""
 _SECTION_ROWS = slice(None, None, 3)
@@ -184,6 +186,7 @@ class StripFollower:
         self._tabulate()
         self._heights: FloatArray | None = None
         self._noise: StripNoise | None = None
+        self._scatter = PointScatter(self._n, step)
         self._prediction: CurvePrediction | None = None
         self._repeats = RepeatedImages()
         self._sigma_px = np.full(self._n, np.inf)  # of every point in the last frame that showed the strip
@@ -330,7 +333,7 @@ class StripFollower:
         is_ok = reasons == 0
         if np.count_nonzero(is_ok) < _MIN_GOOD * self._n or change > _LOST_PX:
             return None
-        self._learn(step, np.repeat(is_ok, self.parameters.row_step) & step.is_good)
+        self._learn(step, curve, is_ok)
         position = np.where(is_ok, step.middle + step.moved, np.nan)
         return curve, StripFrame(position, np.where(is_ok, step.sigma, np.nan), reasons)
 
@@ -368,7 +371,7 @@ class StripFollower:
         )
         sums = self._bands(np.concatenate(columns).reshape(len(columns), -1))
         total = np.maximum(sums[0], _NOTHING)
-        moved, sigma = sums[1] / total, 1.0 / np.sqrt(total)
+        moved, sigma = sums[1] / total, self._scatter.factor / np.sqrt(total)
         return _Step(
             self._band_basis @ curve,
             moved,
@@ -420,11 +423,12 @@ class StripFollower:
 
     # -- what is learned -----------------------------------------------------------------------------------
 
-    def _learn(self, step: _Step, good: np.ndarray) -> None:
-        """Follow the rows' heights and the noise slowly."""
+    def _learn(self, step: _Step, curve: FloatArray, is_ok: np.ndarray) -> None:
+        """Follow the rows' heights, the noise and the points' scatter slowly."""
         assert self._heights is not None
         assert self._noise is not None
         self._frames += 1
+        good = np.repeat(is_ok, self.parameters.row_step) & step.is_good
         rate = max(_HEIGHT_RATE, 1.0 / (self._frames + 5.0))
         self._heights += np.where(good, rate * (step.heights / step.gain - self._heights), 0.0)
         if self._frames > _EARLY and self._frames % _NOISE_FRAMES:
@@ -435,6 +439,18 @@ class StripFollower:
         pixels += np.float32(self._noise.ground_grey)
         levels = noise_levels(step.table, entry, pixels, residual)
         self._noise.learn(levels, max(_NOISE_RATE, 1.0 / self._frames))
+        if self._frames <= _EARLY or self._frames % _SCATTER_FRAMES == 0:
+            self._learn_scatter(step, curve, is_ok)
+
+    def _learn_scatter(self, step: _Step, curve: FloatArray, is_ok: np.ndarray) -> None:
+        """Compare the distances of the points from their curve with what white noise leaves of them."""
+        scale = np.where(is_ok, np.hypot(step.sigma, _FLOOR_PX), np.inf)
+        fitted = self._band_basis.T / scale**2
+        left = np.eye(self._n) - self._band_basis @ np.linalg.solve(
+            fitted @ self._band_basis + _PRIOR, fitted
+        )
+        distance = step.middle + step.moved - self._band_basis @ curve
+        self._scatter.learn(distance, left, step.sigma / self._scatter.factor, is_ok)
 
     def _learn_section(self, flat: ImageArray, curve: FloatArray, rows: slice = slice(None)) -> bool:
         """Measure width and blur in this frame, too; False where that changes nothing."""

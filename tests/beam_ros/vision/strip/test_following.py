@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -104,6 +105,22 @@ def test_a_strip_of_another_kind_is_not_believed_by_its_width():
     follower = StripFollower(strip.parameters, strip.light.shape[1:])
     follower.process(strip.frames(np.random.default_rng(10))[0])
     assert follower.section.widths_px == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize("quality", [80, 40])
+def test_what_a_codec_does_to_the_pixels_is_in_the_standard_deviations(quality):
+    strip = made(100.0, 2.0, 6.0, n_frames=120)
+    frames = [
+        cv2.imdecode(
+            cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE
+        )
+        for frame in strip.frames(np.random.default_rng(11))
+    ]
+    u, sigma, _ = followed(strip, np.array(frames))
+    error = u - strip.truth
+    assert np.isfinite(error).mean() > 0.98
+    # From the second half on the scatter is known. Errors of blocks that go on over several bands are not seen in it.
+    assert 0.9 < np.sqrt(np.nanmean((error[60:] / sigma[60:]) ** 2)) < 1.2
 
 
 def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
