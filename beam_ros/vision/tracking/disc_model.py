@@ -19,7 +19,8 @@ not fitted, as it would cost up to a quarter more noise.
 
 The standard deviation is what the frames show: alpha and beta come from the residuals of the fit, and modes of the
 rim in which a disc that moves has no part (two, three and four waves around it) show what compression, texture or
-print add.
+print add. A rolling shutter shears a disc that moves, which is one of these waves: the shear is fitted along for the
+residuals, and the waves say no more than what the disc's speed may make of them leaves.
 
 A disc that is brighter than the sensor can say has a flat top without noise, and a rim that is no Phi up to there.
 What the model leaves of it sets W, as if it were noise, so that pixels which the model does not fit weigh little; but
@@ -31,6 +32,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -125,11 +127,13 @@ class DiscTable(NamedTuple):
     weights : ndarray of float32, shape (14, height * width) -- A du, A dv, A, B; the slopes along u of the background
         and of the disc; A times the bend, the modes of the rim, what the smear is longer than tabulated (its second
         moment where none is), and twice the second moment along u and v
-    columns : ndarray of float32, shape (11, height * width) -- the model's, and the slopes along u and v
-    inverse : ndarray, shape (11, 11) -- of X' W X of all these
+    columns : ndarray of float32, shape (11 or 12, height * width) -- the model's, the slopes along u and v, and the
+        shear where there is one
+    inverse : ndarray, shape (11, 11) or (12, 12) -- of X' W X of all these
     gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
         [1/px]
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
+    sheared : tuple of 5 float -- change of the modes with the shear [px]; empty where there is none
     bent : tuple of 2 float -- change of A times the bend with the slopes
     variances : list of 14 (float, float) -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
@@ -146,6 +150,7 @@ class DiscTable(NamedTuple):
     inverse: FloatArray
     gain: tuple[float, float, float]
     pull: tuple[float, float, float]
+    sheared: tuple[float, ...]
     bent: tuple[float, float]
     variances: list[tuple[float, float]]
     noise: FloatArray
@@ -155,7 +160,13 @@ class DiscTable(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def _tabulated(
-    phase_u: int, phase_v: int, radius_steps: int, edge_steps: int, smear_steps: int, light: int
+    phase_u: int,
+    phase_v: int,
+    radius_steps: int,
+    edge_steps: int,
+    smear_steps: int,
+    light: int,
+    is_sheared: bool,
 ) -> DiscTable:
     """Compute the weights about one point."""
     radius, edge = radius_steps * RADIUS_STEP_PX, edge_steps * EDGE_STEP_PX
@@ -214,6 +225,11 @@ def _tabulated(
     rows += [solution[6], *beside(seen(turn)[None, :], taken)[0]]
     weights = np.vstack([solution[:4], rows])
     columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
+    sheared: list[float] = []
+    if is_sheared:  # every row is moved along u by its distance from the centre
+        shear = seen(along * y)
+        columns = np.vstack([columns, shear])
+        sheared = (weights[_MODES] @ shear).tolist()
     inverse = np.linalg.inv((columns * weight) @ columns.T)
     squared = weights * weights
     share = 1.0 - np.sum(columns * (inverse @ (columns * weight)), axis=0)
@@ -228,6 +244,7 @@ def _tabulated(
         inverse,
         (gain[0], gain[1], gain[2]),
         (outside_pull, inside_pull, bend_pull),
+        tuple(sheared),
         (float(bend_weights @ outside), float(bend_weights @ inside)),
         list(zip(squared.sum(axis=1).tolist(), (squared @ disc).tolist(), strict=True)),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
@@ -364,7 +381,7 @@ class DiscModel:
         self._radius = self._edge = 0.0
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
         self._bend = Habit(_BENT, 0.0)
-        self._modes: list[float] = []
+        self._modes = [0.0] * len(_MODES_OF_RIM)
         self._last = math.nan
         self._roughness = 1.0, 1.0
         self._beside = self._behind = 0.0
@@ -381,6 +398,7 @@ class DiscModel:
         smear: float,
         least: float,
         ground: tuple[float, float],
+        shear: float | None = None,
     ) -> DiscFit | None:
         """Find the disc near a point.
 
@@ -393,6 +411,8 @@ class DiscModel:
         least : float -- contrast below which it is none; negative for dark discs [grey levels]
         ground : (float, float) -- the background's grey levels: what lies outside of them, by more than the slope
             explains and away from the disc's side of them or beyond its rim, counts as the nearer one [grey levels]
+        shear : float or None -- by how much its speed and a rolling shutter move every row, at most [px/px]; None
+            where no shutter rolls
 
         Returns
         -------
@@ -408,7 +428,7 @@ class DiscModel:
         for _ in range(_MAX_STEPS):
             smear_steps = round(smear / _SMEAR_STEP_PX)
             at_u, at_v = round(u * _PHASES), round(v * _PHASES)
-            table = _tabulated(at_u % _PHASES, at_v % _PHASES, *disc, smear_steps, light)
+            table = _tabulated(at_u % _PHASES, at_v % _PHASES, *disc, smear_steps, light, shear is not None)
             left, top = at_u // _PHASES + table.left, at_v // _PHASES + table.top
             right, bottom = left + table.width, top + table.height
             if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
@@ -466,7 +486,11 @@ class DiscModel:
             bend, bend_variance = self._bend.expect(bend / length, noise[_BEND] / (length * length))
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
-        wave = self._learn_rim([mode / contrast for mode in sums[_MODES]], noise[_MODES])
+        modes = [mode / contrast for mode in sums[_MODES]]
+        if shear is None:
+            wave = self._learn_rim(modes, noise[_MODES])
+        else:
+            wave = self._learn_rim(modes, noise[_MODES], [(shear * change) ** 2 for change in table.sheared])
         # In the second moments, what the model leaves of a flat top shows.
         unit, lit = table.variances[_LENGTH]
         alpha, beta = (left / (contrast * contrast) for left in self._left)
@@ -560,8 +584,13 @@ class DiscModel:
         self._beside += share * (squared / (contrast * contrast) - self._beside)
         self._behind += share * (float(np.sum(table.behind**2)) - self._behind)
 
-    def _learn_rim(self, modes: list[float], variances: list[float]) -> float:
+    def _learn_rim(self, modes: list[float], variances: list[float], sheared: Sequence[float] = ()) -> float:
         """Compare how the modes of the rim vary with what the noise makes of them.
+
+        Parameters
+        ----------
+        modes, variances : list of float -- the modes, and their variances by the noise [px, px^2]
+        sheared : sequence of float -- square of what a shear makes of each, at most [px^2]
 
         Returns
         -------
@@ -571,20 +600,26 @@ class DiscModel:
         -----
         What lies beside the disc or covers a part of it excites all waves about alike, among them the one that is a
         move of the centre. Where n normal values of one variance are squared and summed, the sum over n - 2 is what
-        makes the mean square of another such value over it 1.
+        makes the mean square of another such value over it 1. A frame in which the disc may be sheared tells as much
+        less of where the long waves rest as their noise is less than all that may be in them.
         """
-        if not self._modes:
-            self._modes = modes
-        share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
-        aways = [mode - mean for mode, mean in zip(modes, self._modes, strict=True)]
-        squares = [(1.0 - share) * a * a / variance for a, variance in zip(aways, variances, strict=True)]
-        most, total = _UNLIKELY * self.rim, sum(squares)
-        is_disturbed = total > most * len(modes)
-        if not is_disturbed:
-            self._modes = [mean + share * away for mean, away in zip(self._modes, aways, strict=True)]
         # A frame that was seen before has no noise of its own.
         is_seen = (modes[0] - self._last) ** 2 <= _SAME * variances[0]
         self._last = modes[0]
+        known = 1.0
+        if sheared:
+            known = variances[0] / (variances[0] + sheared[0])
+            variances = [variance + of_shear for variance, of_shear in zip(variances, sheared, strict=True)]
+        share = max(1.0 / self._frames, 1.0 / _SLOW_FRAMES)
+        shares = [known * share] * _LONG_MODES + [share] * (len(modes) - _LONG_MODES)
+        aways = [mode - mean for mode, mean in zip(modes, self._modes, strict=True)]
+        squares = [
+            (1.0 - s) * a * a / variance for s, a, variance in zip(shares, aways, variances, strict=True)
+        ]
+        most, total = _UNLIKELY * self.rim, sum(squares)
+        is_disturbed = total > most * len(modes)
+        if not is_disturbed:
+            self._modes = [mean + s * away for s, mean, away in zip(shares, self._modes, aways, strict=True)]
         seen = self._frames - _NOISE_EVERY_FRAMES
         if seen > 0 and not is_seen:
             # About a mean of few frames they vary more than about the true one.

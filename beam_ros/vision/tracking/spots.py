@@ -373,14 +373,29 @@ class SpotMeter:
         """Standard deviation by noise of the second moment along u beyond that along v [px^2]."""
         return _EXCESS_SCATTER * disc_scatter(light, appearance.area) * appearance.variance_v
 
-    def refine(self, image: ImageArray, spot: Spot, light: Light, appearance: Appearance) -> DiscFit | Reason:
+    def refine(
+        self,
+        image: ImageArray,
+        spot: Spot,
+        light: Light,
+        appearance: Appearance,
+        shear: float | None = None,
+    ) -> DiscFit | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width), uint8 or uint16
+        spot, light, appearance : Spot, Light, Appearance -- what is seen, and what is known of the marker
+        shear : float or None -- of a rolling shutter, as in ``DiscModel.fit`` [px/px]
 
         Returns
         -------
         DiscFit -- that of ``centre`` where the refinement fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
+        if self.parameters.refinement == "none":
+            return self.centre(image, spot, light, appearance)
         # A smear that the moments do not show beyond their noise, and that of their pixels, the fit itself finds.
         still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
         noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)
@@ -395,6 +410,7 @@ class SpotMeter:
             smear=smear,
             least=least,
             ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
+            shear=shear,
         )
         if found is None:
             return self.centre(image, spot, light, appearance)

@@ -143,8 +143,7 @@ class MarkerTracker:
         self.parameters = parameters
         self.n_markers = n_markers
         self.timing = timing
-        self._meter = meter = SpotMeter(parameters)
-        self._refined = meter.centre if parameters.refinement == "none" else meter.refine
+        self._meter = SpotMeter(parameters)
         self._markers: list[MarkerState] = []
         self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
         self._shape: tuple[int, int] | None = None
@@ -367,7 +366,8 @@ class MarkerTracker:
             if row.alike or marker.rivals:
                 others = [other for other, _ in row.alike]
                 marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
-        found = self._refined(image, spot, light, appearance)
+        shear = None if self._row_delay_s == 0.0 else self._shear(marker, spot.u, is_fresh=is_fresh)
+        found = meter.refine(image, spot, light, appearance, shear)
         if not isinstance(found, DiscFit):
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
@@ -375,6 +375,11 @@ class MarkerTracker:
             meter.begin(found, appearance)
         is_lit = is_due and not is_accompanied
         return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
+
+    def _shear(self, marker: MarkerState, u: float, *, is_fresh: bool) -> float:
+        """What a rolling shutter makes of a marker's speed, at most [px/px]."""
+        speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
+        return self._row_delay_s / self._since_s * (abs(speed) + doubt)
 
     def _is_plain(self, sight: Sight) -> bool:
         """True where a marker's mean speed explains what is seen of it."""

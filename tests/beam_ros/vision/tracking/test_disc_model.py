@@ -246,6 +246,53 @@ def test_noise_that_hangs_together_along_the_rim_is_stated():
     assert 0.87 < rms(errors / stated) < 1.16
 
 
+SHEAR = 0.02
+
+
+def sheared(most: np.ndarray, true: np.ndarray) -> tuple[DiscModel, np.ndarray, np.ndarray]:
+    """A model that was handed the most that frames may be sheared by, its errors, and what it states.
+
+    A unit of shear moves the rim by 0.06 px.
+    """
+    half, rng = 14, np.random.default_rng(7)
+    rows = (np.arange((2 * half + 1) * FINE) + 0.5) / FINE - 0.5 - half
+    discs = [drawn(6.0, half, 0.2 + side * SHEAR * rows[:, None], 0.0, np.zeros(1)) for side in (-1, 0, 1)]
+    model, errors, stated = DiscModel(), [], []
+    for units, side in zip(most, true, strict=True):
+        grey = BACKGROUND + CONTRAST * discs[int(side) + 1] + 0.7 * rng.standard_normal(discs[0].shape)
+        found = model.fit(
+            np.clip(np.rint(grey), 0, 255).astype(np.uint8),
+            half + 0.2,
+            float(half),
+            radius=6.0,
+            edge=EDGE,
+            smear=0.0,
+            least=90.0,
+            ground=(0.0, 255.0),
+            shear=units * SHEAR,
+        )
+        errors.append(found.u - half - 0.2)
+        stated.append(found.sigma_u)
+    return model, np.array(errors), np.array(stated)
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_shear_that_may_be_there_is_no_noise_and_moves_no_centre(is_there):
+    sides = np.random.default_rng(8).choice([-1, 1], 200)
+    model, errors, stated = sheared(np.ones(200), sides * is_there)
+    # The shear moves no centre, by four standard deviations; the RMS of 170 values is known to 5.4 %.
+    assert abs(np.mean((errors * sides)[30:])) < 4 * 0.0017 / math.sqrt(170)
+    assert 0.84 < rms((errors - np.mean(errors[30:]))[30:] / stated[30:]) < 1.16
+    assert model.alpha + 0.5 * model.beta == pytest.approx(0.7**2 + 1 / 12, rel=0.1)
+
+
+def test_one_frame_that_may_be_sheared_does_not_say_how_a_rim_rests():
+    first = np.eye(60)[0]
+    _, _, stated = sheared(first, first)
+    _, _, without = sheared(0 * first, 0 * first)
+    assert np.max(stated[8:] / without[8:]) < 1.1
+
+
 def test_an_edge_of_the_image_and_an_empty_place_give_nothing():
     film = Film(12.0, even(0.0))
     image = film.frame(0, 0.0, 0.0, 0.0).astype(np.uint8)
