@@ -128,7 +128,8 @@ def _camera_of(rig: Rig, order: FilmOrder) -> CameraParameters:
     camera = rig.camera_parameters()
     contrast = order.strip_contrast
     if contrast is None:
-        contrast = min(120.0, 250.0 - camera.background) if order.is_whole else camera.strip_contrast
+        room = camera.background if camera.contrast < 0 else 255.0 - camera.background
+        contrast = min(120.0, room - 5.0) if order.is_whole else camera.strip_contrast
     width = camera.strip_width_m
     if order.strip_width_px is not None:
         width = order.strip_width_px / camera.pixels_per_metre

@@ -341,7 +341,12 @@ class Rig(RigParameters):
         """The camera and what it sees."""
         from beam_ros.vision.parameters import CameraParameters
 
-        sign = 1.0 if self.tracker.polarity == "bright" else -1.0
+        contrast, background = self.camera.contrast, self.camera.background
+        if self.tracker.polarity == "dark":
+            # Where the ground leaves dark markers no room, the picture is the negative of that with bright ones.
+            if background < contrast <= 255.0 - background:
+                background = 255.0 - background
+            contrast = -contrast
         return CameraParameters(
             width=self.camera.width,
             height=self.camera.height,
@@ -352,8 +357,8 @@ class Rig(RigParameters):
             origin_px=(self.camera.origin_u, self.camera.origin_v),
             flip=self.camera.is_mirrored,
             marker_diameter_m=self.markers.diameter,
-            contrast=sign * self.camera.contrast,
-            background=self.camera.background,
+            contrast=contrast,
+            background=background,
             strip_width_m=self.beam.thickness,
             blur_px=self.camera.blur,
             noise_grey=self.camera.noise,

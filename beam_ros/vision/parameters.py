@@ -151,12 +151,13 @@ class CameraParameters:
         )
         object.__setattr__(self, "origin_px", (float(origin[0]), float(origin[1])))
         _require(self.contrast != 0, "CameraParameters.contrast", self.contrast, "a contrast other than 0")
-        _require(
-            0 <= self.background + self.contrast <= 255,
-            "CameraParameters.background + contrast",
-            self.background + self.contrast,
-            "a grey level from 0 to 255",
-        )
+        grey, polarity = self.background + self.contrast, "bright" if self.contrast > 0 else "dark"
+        if not 0 <= grey <= 255:
+            raise VisionParameterError(
+                f"the markers' grey level by camera.background {self.background:g}, camera.contrast "
+                f"{abs(self.contrast):g} and tracker.polarity {polarity} is {grey:g}; "
+                "expected a level from 0 to 255: correct it in the rig file, by a lower camera.contrast"
+            )
         _require_word(self, "stamp", StampMeaning)
         _require(
             self.marker_diameter_px >= 2.0,

@@ -17,7 +17,9 @@ from beam_ros.hub.simulated.simulated_hub import SimulatedHub
 from beam_ros.interfaces.imperfections import PRESETS
 from beam_ros.rig.filming import Film
 from beam_ros.rig.rig import Rig
+from beam_ros.vision.errors import VisionParameterError
 from beam_ros.vision.rendering.frames import SceneRenderer
+from beam_ros.vision.tracking.tracker import MarkerTracker
 
 
 def test_the_default_rig_has_the_frequencies_that_its_theory_gives() -> None:
@@ -75,6 +77,39 @@ def test_every_room_takes_the_default_parameters() -> None:
     assert rig.link_parameters().serial_baud == 921_600
     assert rig.camera_parameters().marker_diameter_px == pytest.approx(12.0)
     assert len(rig.tracker_parameters().expected_rows_px or ()) == 3
+
+
+def test_dark_markers_take_one_word_and_are_found() -> None:
+    rig = Rig.from_file().with_values({"tracker.polarity": "dark"})
+    camera = rig.camera_parameters()
+    assert (camera.background, camera.contrast) == (235.0, -180.0)
+    heights = rig.markers.heights
+    tracker = MarkerTracker(rig.tracker_parameters(), len(heights))
+    x = [0.001, 0.002, 0.003]
+    result = tracker.process(SceneRenderer(camera, heights).render(x, np.random.default_rng(2)), 0)
+    assert [marker.u_px for marker in result.markers] == pytest.approx(camera.columns(x), abs=0.04)
+
+
+def test_a_ground_on_which_dark_markers_can_be_drawn_is_taken_as_it_is() -> None:
+    camera = (
+        Rig.from_file()
+        .with_values({"tracker.polarity": "dark", "camera.background": 200.0})
+        .camera_parameters()
+    )
+    assert (camera.background, camera.contrast) == (200.0, -180.0)
+
+
+@pytest.mark.parametrize(
+    ("polarity", "grey"),
+    [("dark", -80), ("bright", 280)],
+)
+def test_markers_that_no_image_can_show_are_named_by_their_keys(polarity: str, grey: int) -> None:
+    rig = Rig.from_file().with_values({"tracker.polarity": polarity, "camera.background": 100.0})
+    keys = f"camera.background 100, camera.contrast 180 and tracker.polarity {polarity}"
+    with pytest.raises(
+        VisionParameterError, match=rf"{keys} is {grey}; expected .*: correct it .*camera\.contrast"
+    ):
+        rig.camera_parameters()
 
 
 def test_the_strip_is_as_wide_in_the_image_as_it_is_thick():
