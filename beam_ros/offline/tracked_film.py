@@ -26,6 +26,7 @@ from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameter
 from beam_ros.vision.fields import DEINTERLACE
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.measurement.repeated_frames import find_repeated_frames
+from beam_ros.vision.mosaic import UNDO
 from beam_ros.vision.parameters import CameraParameters
 
 _MIN_SEEN = _MAX_DAMAGED = 0.5
@@ -141,10 +142,15 @@ def track_video(
             f"deinterlace it where it is interlaced ({DEINTERLACE})"
         )
     if not is_whole and not tracked.reasons[0].get("ok"):
+        remedy = (
+            f"grey or colour images, no raw mosaic of a colour sensor: {UNDO}"
+            if "mosaic" in tracked.reasons[0]
+            else "it where the rig file puts it: check markers.heights, markers.diameter, camera.origin_u and "
+            "origin_v, camera.pixels_per_metre and tracker.polarity"
+        )
         raise VideoError(
             f"{video.path}: the low marker {tracked.names[0]} is in none of {len(tracked.times_ns)} frames "
-            f"({_in_words(tracked.reasons[0])}); expected it where the rig file puts it: check markers.heights, "
-            "markers.diameter, camera.origin_u and origin_v, camera.pixels_per_metre and tracker.polarity"
+            f"({_in_words(tracked.reasons[0])}); expected {remedy}"
         )
     times, period_s, said = video.settled_times(tracked.frame_times_ns)
     notes += said
@@ -212,7 +218,16 @@ def _track_markers(
             reasons,
             np.array([set(frame.reasons) == {"repeated"} for frame in measured]),
         ),
-        [doubt for doubt in (chain.calibration_doubt, chain.exposure_doubt, chain.fields_doubt) if doubt]
+        [
+            doubt
+            for doubt in (
+                chain.calibration_doubt,
+                chain.exposure_doubt,
+                chain.fields_doubt,
+                chain.mosaic_doubt,
+            )
+            if doubt
+        ]
         + [
             f"{name} was told apart from other spots by the beam's model in {n} frames (tracker.prediction beam)"
             for name, n in zip(names, chain.foretold_frames, strict=True)

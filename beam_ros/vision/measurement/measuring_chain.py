@@ -21,6 +21,7 @@ from beam_ros.vision.errors import CalibrationError, ImageFormatError
 from beam_ros.vision.fields import DEINTERLACE
 from beam_ros.vision.measurement.continuity import FrameContinuity
 from beam_ros.vision.measurement.motion_prediction import BeamMotion, MotionPrediction
+from beam_ros.vision.mosaic import UNDO
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.marker_state import Foretold
@@ -162,6 +163,16 @@ class MeasuringChain:
             "one. Positions are the mean of both, so that vibrations at a quarter of the frame rate come out "
             f"{100 * (1 - math.cos(math.pi * apart / 4)):.0f} % too small, and fast ones are not believed (smear); "
             f"set the camera to progressive, or deinterlace the film ({DEINTERLACE})"
+        )
+
+    @property
+    def mosaic_doubt(self) -> str:
+        """What is to be said of a raw mosaic of colours, or ""."""
+        if not self.tracker.shows_mosaic:
+            return ""
+        return (
+            "the images are the raw mosaic of a colour sensor: the markers' light differs from pixel to pixel, and "
+            f"none is measured (mosaic): expected grey or colour; {UNDO}"
         )
 
     @property

@@ -48,6 +48,10 @@ class Acquisition:
     meter : SpotMeter
     markers : list of MarkerState -- lowest first; those found are given their look and their place
     exposure_s : float -- of a frame [s]; infinity where it is not known
+
+    Attributes
+    ----------
+    shows_mosaic : bool -- most of what last was like a marker lies in a mosaic of colours
     """
 
     def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
@@ -57,6 +61,7 @@ class Acquisition:
         self._exposure_s = exposure_s
         self._frame = self._elapsed_ns = 0
         self._narrower = 0.0
+        self.shows_mosaic = False
 
     def acquire(self, image: ImageArray, frame: int, elapsed_ns: int) -> dict[int, Reason]:
         """Find markers in a frame, by its number and the time since the one before [ns]; return what keeps others."""
@@ -70,6 +75,11 @@ class Acquisition:
         others: list[tuple[float, float]] = []
         for top, bottom in self._bands(missing, image.shape[0]):
             self._look(image, top, bottom, found, others)
+        n_mosaics = sum(self._meter.is_mosaic(image, *candidate) for candidate in found)
+        if found:
+            self.shows_mosaic = 2 * n_mosaics > len(found)
+        if n_mosaics > 0 and self.shows_mosaic:
+            return dict.fromkeys(missing, "mosaic")
         self._narrower = self._sharpened(found)
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from beam_ros.arrays import ImageArray
+from beam_ros.vision.mosaic import is_mosaic
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.appearance import (
     QUANTISATION_VARIANCE,
@@ -51,6 +52,7 @@ Reason = Literal[
     "ok",
     "not_acquired",
     "no_contrast",
+    "mosaic",
     "repeated",
     "hidden",
     "ambiguous",
@@ -64,7 +66,8 @@ Reason = Literal[
 ]
 """Why a measurement is not valid; "ok" where it is.
 
-not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; repeated: the
+not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; mosaic: the
+pixels differ as behind the filters of a colour sensor; repeated: the
 image is the one before, bit for bit, though the markers moved; hidden: no spot where the marker should be;
 ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
 the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed
@@ -322,6 +325,12 @@ class SpotMeter:
     def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
         """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
         return has_flat_top(image, max(1, round(u)), max(1, round(v)), is_dark=self._is_dark)
+
+    @staticmethod
+    def is_mosaic(image: ImageArray, spot: Spot, light: Light) -> bool:
+        """True when the pixels about a spot differ as behind a mosaic of colour filters."""
+        left, top, right, bottom = spot.region
+        return is_mosaic(image[top:bottom, left:right], light.background, light.noise)
 
     def is_compact(self, image: ImageArray, spot: Spot, light: Light) -> bool:
         """True when a spot ends within its region above and below, as discs do that touch; a bar does not."""

@@ -205,6 +205,11 @@ class MarkerTracker:
         """Time between the instants that even and odd rows show [frames]; 0 where nothing shows that they are two."""
         return self._fields.apart
 
+    @property
+    def shows_mosaic(self) -> bool:
+        """True where what last was like a marker lies in a mosaic of colours, and was not acquired."""
+        return self._acquisition.shows_mosaic
+
     # -- frames --------------------------------------------------------------------------------------------
 
     def process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold] = ()) -> FrameResult:

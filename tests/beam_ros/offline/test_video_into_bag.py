@@ -391,6 +391,10 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     blank = write_video(tmp_path / "blank.avi", [np.full((240, 96), 20, np.uint8)] * 30)
     still_frame = next(VideoFile(VIDEO).frames())[1]
     still = write_video(tmp_path / "still.avi", [still_frame] * 60)
+    raw_frame = still_frame.copy()
+    raw_frame[::2, 1::2] //= 2
+    raw_frame[1::2, ::2] //= 2
+    raw = write_video(tmp_path / "raw.mkv", [raw_frame] * 30)
     cut = tmp_path / "cut.avi"
     cut.write_bytes(VIDEO.read_bytes()[:3000])
     (tmp_path / "times.txt").write_text("0.0\n0.01\nsoon\n", encoding="utf-8")
@@ -414,6 +418,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         (VIDEO, [], "is 96 x 240; expected 640 x 480"),
         (blank, rig, "the low marker z010 is in none of 30 frames (no_contrast 30)"),
         (still, rig, "never moved"),
+        (raw, rig, "(mosaic 30); expected grey or colour images, no raw mosaic of a colour sensor: set"),
         (VIDEO, [*rig, "--rate", "25"], "frame rate?"),
         (VIDEO, [*rig, "--rate", "-1"], "expected one > 0"),
         (VIDEO, [*rig, "--rate", "400"], "at 400 frames/s"),

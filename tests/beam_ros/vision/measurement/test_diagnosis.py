@@ -119,6 +119,20 @@ def test_interlaced_frames_are_said_with_the_remedy() -> None:
     assert "camera.exposure" not in report.sentence
 
 
+def test_a_raw_mosaic_that_is_called_grey_is_said_with_the_remedy() -> None:
+    day, rng = _Day(), np.random.default_rng(2)
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    for k in range(1, 20):
+        frame = renderer.render([0.0, 0.0, 0.0], rng)
+        frame[::2, 1::2] //= 2
+        frame[1::2, ::2] //= 2
+        day.film([k], frame=frame)
+    report = day.diagnosis.report(0.2)
+    assert report.level == "WARN"
+    assert "raw mosaic of a colour sensor" in report.sentence
+    assert "set the images' encoding to the one of the sensor (bayer_rggb8" in report.sentence
+
+
 @pytest.mark.parametrize("every", [2, 4])
 def test_a_camera_at_another_rate_is_named_and_misses_nothing(every) -> None:
     day = _Day()
