@@ -137,7 +137,7 @@ TESTED_IN = (
     ("beam_ros/vision/calibration", "procedure", "vision/calibration/test_linear"),
     ("beam_ros/vision/calibration", "lens_covariance", "vision/calibration/test_board_fits"),
     ("beam_ros/vision/calibration", "perspective", "offline/test_whole_beam"),
-    ("beam_ros/vision/strip", "blur noise prediction search", "vision/strip/test_following"),
+    ("beam_ros/vision/strip", "cross_section noise prediction search", "vision/strip/test_following"),
     ("beam_ros/vision/rendering", "disturbances", "vision/tracking/test_tracker"),
     (
         "beam_ros/vision/tracking",

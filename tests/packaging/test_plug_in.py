@@ -88,7 +88,7 @@ def test_a_kind_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
     )
     assert running.wait(40.0) == 2
     assert running.output().count("\n") == 1
-    assert "expected one of topic, device, file, toy; did you mean 'toy'?" in running.output()
+    assert "expected one of topic, device, file, compressed, toy; did you mean 'toy'?" in running.output()
 
 
 def _call(graph: Graph, service: str) -> str:
