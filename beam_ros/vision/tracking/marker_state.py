@@ -93,6 +93,7 @@ class MarkerState:
     rivals : list of Track -- other spots of its kind in its row
     courses : list of Course -- the ways of those that were known when it was lost
     told_frames : int -- frames in a row in which these ways told which spot it is
+    relit_way : list of float -- columns in the frames of late in which it alone may have another light [px]
     is_mixed : bool -- it met a rival, and which of the two is which is not known
     is_joined : bool -- since they met, the two have not been seen apart
     is_blind : bool -- since they met, nothing of the two was to be seen for a while
@@ -134,6 +135,7 @@ class MarkerState:
     rivals: list[Track] = field(default_factory=list)
     courses: list[Course] = field(default_factory=list)
     told_frames: int = 0
+    relit_way: list[float] = field(default_factory=list)
     is_mixed: bool = False
     is_joined: bool = False
     is_blind: bool = False

@@ -150,6 +150,7 @@ class Recovery:
         courses = [Course.of(track) for track in marker.rivals]
         marker.courses = [course for course in courses if course is not None]
         marker.told_frames = 0
+        marker.relit_way.clear()
 
     def find(
         self,
@@ -182,6 +183,8 @@ class Recovery:
                 if abs(light.contrast / expected - 1) <= parameters.brightness_tolerance
                 and not is_taken(markers, spot, k, parameters.marker_diameter_px / 2)
             ]
+            if not lit and self._is_relit(k, [spot for spot, _ in alike], seen):
+                lit = alike
             marker.alone_frames = marker.alone_frames + 1 if len(lit) == 1 else 0
             marker.is_doubtful |= len(lit) > 1
             if marker.is_joined and self._meter.is_dim(image, marker.u, marker.v, expected):
@@ -315,6 +318,19 @@ class Recovery:
         if marker.foretold is not None:
             places.append(marker.foretold)
         return min(places, key=lambda place: place.doubt_px, default=None)
+
+    def _is_relit(self, k: int, spots: list[Spot], seen: dict[int, float]) -> bool:
+        """True when what is alone in a marker's row, in another light, swings where it must be beside the others.
+
+        Those are seen in the columns given [px].
+        """
+        way = self._markers[k].relit_way
+        expected = self._carried(k, seen) if len(spots) == 1 else None
+        if expected is None or expected.doubt_px > SAME_PLACE_PX or not expected.admits(spots[0].u):
+            way.clear()
+            return False
+        way.append(spots[0].u)
+        return len(way) >= CONFIRMED_FRAMES and max(way) - min(way) > SAME_PLACE_PX
 
     def _row_reach(self, marker: MarkerState, u: float) -> float:
         """How far from its row a marker is in a column, at most [px].

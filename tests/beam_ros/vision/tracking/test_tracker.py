@@ -182,6 +182,42 @@ def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_vis
         assert columns(result)[valid] == pytest.approx(camera.columns(x)[valid], abs=0.04)
 
 
+@pytest.mark.parametrize("gain", [0.5, 1.5, 1.8])
+@pytest.mark.parametrize("refinement", ["none", "disc_model"])
+def test_a_marker_that_alone_has_another_light_is_believed_where_the_others_say_it_is(gain, refinement):
+    camera = packaged_camera(noise_grey=1.0, contrast=90.0)
+    renderer, tracker = make(camera, refinement=refinement)
+    rng, valid, errors = np.random.default_rng(7), [], []
+    for k in range(160):
+        x = 0.006 * np.sin(0.2 * k) * np.array(HEIGHTS) / 0.3
+        light = renderer.render(x, rng).astype(float)
+        if 60 <= k < 110:
+            light[:100] = 20.0 + gain * (light[:100] - 20.0)
+        result = tracker.process(np.clip(np.rint(light), 0, 255).astype(np.uint8), k)
+        valid.append([marker.is_valid for marker in result.markers])
+        errors.append((columns(result) - camera.columns(x)) / [marker.sigma_px for marker in result.markers])
+    lost = ~np.array(valid)
+    # A light comes and goes, and is confirmed by three frames each time.
+    assert lost[:, :2].sum() == 0
+    assert lost[:, 2].sum() <= 8
+    assert np.nanmax(np.abs(errors)) < 6.0
+
+
+def test_a_spot_in_another_light_beside_where_the_others_say_is_no_marker():
+    camera = packaged_camera(noise_grey=1.0, contrast=90.0)
+    renderer, tracker = make(camera)
+    rng, others = np.random.default_rng(7), SceneRenderer(camera, HEIGHTS[:2])
+    for k in range(160):
+        x = 0.006 * np.sin(0.2 * k) * np.array(HEIGHTS) / 0.3
+        frame = renderer.render(x, rng)
+        if k >= 60:  # the tip is hidden, and something brighter swings with the beam, 8 px aside
+            frame = others.render(x[:2], rng)
+            alone = renderer.render(x + 8.0 / 1500, rng)[:100].astype(float)
+            frame[:100] = np.clip(20.0 + 1.6 * (alone - 20.0), 0, 255)
+        tip = tracker.process(frame, k).markers[2]
+        assert tip.is_valid == (k < 60)
+
+
 @pytest.mark.parametrize("amount", [0.7, 1.0, 1.5])
 def test_a_camera_that_sharpens_hides_no_marker_but_one_that_a_second_disc_touches(amount):
     camera = packaged_camera(noise_grey=2.0)
