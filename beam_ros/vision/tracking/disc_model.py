@@ -318,7 +318,7 @@ class Habit:
         self.doubt = doubt
         self._is_constant = is_constant
         self._forgotten = 1.0 / (_CONSTANT_FRAMES if is_constant else _SLOW_FRAMES) if doubt > 0.0 else 0.0
-        self._weight = 0.0
+        self._weight = self._telling = 0.0
         self._surprise, self._usual, self._values = 1.0, 1.0, 0
 
     def expect(self, value: float, variance: float, *, may_change: bool = True) -> tuple[float, float]:
@@ -334,10 +334,13 @@ class Habit:
                 share = max(1.0 / self._values, 1.0 / _SLOW_FRAMES)
                 self._usual = max(self._usual + share * (surprise - self._usual), 1.0)
         known = self.doubt + self.spread
-        share = known / (known + variance)
-        best = self.mean + share * away
+        trust = known / (known + variance)
+        best = self.mean + trust * away
         total = self.spread + variance
-        self.doubt = max(self.doubt, self._forgotten * total)
+        # A frame that tells little is no reason to forget what others told.
+        share = self._forgotten if self._telling > 0.0 else 1.0
+        self._telling += share * (1.0 / total - self._telling)
+        self.doubt = max(self.doubt, self._forgotten / self._telling)
         gain = self.doubt / (self.doubt + total)
         self.mean += gain * away
         self.doubt *= 1.0 - gain
@@ -350,7 +353,7 @@ class Habit:
             away = value - self.mean
             self.spread += (away * away - variance - self.spread) * information / self._weight
             self.spread = max(self.spread, 0.0)
-        return best, share * variance
+        return best, trust * variance
 
 
 class DiscModel:

@@ -409,6 +409,18 @@ def test_what_is_always_there_is_expected_and_what_never_was_is_not():
     assert constant.expect(20.0, 1.0)[0] == pytest.approx(5.0, abs=1.0)
 
 
+def test_frames_that_tell_little_make_nobody_forget_what_others_told():
+    rng = np.random.default_rng(4)
+    habit = Habit(0.0, 1.0, is_constant=True)
+    for _ in range(1000):
+        habit.expect(5.0 + rng.standard_normal(), 1.0)
+    known = habit.doubt
+    for _ in range(30):
+        habit.expect(5.0 + 10.0 * rng.standard_normal(), 100.0)
+    assert habit.doubt < 1.2 * known
+    assert habit.mean == pytest.approx(5.0, abs=0.2)
+
+
 def test_a_camera_whose_noise_is_known_needs_no_residuals():
     film = Film(12.0, even(0.0))
     film.model = DiscModel((1.0 + 1 / 12, 0.4))
