@@ -218,16 +218,7 @@ def _track_markers(
             reasons,
             np.array([set(frame.reasons) == {"repeated"} for frame in measured]),
         ),
-        [
-            doubt
-            for doubt in (
-                chain.calibration_doubt,
-                chain.exposure_doubt,
-                chain.fields_doubt,
-                chain.mosaic_doubt,
-            )
-            if doubt
-        ]
+        chain.doubts
         + [
             f"{name} was told apart from other spots by the beam's model in {n} frames (tracker.prediction beam)"
             for name, n in zip(names, chain.foretold_frames, strict=True)

@@ -73,8 +73,6 @@ class Decoder:
     n_frames : int -- what the file claims; 0 where it does not say
     rate_hz : float -- what the file claims, its clock's rate, too [Hz]
     stated_hz : float -- the same where it can be the rate of frames, else NaN [Hz]
-    codec : str -- its four letters
-    is_predicted : bool -- a picture that was decoded holds what changed since others
 
     Raises
     ------
@@ -86,7 +84,7 @@ class Decoder:
         self._complaints = _Complaints() if is_heeded else None
         self._keys: frozenset[int] | None = None
         self._is_whole = True
-        self.is_predicted = False
+        self._is_predicted = False
         capture = self._open()
         try:
             self.width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
@@ -98,7 +96,6 @@ class Decoder:
             capture.release()
         is_frames = math.isfinite(self.rate_hz) and 0 < self.rate_hz <= _MAX_STATED_HZ
         self.stated_hz = self.rate_hz if is_frames else math.nan
-        self.codec = self._codec.decode("ascii", "replace").upper()
 
     def _open(self, *, is_one_by_one: bool = False) -> Any:
         if self.path.is_dir():
@@ -141,6 +138,11 @@ class Decoder:
 
     def _heeded(self) -> contextlib.AbstractContextManager[None]:
         return contextlib.nullcontext() if self._complaints is None else self._complaints.heard()
+
+    @property
+    def predicting_codec(self) -> str:
+        """Letters of a codec that wrote what changes from picture to picture; "" where none of those read is such."""
+        return self._codec.decode("ascii", "replace").upper() if self._is_predicted else ""
 
     @property
     def first_complaint(self) -> str:
@@ -206,7 +208,7 @@ class Decoder:
                     continue
                 n_undecodable, failed = n_undecodable + failed, 0
                 shown_ns = round(float(capture.get(cv2.CAP_PROP_POS_MSEC)) * _MILLISECOND_NS)
-                self.is_predicted = self.is_predicted or _type(capture) in _PREDICTED
+                self._is_predicted = self._is_predicted or _type(capture) in _PREDICTED
                 if heard is not None:
                     # A picture that builds on a damaged one is damaged, too, up to the next that stands by itself.
                     number = self._number(count + n_undecodable, shown_ns)

@@ -185,7 +185,7 @@ class VideoFile:
     @property
     def predicting_codec(self) -> str:
         """Letters of a codec that wrote what changes from picture to picture; "" where none of those read is such."""
-        return self._decoder.codec if self._decoder.is_predicted else ""
+        return self._decoder.predicting_codec
 
     @property
     def first_complaint(self) -> str:

@@ -131,14 +131,9 @@ class Diagnosis:
             found.append(Complaint("ERROR", self._trouble))
         if chain.calibration_fault:
             found.append(Complaint("ERROR", chain.calibration_fault))
-        doubts = (
-            chain.calibration_doubt,
-            chain.exposure_doubt,
-            chain.fields_doubt,
-            chain.mosaic_doubt,
-            chain.lens_fault,
-        )
-        found += [Complaint("WARN", doubt) for doubt in doubts if doubt]
+        found += [Complaint("WARN", doubt) for doubt in chain.doubts]
+        if chain.lens_fault:
+            found.append(Complaint("WARN", chain.lens_fault))
         if not since["arrived"]:
             return found if is_source_silent else [*found, Complaint("WARN", silence)]
         if since["repeated"] and not since["measured"]:

@@ -176,6 +176,12 @@ class MeasuringChain:
         )
 
     @property
+    def doubts(self) -> list[str]:
+        """What is to be said of the camera, in node and film alike."""
+        said = self.calibration_doubt, self.exposure_doubt, self.fields_doubt, self.mosaic_doubt
+        return [doubt for doubt in said if doubt]
+
+    @property
     def lens_fault(self) -> str:
         """What is wrong between lens and calibration, or ""."""
         return self._lens_fault

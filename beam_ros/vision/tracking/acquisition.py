@@ -12,7 +12,7 @@ from itertools import pairwise
 from statistics import median
 
 from beam_ros.arrays import ImageArray
-from beam_ros.vision.tracking.appearance import Light
+from beam_ros.vision.tracking.appearance import Appearance, Light
 from beam_ros.vision.tracking.marker_state import (
     CONFIRMED_FRAMES,
     SAME_PLACE_PX,
@@ -60,6 +60,7 @@ class Acquisition:
         self._markers = markers
         self._exposure_s = exposure_s
         self._frame = self._elapsed_ns = 0
+        self._looks: dict[Spot, Appearance] = {}
         self._narrower = 0.0
         self.shows_mosaic = False
 
@@ -75,28 +76,29 @@ class Acquisition:
         others: list[tuple[float, float]] = []
         for top, bottom in self._bands(missing, image.shape[0]):
             self._look(image, top, bottom, found, others)
-        n_mosaics = sum(self._meter.is_mosaic(image, *candidate) for candidate in found)
         if found:
+            n_mosaics = sum(self._meter.is_mosaic(image, *candidate) for candidate in found)
             self.shows_mosaic = 2 * n_mosaics > len(found)
-        if n_mosaics > 0 and self.shows_mosaic:
-            return dict.fromkeys(missing, "mosaic")
-        self._narrower = self._sharpened(found)
+            if self.shows_mosaic:
+                return dict.fromkeys(missing, "mosaic")
+        self._looks = {candidate[0]: self._meter.appearance(*candidate) for candidate in found}
+        self._narrower = self._sharpened()
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
         unequal = self._unequal(chosen)
         for k in chosen.keys() - unequal:
             spot, light = chosen[k]
-            appearance = self._meter.appearance(spot, light)
+            appearance = self._looks[spot]
             self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
         return {**reasons, **dict.fromkeys(unequal, "area")}
 
-    def _sharpened(self, found: list[Candidate]) -> float:
+    def _sharpened(self) -> float:
         """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
 
         A rim that overshoots adds to the area. A second disc that touches does so, too, but of one marker.
         """
         looks = [marker.appearance for marker in self._markers if marker.appearance is not None]
-        looks += [self._meter.appearance(*candidate) for candidate in found]
+        looks += self._looks.values()
         narrower = [look.variance_v - look.area / (4 * math.pi * self._parameters.aspect) for look in looks]
         return min(shared(narrower, max(len(self._markers), len(looks))), 0.0)
 
@@ -227,8 +229,7 @@ class Acquisition:
         self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
     ) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        look = self._meter.appearance(spot, light)
-        disc = one_disc(spot, light, look, self._parameters, self._narrower)
+        disc = one_disc(spot, light, self._looks[spot], self._parameters, self._narrower)
         before = marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
         marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0
@@ -258,7 +259,7 @@ class Acquisition:
     def _unequal(self, chosen: dict[int, Candidate]) -> list[int]:
         """Markers of another size than most of them: a twin that touches, or a part that is hidden."""
         areas = {k: marker.appearance.area for k, marker in enumerate(self._markers) if marker.appearance}
-        areas |= {k: self._meter.appearance(*candidate).area for k, candidate in chosen.items()}
+        areas |= {k: self._looks[spot].area for k, (spot, _) in chosen.items()}
         if len(areas) < _MAJORITY:
             return []
         usual = median(areas.values())

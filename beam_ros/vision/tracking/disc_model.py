@@ -490,10 +490,8 @@ class DiscModel:
             u -= table.pull[2] * bend * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
         modes = [mode / contrast for mode in sums[_MODES]]
-        if shear is None:
-            wave = self._learn_rim(modes, noise[_MODES])
-        else:
-            wave = self._learn_rim(modes, noise[_MODES], [(shear * change) ** 2 for change in table.sheared])
+        sheared = [] if shear is None else [(shear * change) ** 2 for change in table.sheared]
+        wave = self._learn_rim(modes, noise[_MODES], sheared)
         # In the second moments, what the model leaves of a flat top shows.
         unit, lit = table.variances[_LENGTH]
         alpha, beta = (left / (contrast * contrast) for left in self._left)

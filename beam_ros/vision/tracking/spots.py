@@ -547,7 +547,7 @@ class SpotMeter:
             area = _at_rest(area, areas, most.scatter, least.area, most.area)
             variance_v = _at_rest(variance_v, of_v, most.scatter, least.variance_v, most.variance_v)
             bent = _bent(variance_u - own_u, variance_u)
-            skew_u = math.copysign(max(abs(skew_u) - bent, 0.0), skew_u) / most.scatter
+            skew_u = _beyond(skew_u, bent) / most.scatter
             skew_v = skew_v / most.scatter
         if not brightness[0] <= plateau <= brightness[1]:
             return "brightness"

@@ -41,6 +41,10 @@ VIDEO = RECORDINGS / "video_96x240" / "video.avi"
 RIG_FILE = VIDEO.with_name("rig.yaml")
 TRUTH = json.loads(VIDEO.with_name("truth.json").read_text())
 
+tells_key_frames = pytest.mark.skipif(
+    not hasattr(cv2, "CAP_PROP_FRAME_TYPE"), reason="this OpenCV does not tell key frames from others"
+)
+
 
 @pytest.fixture(scope="module")
 def hub_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -168,9 +172,7 @@ def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
     assert "-vf bwdif" in note
 
 
-@pytest.mark.skipif(
-    not hasattr(cv2, "CAP_PROP_FRAME_TYPE"), reason="OpenCV before 4.6 does not tell key frames from others"
-)
+@tells_key_frames
 def test_a_codec_that_keeps_what_changes_is_named_and_one_of_whole_pictures_not(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)
     renderer, rng = SceneRenderer(rig.camera_parameters(), rig.markers.heights), np.random.default_rng(4)
@@ -367,9 +369,7 @@ def test_a_time_that_is_known_at_the_beginning_of_a_film_and_not_at_its_end_is_t
     assert not any("time in the hub's" in note for note in result["notes"])
 
 
-@pytest.mark.skipif(
-    not hasattr(cv2, "CAP_PROP_FRAME_TYPE"), reason="OpenCV before 4.6 does not tell key frames from others"
-)
+@tells_key_frames
 def test_what_a_codec_holds_back_is_fitted_where_it_keeps_what_changes(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)
     frames = [image for _, image in VideoFile(VIDEO).frames()][:40]
