@@ -26,10 +26,10 @@ def is_on_its_way(steps: Sequence[float], sigma: float) -> bool:
 
     Parameters
     ----------
-    steps : sequence of LATELY float -- how far it came in the last steps
+    steps : sequence of float -- how far it came in the last steps, LATELY at most
     sigma : float -- standard deviation of its place
     """
-    return sorted(steps)[-2] > _MOVING * sigma
+    return len(steps) >= 2 and sorted(steps)[-2] > _MOVING * sigma
 
 
 class RepeatedImages:

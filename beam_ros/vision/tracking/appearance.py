@@ -291,8 +291,14 @@ class SmearedLooks:
         if after == len(excesses):
             return looks[-1]
         share = (excess - excesses[after - 1]) / (excesses[after] - excesses[after - 1])
-        before, beyond = looks[after - 1], looks[after]
-        return Smeared(*(low + share * (high - low) for low, high in zip(before, beyond, strict=True)))
+        area, plateau, variance_v, scatter = looks[after - 1]
+        beyond = looks[after]
+        return Smeared(
+            area + share * (beyond.area - area),
+            plateau + share * (beyond.plateau - plateau),
+            variance_v + share * (beyond.variance_v - variance_v),
+            scatter + share * (beyond.scatter - scatter),
+        )
 
 
 def smear_of(

@@ -155,7 +155,8 @@ def clipped_sums(
     low: float,
     high: float,
     is_dark: bool,
-) -> Float32Array:
+    sums: Float32Array,
+) -> None:
     """Sums of a region's grey levels with weights.
 
     Parameters
@@ -167,13 +168,9 @@ def clipped_sums(
     low, high : float -- bounds of the background: what lies outside of them, away from the disc's side or beyond
         its rim, counts as the nearer one [grey levels]
     is_dark : bool -- the disc lies towards black
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    sums : ndarray of float32, shape (n,) -- takes them: an array that Numba makes takes longer than its sums
     """
-    sums: Float32Array = weights.dot(clipped(image, left, top, right, bottom, beyond, low, high, is_dark))
-    return sums
+    weights.dot(clipped(image, left, top, right, bottom, beyond, low, high, is_dark), out=sums)
 
 
 def clipped_sums_in_loops(
@@ -187,8 +184,9 @@ def clipped_sums_in_loops(
     low: float,
     high: float,
     is_dark: bool,
-) -> Float32Array:
-    """Return what ``clipped_sums`` does, by loops that Numba compiles."""
+    sums: Float32Array,
+) -> None:
+    """Do what ``clipped_sums`` does, by loops that Numba compiles."""
     count, width = weights.shape[1], right - left
     grey = np.empty(count, np.float32)
     lower, upper = np.float32(low), np.float32(high)
@@ -200,17 +198,15 @@ def clipped_sums_in_loops(
                 grey[at] = max(min(level, upper), lower - beyond[at])
             else:
                 grey[at] = min(max(level, lower), beyond[at] + upper)
-    sums = np.empty(weights.shape[0], np.float32)
     for k in range(len(sums)):
         total = np.float32(0.0)
         for at in range(count):
             total += weights[k, at] * grey[at]
         sums[k] = total
-    return sums
 
 
 @cache
-def compiled_clipped_sums() -> Callable[..., Float32Array] | None:
+def compiled_clipped_sums() -> Callable[..., None] | None:
     """Return ``clipped_sums`` as machine code, or None without Numba."""
     try:
         from numba import njit, types
@@ -218,13 +214,10 @@ def compiled_clipped_sums() -> Callable[..., Float32Array] | None:
         return None
     whole, real = types.int64, types.float64
     table, row = (types.Array(types.float32, n, "C", readonly=True) for n in (2, 1))
-    compiled: Callable[..., Float32Array] = njit(
-        [
-            types.float32[::1](
-                types.Array(grey, 2, "A", readonly=True), *[whole] * 4, table, row, real, real, types.boolean
-            )
-            for grey in (types.uint8, types.uint16)
-        ],
+    found = types.float32[::1]
+    images = [types.Array(grey, 2, "A", readonly=True) for grey in (types.uint8, types.uint16)]
+    compiled: Callable[..., None] = njit(
+        [types.void(image, *[whole] * 4, table, row, real, real, types.boolean, found) for image in images],
         cache=True,
         nogil=True,
         fastmath={"reassoc", "contract"},  # sums in whatever order, as those of a BLAS

@@ -375,6 +375,7 @@ class DiscModel:
     def __init__(self, line: tuple[float, float] | None = None) -> None:
         self._line = line
         self._clipped_sums = compiled_clipped_sums() or clipped_sums
+        self._sums = np.empty(_TILT + 1, np.float32)
         self.disc = (0, 0)
         self.alpha = self.beta = 0.0
         self._left = 0.0, 0.0
@@ -438,9 +439,10 @@ class DiscModel:
                 return None
             dip = abs(self._slopes[0].mean * least) * table.width
             low, high = ground[0] - dip, ground[1] + dip
-            sums = self._clipped_sums(
-                image, left, top, right, bottom, table.weights, table.beyond, low, high, least < 0.0
-            ).tolist()
+            self._clipped_sums(
+                image, left, top, right, bottom, table.weights, table.beyond, low, high, least < 0.0, self._sums
+            )
+            sums = self._sums.tolist()
             contrast = sums[2]
             if contrast < least if least > 0.0 else contrast > least:
                 return None

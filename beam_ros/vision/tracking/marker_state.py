@@ -101,7 +101,6 @@ class MarkerState:
     company_u, company_v : tuple of float -- where all markers had been seen before that [px]
     company_ways : list of list of Place -- where all markers were in the frames of late before that
     sigma : float -- standard deviation of u where it was last seen [px]
-    lately : tuple of LATELY float -- how far it came in its last steps, the last one first [px]
     is_pulled : bool -- in the last frame that showed it, a second image of it may have lain over it
     behind : float -- how far, most likely, that frame showed it behind its true place [px]
     shown : float -- contrast that it had in the last frame; NaN where it was not seen [grey levels]
@@ -144,7 +143,6 @@ class MarkerState:
     company_v: tuple[float, ...] = ()
     company_ways: list[list[Place]] = field(default_factory=list)
     sigma: float = math.inf
-    lately: tuple[float, ...] = (0.0,) * LATELY
     is_pulled: bool = False
     behind: float = 0.0
     shown: float = math.nan
@@ -165,7 +163,8 @@ class MarkerState:
     @property
     def is_moving(self) -> bool:
         """True where it came farther than noise in its last steps."""
-        return self.is_followed and is_on_its_way(self.lately, self.sigma)
+        steps = [abs(u - before) for (_, before), (_, u) in pairwise(list(self.way)[-LATELY - 1 :])]
+        return self.is_followed and is_on_its_way(steps, self.sigma)
 
     @property
     def is_anywhere(self) -> bool:
@@ -229,7 +228,6 @@ class MarkerState:
 
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
-        self.lately = abs(u - self.u), *self.lately[:-1]
         if is_fresh:
             self.velocity = self.acceleration = 0.0
             self.steps = 0
@@ -258,7 +256,6 @@ class MarkerState:
         self.acquired_at, self.shown = frame, light.contrast
         self.u, self.v, self.centre, self.row = spot.u, spot.v, spot.u, spot.v
         self.swing = self.row_swing = 0.0
-        self.lately = (0.0,) * LATELY
         self.way.clear()
         self.hold_error = self.linear_error = 1.0
         self.lost_frames = self.alone_frames = 0

@@ -261,6 +261,7 @@ class SpotMeter:
         self._least_area = 0.25 * math.pi * self.radius**2
         self._compiled = compiled_spot_numbers()
         self._clipped_sums = compiled_clipped_sums() or clipped_sums
+        self._sums = np.empty(3, np.float32)
 
     # -- moments -------------------------------------------------------------------------------------------
 
@@ -360,9 +361,9 @@ class SpotMeter:
         right, bottom, (rows, columns), (low, high) = left + width, top + height, image.shape, light.bounds
         if left < 0 or top < 0 or right > columns or bottom > rows:
             return "border"
-        mass, first_u, first_v = self._clipped_sums(
-            image, left, top, right, bottom, weights, beyond, low, high, self._is_dark
-        ).tolist()
+        sums = self._sums
+        self._clipped_sums(image, left, top, right, bottom, weights, beyond, low, high, self._is_dark, sums)
+        mass, first_u, first_v = sums.tolist()
         base = light.background
         mass -= base * sum_w
         if (-mass if self._is_dark else mass) < self._least_area * light.contrast:
