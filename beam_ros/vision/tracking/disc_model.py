@@ -462,7 +462,9 @@ class DiscModel:
             is_near = -_NEAR_PX <= step_u <= _NEAR_PX and -_NEAR_PX <= step_v <= _NEAR_PX
             if is_near and -_ALIKE_PX <= longer <= _ALIKE_PX:
                 break
-            smear = max(smear_steps * _SMEAR_STEP_PX + min(max(longer, -_LOST_PX), _LOST_PX), 0.0)
+            # Each end of a smear moves by half of what its length changes.
+            longer = min(max(longer, -2.0 * _LOST_PX), 2.0 * _LOST_PX)
+            smear = max(smear_steps * _SMEAR_STEP_PX + longer, 0.0)
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
             grey = clipped(image, left, top, right, bottom, table.beyond, low, high, least < 0.0)
