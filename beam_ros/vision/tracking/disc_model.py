@@ -438,9 +438,9 @@ class DiscModel:
             if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
                 return None
             dip = abs(self._slopes[0].mean * least) * table.width
-            low, high = ground[0] - dip, ground[1] + dip
+            bounds = ground[0] - dip, ground[1] + dip, least < 0.0
             self._clipped_sums(
-                image, left, top, right, bottom, table.weights, table.beyond, low, high, least < 0.0, self._sums
+                image, left, top, right, bottom, table.weights, table.beyond, *bounds, self._sums
             )
             sums = self._sums.tolist()
             contrast = sums[2]
@@ -467,7 +467,7 @@ class DiscModel:
             smear = max(smear_steps * _SMEAR_STEP_PX + longer, 0.0)
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
-            grey = clipped(image, left, top, right, bottom, table.beyond, low, high, least < 0.0)
+            grey = clipped(image, left, top, right, bottom, table.beyond, *bounds)
             self._look_closely(table, grey, light)
         if self._frames & (self._frames - 1) == 0 or self._frames % _CONSTANT_FRAMES == 0:
             self._look_beside(table, image, left, top, ground, contrast)

@@ -35,6 +35,16 @@ def damage(path: Path, n_bytes: int, seed: int) -> None:
     path.write_bytes(data)
 
 
+def packets(path: Path) -> list[bytes]:
+    """The pictures as they lie in a film; the codec's own data first where it has some."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    _, header = capture.retrieve(flag=int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+    found = [b"" if header is None else header.tobytes()]
+    while (read := capture.read())[0]:
+        found.append(read[1].tobytes())
+    return found
+
+
 def read_alone(path: Path) -> tuple[list[np.ndarray], list[float]]:
     """Pictures and times as OpenCV gives them one by one, in colour."""
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
@@ -64,7 +74,9 @@ def test_pictures_come_in_order_as_they_were_written(tmp_path: Path, codec: str,
 def test_damage_marks_pictures_and_changes_none_of_the_others(tmp_path: Path, codec: str, seed: int) -> None:
     path = tmp_path / "film.avi"
     film(path, codec)
-    whole, _ = read_alone(path)
+    (whole, _), (header, *written) = read_alone(path), packets(path)
+    if codec == "FFV1" and not header:
+        pytest.skip(f"OpenCV {cv2.__version__} writes FFV1 without checksums")
     damage(path, 6, seed)
     alone, times = read_alone(path)
     found = list(Decoder(path, is_heeded=True).pictures())
@@ -75,7 +87,9 @@ def test_damage_marks_pictures_and_changes_none_of_the_others(tmp_path: Path, co
     differ = [not np.array_equal(picture.image, whole[round(picture.shown_ns / 1e7)]) for picture in found]
     marked = [picture.is_damaged for picture in found]
     assert any(marked) or found[-1].n_undecodable
-    assert not any(marked[: differ.index(True) if any(differ) else 30])
+    spoilt = [before != now for before, now in zip(written, packets(path)[1:], strict=False)]
+    early = differ.index(True) if any(differ) else 30
+    assert not any(mark and not is_spoilt for mark, is_spoilt in zip(marked[:early], spoilt, strict=False))
     one_by_one = Decoder(path, is_heeded=True)._decoded(is_one_by_one=True)
     assert marked == [picture.is_damaged for picture in one_by_one]
 
