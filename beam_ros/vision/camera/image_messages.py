@@ -55,7 +55,7 @@ class WireImage:
     data: memoryview
 
     def grey(self) -> ImageArray:
-        """Pixels as one grey channel, shape (height, width); a view for mono8 and mono16.
+        """Pixels as one grey channel, shape (height, width); a view where the pixels are grey as they lie.
 
         Raises
         ------

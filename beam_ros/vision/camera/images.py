@@ -36,6 +36,14 @@ _ENCODINGS: dict[str, _Encoding] = {
     "rgb8": _Encoding(3, 1, cv2.COLOR_RGB2GRAY),
     "bgra8": _Encoding(4, 1, cv2.COLOR_BGRA2GRAY),
     "rgba8": _Encoding(4, 1, cv2.COLOR_RGBA2GRAY),
+    # Luminance and colour in turns, each by its deprecated and its present name; ...
+    "yuv422": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_UYVY),
+    "uyvy": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuv422_yuy2": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
+    "yuyv": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
+    # ... or all luminance in front of all colour.
+    "nv21": _Encoding(1, 1, None),
+    "nv24": _Encoding(1, 1, None),
     "bayer_rggb8": _Encoding(1, 1, cv2.COLOR_BayerBG2GRAY),
     "bayer_bggr8": _Encoding(1, 1, cv2.COLOR_BayerRG2GRAY),
     "bayer_gbrg8": _Encoding(1, 1, cv2.COLOR_BayerGR2GRAY),
@@ -75,8 +83,9 @@ def image_view(
 
     Returns
     -------
-    ndarray, shape (height, width) or (height, width, channels), uint8 or uint16 -- a read-only or writable
-        view as ``data`` is; only 16-bit samples of the other byte order or at odd addresses are copied
+    ndarray, shape (height, width) or (height, width, channels), uint8 or uint16 -- of nv21 and nv24 the luminance; a
+        read-only or writable view as ``data`` is; only 16-bit samples of the other byte order or at odd addresses are
+        copied
 
     Raises
     ------
@@ -133,9 +142,9 @@ def grey_image(
 ) -> ImageArray:
     """Reduce the bytes of an Image message to one grey channel.
 
-    Parameters and errors are those of ``image_view``. mono8 and mono16 stay a view on the message's bytes;
-    colour and Bayer patterns are converted (at 1920x1080 that costs more than all tracking: ask the camera
-    for mono8).
+    Parameters and errors are those of ``image_view``. mono8, mono16, nv21 and nv24 stay a view on the message's
+    bytes; other colour and Bayer patterns are converted (at 1920x1080 that costs more than all tracking: ask the
+    camera for mono8).
 
     Returns
     -------

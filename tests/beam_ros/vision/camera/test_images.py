@@ -68,6 +68,24 @@ def test_colour_becomes_the_grey_of_its_channel_order(encoding, code):
     assert np.array_equal(grey_image(encoding, 6, 8, 26, padded(colour, 2)), cv2.cvtColor(colour, code))
 
 
+@pytest.mark.parametrize(
+    ("encoding", "luminance"), [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0)]
+)
+def test_luminance_and_colour_in_turns_give_the_luminance(encoding, luminance):
+    """The sample layouts of image_encodings.hpp: yuv422 begins with a colour, yuv422_yuy2 with the luminance."""
+    samples = RNG.integers(0, 256, (6, 8, 2), dtype=np.uint8)
+    samples[:, :, luminance] = GREY
+    assert np.array_equal(grey_image(encoding, 6, 8, 19, padded(samples, 3)), GREY)
+
+
+@pytest.mark.parametrize(("encoding", "colour_rows"), [("nv21", 3), ("nv24", 12)])
+def test_colour_behind_the_luminance_is_passed_over(encoding, colour_rows):
+    data = padded(np.vstack([GREY, RNG.integers(0, 256, (colour_rows, 8), dtype=np.uint8)]), 2)
+    image = grey_image(encoding, 6, 8, 10, data)
+    assert np.array_equal(image, GREY)
+    assert np.shares_memory(image, np.frombuffer(data, np.uint8))
+
+
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 def test_bayer_patterns_are_named_by_the_first_row(pattern):
     """A scene that is pure red must come out as the grey of red, whatever the pattern."""
@@ -105,7 +123,8 @@ def test_the_last_row_needs_no_padding():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("yuv422", 6, 8, 16, bytes(96)), "'yuv422' is not supported; expected one of mono8"),
+        (("32FC1", 6, 8, 32, bytes(192)), "'32FC1' is not supported; expected one of mono8"),
+        (("yuyv", 6, 8, 15, bytes(96)), "step is 15 bytes; expected at least 16"),
         (("mono8", 0, 8, 8, b""), "size is 8 x 0"),
         (("mono16", 6, 8, 8, bytes(96)), "step is 8 bytes; expected at least 16"),
         (("mono8", 6, 8, 8, None), "NoneType without bytes"),
