@@ -36,6 +36,52 @@ def test_the_period_is_measured_where_it_is_another_than_was_believed(rate_hz):
     assert watch.observe(stamps[-1] + 4 * period).missing == 3
 
 
+def stamps_of(ticks, period, jitter, seed):
+    """Stamps at these multiples of a period, each off by up to so much of it."""
+    off = np.random.default_rng(seed).uniform(-jitter, jitter, len(ticks))
+    return (10**18 + ((np.asarray(ticks) + off) * period).astype(np.int64)).tolist()
+
+
+@pytest.mark.parametrize("rate_hz", [15, 30, 60, 240, 400, 1000])
+@pytest.mark.parametrize("jitter", [0.2, 0.4])
+def test_the_period_is_measured_of_stamps_that_jitter(rate_hz, jitter):
+    """As those that a driver takes at the arrival of a webcam's frames: a mean over a hundred is known to 2 %."""
+    watch = FrameContinuity(PERIOD)
+    stamps = stamps_of(np.arange(600), 10**9 // rate_hz, jitter, rate_hz)
+    for stamp in stamps[:200]:
+        watch.observe(stamp)
+    known = watch.missing
+    for stamp in stamps[200:]:
+        watch.observe(stamp)
+    assert watch.rate_hz == pytest.approx(rate_hz, rel=0.08)
+    # Nothing is lost; a late frame that counts as missing is given back as the next one is early.
+    assert (known, watch.missing) == (pytest.approx(0, abs=8), pytest.approx(0, abs=16))
+
+
+@pytest.mark.parametrize("longest", [4, 20])
+def test_frames_that_wait_and_come_all_at_once_are_not_missing(longest):
+    """A computer that is held up for some frames, again and again, stamps them as it finds them."""
+    rng = np.random.default_rng(4)
+    watch = FrameContinuity(PERIOD)
+    arrival, now = [k * PERIOD for k in range(100)], 99
+    while len(arrival) < 900:
+        now += int(rng.integers(1, longest + 1))
+        arrival += (now * PERIOD + np.cumsum(rng.integers(50_000, 150_000, now + 1 - len(arrival)))).tolist()
+    steps = [watch.observe(10**18 + stamp) for stamp in arrival]
+    assert watch.missing == pytest.approx(0, abs=4)
+    assert watch.rate_hz == pytest.approx(100.0, rel=0.03)
+    assert sum(step.missing for step in steps) > 100  # nobody knew yet that these would come
+
+
+def test_frames_that_are_lost_unevenly_are_missing_though_their_stamps_jitter():
+    watch = FrameContinuity(PERIOD)
+    ticks = np.cumsum(np.random.default_rng(3).choice([1, 2, 3], 300))
+    for stamp in stamps_of(ticks, PERIOD, 0.2, 5):
+        watch.observe(stamp)
+    assert watch.missing == ticks[-1] - ticks[0] - 299
+    assert watch.rate_hz == pytest.approx(100.0, rel=0.02)
+
+
 def test_frames_that_are_lost_unevenly_are_missing():
     watch = FrameContinuity(PERIOD)
     ticks = np.cumsum(np.random.default_rng(3).choice([1, 2, 3], 300))
