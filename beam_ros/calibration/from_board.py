@@ -75,19 +75,27 @@ def calibrate_from_board(
     camera = rig.camera_parameters()
     shown = {path: some_frames(path, FRAMES_OF_A_VIDEO) for path in dict.fromkeys((plane, *tilted))}
     for path, pictures in shown.items():
-        height, width = pictures[0].shape
-        if (width, height) != (camera.width, camera.height):
+        others = {one.shape for one in pictures} - {(camera.height, camera.width)}
+        if others:
+            height, width = min(others)
+            is_one = "is" if len(pictures) == 1 else "holds one of"
             raise CalibrationError(
-                f"{path}: is {width} x {height}; expected {camera.width} x {camera.height}, the rig's camera: take "
-                "pictures with it, or give its rig file with --rig-file"
+                f"{path}: {is_one} {width} x {height}; expected {camera.width} x {camera.height}, the rig's camera: "
+                "take pictures with it, or give its rig file with --rig-file"
             )
     lens_fit: LensFit | None = None
     lens: Lens | None = None
     warnings = []
     if tilted:
+        given = [picture for path in (plane, *tilted) for picture in shown[path]]
         try:
-            lens_fit = fit_lens([picture for path in (plane, *tilted) for picture in shown[path]], board)
+            lens_fit = fit_lens(given, board)
             lens = lens_fit.lens
+            if lens_fit.n_pictures < len(given):
+                warnings.append(
+                    f"the {board.pattern} was found in {lens_fit.n_pictures} of {len(given)} pictures; the others, "
+                    "without it or the same again, are left out: take them anew, sharp, evenly lit, and all of it in view"
+                )
         except UndeterminedLensError as err:
             warnings.append(f"no lens, it is taken for perfect: {err}")
     else:

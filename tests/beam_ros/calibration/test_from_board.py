@@ -56,6 +56,28 @@ def test_tilted_pictures_give_the_lens_too(tmp_path: Path, capsys: pytest.Captur
     assert lens["distortion"][0] == pytest.approx(-0.21, abs=0.02)
 
 
+def test_pictures_without_the_board_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [
+        str(write(tmp_path / f"{k}.png", picture(*pose, lens=BENT, seed=k))) for k, pose in enumerate(POSES)
+    ]
+    empty = str(write(tmp_path / "empty.png", np.full((480, 640), 60, np.uint8)))
+    assert main(["calibrate", *files, *BOARD, "--json"]) == 0
+    assert "left out" not in capsys.readouterr().out
+    assert main(["calibrate", *files, empty, *BOARD, "--json"]) == 0
+    found = f"the checkerboard was found in {len(files)} of {len(files) + 1} pictures"
+    assert found in capsys.readouterr().out
+
+
+def test_a_picture_of_another_size_in_a_folder_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for k, pose in enumerate(POSES):
+        write(tmp_path / f"{k}.png", picture(*pose, lens=BENT, seed=k))
+    write(tmp_path / "9.png", picture(*POSES[1], lens=BENT)[:240, :320])
+    assert main(["calibrate", str(tmp_path / "0.png"), str(tmp_path), *BOARD]) == 2
+    assert f"{tmp_path}: holds one of 320 x 240; expected 640 x 480" in capsys.readouterr().err
+
+
 def test_a_folder_of_a_charuco_board_gives_scale_and_lens_with_their_deviations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
