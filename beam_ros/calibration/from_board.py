@@ -94,7 +94,7 @@ def calibrate_from_board(
             if lens_fit.n_pictures < len(given):
                 warnings.append(
                     f"the {board.pattern} was found in {lens_fit.n_pictures} of {len(given)} pictures; the others, "
-                    "without it or the same again, are left out: take them anew, sharp, evenly lit, and all of it in view"
+                    "without it or the same again, are left out: take them anew, with all of it, sharp and evenly lit"
                 )
         except UndeterminedLensError as err:
             warnings.append(f"no lens, it is taken for perfect: {err}")

@@ -20,7 +20,7 @@ _FAULTS = {
     "gain": (float, "FACTOR", "of the camera: above 1 the brightest saturate"),
     "jpeg": (int, "QUALITY", "compress every frame, 1 to 100"),
     "light-step": (float, "FACTOR", "light from the middle of the film on"),
-    "flicker": (float, "SHARE", "of the light, at 100 Hz"),
+    "flicker": (float, "SHARE", "of the light, at 100.3 Hz"),
     "gradient": (float, "SHARE", "rise of the light from left to right"),
     "texture": (float, "GREY", "of the ground behind the beam"),
     "strip-texture": (float, "SHARE", "of the strip along its length"),

@@ -20,7 +20,8 @@ from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, Secon
 
 _COVER_FRAMES = 12
 _TEXTURE_PX = 4.0
-_FLICKER_HZ = 100.0
+_FLICKER_HZ = 100.3
+"""Twice that of the mains, which keep 50 Hz to 0.2: a camera of 50 or 100 frames a second sees a slow beat."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class CameraFaults:
     gain : float -- of the camera: above 1 the brightest saturate
     jpeg : int -- quality of compression, 1 to 100; 0: none
     light_step : float -- factor of the light from the middle of the film on
-    flicker : float -- amplitude of the light's flicker at 100 Hz, as a share
+    flicker : float -- amplitude of the light's flicker, as a share
     gradient : float -- rise of the light from the left edge to the right, as a share of the middle
     texture : float -- of the ground behind the beam, standard deviation [grey levels of 255]
     strip_texture : float -- of the strip along its length, standard deviation as a share of its contrast

@@ -21,6 +21,8 @@ from beam_ros.offline.tracked_film import track_video
 from beam_ros.vision.camera.matroska import MatroskaWriter
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import VideoError
+from beam_ros.vision.rendering.imaging import CameraFaults, FaultyCamera
+from tests.beam_ros.vision.packaged_rig import packaged_camera
 
 SMALL = [
     *("-p", "camera.width:=96", "-p", "camera.height:=240", "-p", "camera.pixels_per_metre:=750.0"),
@@ -127,6 +129,15 @@ def test_a_shaken_film_of_dots_beside_twins_is_where_its_truth_says(tmp_path: Pa
     with Bag(folder / "bag") as bag:
         assert bag.count("camera/image_raw") == len(stamps)
         assert not bag.count("beam/displacement")
+
+
+@pytest.mark.parametrize("rate_hz", [50, 60, 100])
+def test_a_lamp_flickers_at_any_rate_of_the_camera(rate_hz: int) -> None:
+    camera, light = packaged_camera(noise_grey=0.0), np.full((480, 640), 100.0, np.float32)
+    faulty = FaultyCamera(camera, CameraFaults(flicker=0.2), 400, 0.0, 1)
+    rng = np.random.default_rng(1)
+    levels = [faulty.picture(k, 10**18 + k * 10**9 // rate_hz, light, rng)[0, 0] for k in range(400)]
+    assert (min(levels), max(levels)) == (pytest.approx(80, abs=2), pytest.approx(120, abs=2))
 
 
 def test_faults_are_seen_in_the_pictures(tmp_path: Path) -> None:
