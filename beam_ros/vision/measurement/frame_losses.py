@@ -381,8 +381,9 @@ class _Search:
         if heeds_jitter and (is_some or (jitter > limit and slope > _LIKELY * slope_sd)):
             raise SynchronisationError(
                 f"the film's frames come {jitter * 1e3:.2f} +- {jitter_sd * 1e3:.2f} ms (rms) off the times that "
-                f"it states; expected {limit * 1e3:g} ms at most: give the camera's own times with --times, or film "
-                "at a constant rate"
+                "it states, or an uneven ground behind the markers pulls them as they travel; expected "
+                f"{limit * 1e3:g} ms at most: give the camera's own times with --times, film at a constant rate, or "
+                "before an even ground"
             )
         return jitter, jitter_sd
 

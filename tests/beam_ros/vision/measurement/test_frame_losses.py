@@ -170,6 +170,16 @@ def test_times_that_nobody_can_tell_are_refused(experiment, kind):
         experiment.timed(times, rng)
 
 
+def test_a_film_before_an_uneven_ground_is_refused_with_the_remedy(experiment):
+    """What pulls a marker at a place grows with its travel, as what jitter does to it grows with its speed."""
+    rng = np.random.default_rng(8)
+    stated = np.arange(experiment.n_frames) * PERIOD
+    hub, _ = experiment.film(stated, rng)
+    pulled = hub + 30e-6 * np.cos(hub / 1e-3)
+    with pytest.raises(SynchronisationError, match="before an even ground"):
+        time_film(experiment.hub_t, experiment.hub_x, stated, pulled, period_s=None)
+
+
 def test_a_variable_rate_with_its_times_is_as_good_as_a_constant_one(experiment):
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.005, 0.014, experiment.n_frames - 60))
