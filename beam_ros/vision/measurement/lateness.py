@@ -47,7 +47,12 @@ class LatenessWatch:
         self._append(self._hub, stamp_ns, position_m)
 
     def add_frame(self, stamp_ns: int, low_marker_m: float) -> None:
-        """Take note of a frame: middle of the low marker's exposure, and where the marker was; NaN: not seen."""
+        """Take note of a frame: middle of the low marker's exposure, and where the marker was; NaN: not seen.
+
+        A frame from before the last one is by another clock: the camera's was set back.
+        """
+        if self._frames and stamp_ns < self._frames[-1][0]:
+            self.restart()
         self._count += 1
         if self._count % self._step == 0:
             self._append(self._frames, stamp_ns, low_marker_m)

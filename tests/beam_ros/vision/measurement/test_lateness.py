@@ -42,6 +42,16 @@ def test_the_first_seconds_of_motion_tell_how_late_stamps_are(late_s: float) -> 
     assert watch.late_s == pytest.approx(late_s, abs=4 * watch.late_sd_s + 5e-5)
 
 
+@pytest.mark.parametrize("back_s", [0.5, 1000.0])
+def test_a_clock_that_is_set_back_begins_anew(back_s: float) -> None:
+    """What was known by the old clock is as wrong as the clock was set back by."""
+    watch = LatenessWatch(200.0)
+    run(watch, 2.0, 9.0, np.random.default_rng(4))
+    assert watch.late_s == pytest.approx(2.0, abs=1e-3)
+    watch.add_frame(START + round((9.0 + 2.0 - back_s) * 1e9), 0.0)
+    assert math.isnan(watch.late_s)
+
+
 def test_a_hub_at_rest_tells_nothing_and_another_camera_begins_anew() -> None:
     watch = LatenessWatch(200.0)
     assert run(watch, 0.2, 3.0, np.random.default_rng(2)) == 0
