@@ -195,7 +195,7 @@ class Diagnosis:
                         "camera.rate, to a rate that it keeps in this light",
                     )
                 )
-            latency_s = float(np.median(self._latencies_ns)) * 1e-9
+            latency_s = float(np.median(list(self._latencies_ns)[-since["measured"] :])) * 1e-9
             if not -_STAMP_AHEAD_S <= latency_s <= _MAX_LATENCY_S:
                 found.append(
                     Complaint(

@@ -174,6 +174,18 @@ def test_stamps_that_are_not_of_this_clock_are_said() -> None:
         assert words in report.sentence
 
 
+def test_the_age_of_frames_is_that_of_the_last_period() -> None:
+    day = _Day()
+    day.film(range(1, 101), latency_ns=2000 * MS)
+    assert "2 s old" in day.diagnosis.report(1.0).sentence
+    day.film(range(101, 121), latency_ns=MS)
+    report = day.diagnosis.report(1.0)
+    assert (report.level, report.values["latency_median_ms"]) == (
+        "OK",
+        2000.0,
+    )  # the value is of a thousand frames
+
+
 def test_silence_is_said_once_and_by_whoever_knows_the_reason() -> None:
     day = _Day()
     assert (
