@@ -29,6 +29,9 @@ _SLOW = _FOLLOWED**2 / 4.0
 """Share of its distance from the lattice by which a frame changes the period: both together are critically damped."""
 _ANOTHER = 1.1
 """A period that differs by this factor is another one."""
+_FAR = 2.0
+"""Frames that come so many times faster in the mean are more than any that waited. Intervals that are all a small
+part of a period would else pass for none of it, which is on the lattice, too."""
 _EVEN_FRAMES = 9
 """So many intervals show that a camera has another rate, ..."""
 _UNEVEN_FRAMES = 1
@@ -126,7 +129,9 @@ class FrameContinuity:
             middle > self._period_ns or mean < middle * _ANOTHER
         ):
             return self._take_over(sum(even) / len(even))
-        return len(self._judged) == _JITTERY_FRAMES and not self._has_lattice() and self._take_over(mean)
+        if len(self._judged) < _JITTERY_FRAMES:
+            return False
+        return (mean * _FAR < self._period_ns or not self._has_lattice()) and self._take_over(mean)
 
     def _is_another(self, period_ns: float) -> bool:
         return not period_ns / _ANOTHER < self._period_ns < period_ns * _ANOTHER

@@ -58,6 +58,17 @@ def test_the_period_is_measured_of_stamps_that_jitter(rate_hz, jitter):
     assert (known, watch.missing) == (pytest.approx(0, abs=8), pytest.approx(0, abs=16))
 
 
+@pytest.mark.parametrize("rate_hz", [60, 900, 5000])
+def test_frames_that_come_at_random_come_at_their_mean_rate(rate_hz):
+    """Of a flood, of which some are lost and others wait, nobody can say which: the rate is that of what came."""
+    watch = FrameContinuity(PERIOD)
+    for stamp in 10**18 + np.cumsum(np.random.default_rng(6).exponential(1e9 / rate_hz, 2000)).astype(
+        np.int64
+    ):
+        watch.observe(int(stamp))
+    assert rate_hz / 2 < watch.rate_hz < 2 * rate_hz
+
+
 @pytest.mark.parametrize("longest", [4, 20])
 def test_frames_that_wait_and_come_all_at_once_are_not_missing(longest):
     """A computer that is held up for some frames, again and again, stamps them as it finds them."""
