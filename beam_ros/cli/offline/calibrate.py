@@ -166,6 +166,9 @@ def _camera_noise(arguments: argparse.Namespace, circumstances: dict[str, Any]) 
         raise UsageError(
             f"`beam calibrate {_NOISE}` needs series of frames: videos, folders of pictures, or bags"
         )
+    for option in ("board", "square", "marker", "dictionary"):
+        if getattr(arguments, option) is not None:
+            raise UsageError(f"--{option} goes with pictures of a board, not with `beam calibrate {_NOISE}`")
     with Progress("calibrate", 1.0) as stage:
         noise = noise_from_flats(sources, arguments.dark)
         stage.finish(f"{sum(noise.n_frames)} frames")

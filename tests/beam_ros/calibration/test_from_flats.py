@@ -56,3 +56,5 @@ def test_a_users_fault_is_one_line(tmp_path, capsys):
     assert main(["calibrate", "camera-noise", str(tmp_path / "empty")]) == 2
     assert main(["calibrate", str(tmp_path / "empty"), "--dark", str(tmp_path / "empty")]) == 2
     assert "--dark goes with" in capsys.readouterr().err
+    assert main(["calibrate", "camera-noise", str(tmp_path / "empty"), "--board", "8x6"]) == 2
+    assert "--board goes with pictures of a board" in capsys.readouterr().err
