@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beam_ros.arrays import ImageArray
+from beam_ros.vision.defects import LOOKS, DefectivePixels
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.fields import InterlacedFields
 from beam_ros.vision.parameters import TrackerParameters
@@ -154,7 +155,7 @@ class MarkerTracker:
             camera = timing.camera
             self._period_s, self._exposed_s = camera.period_s, camera.exposure_s
             self._row_delay_s = camera.readout_s / (camera.height - 1)
-        self._frame = self._stamp_ns = 0
+        self._frame = self._look_until = self._stamp_ns = 0
         self._since_s = self._period_s
         self.reset()
 
@@ -167,10 +168,11 @@ class MarkerTracker:
         self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
+        self._defects = DefectivePixels()
         self._repeats = RepeatedImages()
         self._fields = InterlacedFields()
         self._shape = None
-        self._frame = 0
+        self._frame, self._look_until = 0, LOOKS
 
     def pass_over(self, n_frames: int) -> None:
         """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
@@ -248,8 +250,10 @@ class MarkerTracker:
         self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
         for marker, place in zip_longest(self._markers, foretold):
             marker.foretold, marker.is_foretold = place, False
+        image = self._defects.mended(image, self._contrast(image) if self._frame <= self._look_until else 0.0)
         reasons: dict[int, Reason] = {}
         if not self.is_acquired:
+            self._look_until = self._frame + LOOKS
             reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
         spots: dict[int, Spot] = {}
         places = {
@@ -264,6 +268,7 @@ class MarkerTracker:
             reasons[k] = reason
         lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
         if lost:
+            self._look_until = self._frame + LOOKS
             self._recovery.find(image, self._frame, lost, spots, reasons)
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
         sights = [sight for sight in found if isinstance(sight, Sight)]
@@ -282,6 +287,12 @@ class MarkerTracker:
         self._recovery.before = image
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
+
+    def _contrast(self, image: ImageArray) -> float:
+        """Contrast of what stands out most in a picture; 0 where that is less than a marker has [grey levels]."""
+        background, extreme = self._meter.levels(image)
+        contrast = abs(extreme - background)
+        return contrast if contrast >= self.parameters.min_contrast_grey else 0.0
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
@@ -431,6 +442,10 @@ class MarkerTracker:
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
         if self._fields.apart > 0.0:  # the mean of two instants is off the middle one
             uneven_px = math.hypot(uneven_px, self._fields.apart**2 / 8 * marker.linear_error)
+        if self._defects.count:
+            disc = appearance.radius, appearance.edge
+            filled_px = self._defects.pull(spot.u, v, disc, light.contrast, light.noise)
+            uneven_px = math.hypot(uneven_px, filled_px)
         sigma = marker.sigma = math.hypot(
             max(found.sigma_u, pull_px), uneven_px, self.parameters.sigma_floor_px
         )
