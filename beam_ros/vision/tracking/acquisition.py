@@ -61,6 +61,7 @@ class Acquisition:
         self._exposure_s = exposure_s
         self._frame = self._elapsed_ns = 0
         self._looks: dict[Spot, Appearance] = {}
+        self._bare: dict[Spot, tuple[Spot, Light, Appearance]] = {}
         self._narrower = 0.0
         self.shows_mosaic = False
 
@@ -82,6 +83,7 @@ class Acquisition:
             if self.shows_mosaic:
                 return dict.fromkeys(missing, "mosaic")
         self._looks = {candidate[0]: self._meter.appearance(*candidate) for candidate in found}
+        self._bare = {candidate[0]: self._meter.bare(image, *candidate) for candidate in found}
         self._narrower = self._sharpened()
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
@@ -148,7 +150,7 @@ class Acquisition:
         if len(found) > len(missing) or min(gaps, default=math.inf) < self._parameters.marker_diameter_px:
             return {}, dict.fromkeys(missing, "ambiguous")
         chosen = dict(zip(missing, found, strict=True))
-        doubts = {k: self._doubt(self._markers[k], *candidate, others) for k, candidate in chosen.items()}
+        doubts = {k: self._doubt(self._markers[k], spot, others) for k, (spot, _) in chosen.items()}
         if all(doubt == "ok" for doubt in doubts.values()):
             for k in missing:
                 self._markers[k].rivals = []
@@ -185,7 +187,7 @@ class Acquisition:
                 near = [candidate for candidate in near if candidate[0].u == told]
                 marker.clutter, beside = [], []
             if len(near) == 1 and (told is not None or not marker.rivals):
-                reasons[k] = self._doubt(marker, *near[0], beside)
+                reasons[k] = self._doubt(marker, near[0][0], beside)
                 if reasons[k] == "ok":
                     chosen[k] = near[0]
                     marker.rivals = [track for track in marker.rivals if track.u != told]
@@ -225,11 +227,9 @@ class Acquisition:
         tracks = present(tracks, frame, left, right, reach)
         marker.rivals = tracks if len(tracks) > 1 else []
 
-    def _doubt(
-        self, marker: MarkerState, spot: Spot, light: Light, others: list[tuple[float, float]]
-    ) -> Reason:
+    def _doubt(self, marker: MarkerState, spot: Spot, others: list[tuple[float, float]]) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        disc = one_disc(spot, light, self._looks[spot], self._parameters, self._narrower)
+        disc = one_disc(*self._bare[spot], self._parameters, self._narrower)
         before = marker.sighting
         marker.sighting = self._frame, spot.u, disc.excess
         marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0

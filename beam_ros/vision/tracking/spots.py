@@ -790,6 +790,34 @@ class SpotMeter:
             return 0.0
         return min((_CLEAR_SHARE * shown + _CLEAR_NOISE * noise) / contrast, _MAX_CLEAR)
 
+    def bare(self, image: ImageArray, spot: Spot, light: Light) -> tuple[Spot, Light, Appearance]:
+        """Measure a spot as it would be without what it lies on, where that is seen above and below it.
+
+        Notes
+        -----
+        A disc T of the contrast A hides what it lies on, s. Of
+
+            I = A T + s (1 - T)        A (I - s) / (A - s) = A T
+
+        is left, which has the look of a disc also at its rim, where the level that is clear of s has not.
+        """
+        parameters = self.parameters
+        if light.fraction > parameters.level_fraction:
+            left, top, right, bottom = spot.region
+            sign = -1.0 if self._is_dark else 1.0
+            seen = sign * (image[top:bottom, left:right] - light.background)
+            down = np.linspace(0.0, 1.0, bottom - top)[:, None]
+            behind = (1.0 - down) * seen[:_SIDE_PX].mean(axis=0) + down * seen[-_SIDE_PX:].mean(axis=0)
+            behind = np.minimum(behind, _MAX_CLEAR * light.contrast)
+            disc = light.background + sign * light.contrast * (seen - behind) / (light.contrast - behind)
+            info = np.iinfo(image.dtype)
+            disc = np.clip(np.rint(disc), info.min, info.max).astype(image.dtype)
+            bare = Light(parameters, light.background, light.contrast, light.noise)
+            found, _ = self.measure(disc, spot.u - left, spot.v - top, bare)
+            if found is not None:
+                spot, light = found, bare
+        return spot, light, self.appearance(spot, light)
+
     def appearance(self, spot: Spot, light: Light) -> Appearance:
         """Appearance of a marker that has just been found."""
         return self._at_rest(spot, light)[0]

@@ -242,7 +242,10 @@ def test_a_camera_that_sharpens_hides_no_marker_but_one_that_a_second_disc_touch
     assert np.mean(is_seen, axis=0) == pytest.approx([1.0, 0.0, 1.0], abs=0.1)
 
 
-@pytest.mark.parametrize(("strip", "width"), [(0.1, 3.0), (0.15, 3.0), (0.15, 1.5), (0.1, 6.0)])
+@pytest.mark.parametrize(
+    ("strip", "width"),
+    [(0.1, 3.0), (0.15, 3.0), (0.15, 1.5), (0.1, 6.0), (0.2, 6.0), (0.3, 3.0), (0.25, 8.0)],
+)
 @pytest.mark.parametrize("contrast", [180.0, -180.0])
 def test_a_strip_that_shows_behind_the_markers_hides_none(strip, width, contrast):
     camera = packaged_camera(noise_grey=2.0, contrast=contrast, background=20.0 if contrast > 0 else 220.0)
@@ -258,6 +261,18 @@ def test_a_strip_that_shows_behind_the_markers_hides_none(strip, width, contrast
         errors.append((columns(result) - camera.columns(x)) / [marker.sigma_px for marker in result.markers])
     assert np.isfinite(errors).mean() >= 0.95
     assert np.sqrt(np.nanmean(np.square(errors))) < 1.2
+
+
+@pytest.mark.parametrize(("aside", "across"), [(1.5, 0.0), (3.0, 0.0), (6.0, 0.0), (0.0, 4.0), (2.0, 3.0)])
+def test_a_strip_hides_no_second_disc_that_touches_a_marker(aside, across):
+    camera = packaged_camera(noise_grey=2.0, strip_width_m=6.0 / 1500, strip_contrast=36.0)
+    heights = np.linspace(0.0, 0.3, 31)
+    renderer, rng = SceneRenderer(camera, HEIGHTS, strip_heights=heights), np.random.default_rng(7)
+    touching = SecondSpot(camera.origin_px[0] + aside, float(camera.rows(0.225)) + across)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3)
+    for k in range(12):
+        twin = renderer.render(np.zeros(3), rng, 0.0 * heights, disturbances=Disturbances(spots=(touching,)))
+        assert [marker.is_valid for marker in tracker.process(twin, k).markers] == [True, False, True]
 
 
 @pytest.mark.parametrize("refinement", ["none", "disc_model"])
