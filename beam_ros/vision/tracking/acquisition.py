@@ -60,14 +60,28 @@ class Acquisition:
         self._markers = markers
         self._exposure_s = exposure_s
         self._frame = self._elapsed_ns = 0
+        self._shear_of_speed = 0.0
         self._looks: dict[Spot, Appearance] = {}
         self._bare: dict[Spot, tuple[Spot, Light, Appearance]] = {}
         self._narrower = 0.0
         self.shows_mosaic = False
 
-    def acquire(self, image: ImageArray, frame: int, elapsed_ns: int) -> dict[int, Reason]:
-        """Find markers in a frame, by its number and the time since the one before [ns]; return what keeps others."""
-        self._frame, self._elapsed_ns = frame, elapsed_ns
+    def acquire(
+        self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
+    ) -> dict[int, Reason]:
+        """Find markers in a frame.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width)
+        frame, elapsed_ns : int -- number of the frame, and time since the one before [ns]
+        shear_of_speed : float -- what a rolling shutter makes of a speed [px/px over px per frame]
+
+        Returns
+        -------
+        dict -- what keeps the markers that were not found
+        """
+        self._frame, self._elapsed_ns, self._shear_of_speed = frame, elapsed_ns, shear_of_speed
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         background, extreme = self._meter.levels(image)
         contrast = abs(extreme - background)
@@ -229,9 +243,10 @@ class Acquisition:
 
     def _doubt(self, marker: MarkerState, spot: Spot, others: list[tuple[float, float]]) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        disc = one_disc(*self._bare[spot], self._parameters, self._narrower)
+        shear = self._shear_of_speed * self._parameters.max_gate_px
+        disc = one_disc(*self._bare[spot], self._parameters, self._narrower, shear)
         before = marker.sighting
-        marker.sighting = self._frame, spot.u, disc.excess
+        marker.sighting = self._frame, spot.u, disc.excess, disc.covariance
         marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
         things = beside if disc.reason == "ok" else [*beside, spot.u]
@@ -245,7 +260,7 @@ class Acquisition:
             for thing in marker.clutter
         ):
             return "ambiguous"
-        if disc.excess <= disc.tolerance:
+        if max(disc.excess, abs(disc.covariance)) <= disc.tolerance:
             return "ok"
         if before is None or before[0] != self._frame - 1:
             return "smear"
@@ -254,7 +269,12 @@ class Acquisition:
         explained = (share * (spot.u - before[1])) ** 2 / 12
         lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
         slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
-        return "ok" if (disc.excess + before[2]) / 2 - explained <= slack else "smear"
+        if (disc.excess + before[2]) / 2 - explained > slack:
+            return "smear"
+        # The mean of both is sheared by the mean speed, at most.
+        half = self._shear_of_speed * (spot.u - before[1]) * self._bare[spot][2].variance_v / 2
+        slack = disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before[3]) / 4
+        return "ok" if abs((disc.covariance + before[3]) / 2 - half) <= slack else "shape"
 
     def _unequal(self, chosen: dict[int, Candidate]) -> list[int]:
         """Markers of another size than most of them: a twin that touches, or a part that is hidden."""

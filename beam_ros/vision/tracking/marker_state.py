@@ -108,7 +108,8 @@ class MarkerState:
     is_doubtful : bool -- since that frame a spot in its row may be another one
     alone_frames : int -- frames in a row in which, while it was lost, one spot of its kind was in its row
     acquired_at : int -- number of the frame in which it was acquired
-    sighting : (int, float, float) or None -- before that: frame, column and excess of the spot in its row [px, px^2]
+    sighting : (int, float, float, float) or None -- before that: frame, column, excess and covariance of the spot in
+        its row [px, px^2]
     clutter : list of Thing -- what else was in its row then
     foretold : Foretold or None -- where it should be in this frame; None where nobody foretells that
     is_foretold : bool -- in this frame that told it from other spots
@@ -150,7 +151,7 @@ class MarkerState:
     is_doubtful: bool = False
     alone_frames: int = 0
     acquired_at: int = NEVER
-    sighting: tuple[int, float, float] | None = None
+    sighting: tuple[int, float, float, float] | None = None
     clutter: list[Thing] = field(default_factory=list)
     foretold: Foretold | None = None
     is_foretold: bool = False
@@ -159,6 +160,11 @@ class MarkerState:
     def is_followed(self) -> bool:
         """True once the marker is acquired."""
         return self.appearance is not None
+
+    @property
+    def is_seen(self) -> bool:
+        """True where the last frame showed it."""
+        return self.is_followed and self.lost_frames == 0
 
     @property
     def is_moving(self) -> bool:

@@ -100,6 +100,7 @@ class Recovery:
     Attributes
     ----------
     before : ndarray or None -- the frame before, shape (height, width)
+    shear_of_speed : float -- what a rolling shutter makes of a speed [px/px over px per frame]
     """
 
     def __init__(self, meter: SpotMeter, markers: list[MarkerState]) -> None:
@@ -110,6 +111,7 @@ class Recovery:
         rows = [marker.known_row for marker in markers if marker.known_row is not None]
         self._span = max(rows) - min(rows) if len(rows) > 1 else meter.half
         self.before: ImageArray | None = None
+        self.shear_of_speed = 0.0
 
     def in_row(self, image: ImageArray, k: int, *, own: float = math.nan, is_wide: bool = False) -> RowSpots:
         """Spots with a marker's appearance in its row from edge to edge, each in its own light.
@@ -124,7 +126,15 @@ class Recovery:
             for j, other in enumerate(self._markers):
                 if j != k and math.isfinite(other.v):
                     reach = min(reach, abs(other.v - marker.v) / 2)
-        return spots_in_row(self._meter, image, marker.v, reach, marker.light, marker.appearance, own)
+        # What is there is no faster than the other markers allow; without those, than one that is believed by itself.
+        others = [abs(other.velocity) for other in self._markers if other is not marker and other.is_seen]
+        fastest = LEVERAGE * max(others) if others else self._parameters.max_jump_px
+
+        def shear(u: float) -> float:
+            known = sum(map(abs, marker.speed(u, self._frame))) if math.isnan(own) else 0.0
+            return self.shear_of_speed * (known or fastest)
+
+        return spots_in_row(self._meter, image, marker.v, reach, marker.light, marker.appearance, own, shear)
 
     def note_losses(self, frame: int) -> None:
         """Note the loss of every marker that is followed, in a frame that shows none of them."""

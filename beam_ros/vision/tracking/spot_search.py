@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.tracking.appearance import Appearance, Light
-from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter, disc_scatter
+from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter, disc_scatter, upright_spot
 
 _THRESHOLD = 0.5
 """Fraction of a contrast at which a marker is looked for."""
@@ -50,6 +51,7 @@ def spots_in_row(
     light: Light,
     appearance: Appearance,
     own: float,
+    shear: Callable[[float], float],
 ) -> RowSpots:
     """Find spots with a marker's appearance in a band of the image from edge to edge.
 
@@ -60,6 +62,7 @@ def spots_in_row(
     row, reach : float -- middle of the band, and how far from it spots may lie [px]
     light, appearance : Light, Appearance -- of the marker
     own : float -- column of the spot that is the marker itself and is left out [px]; NaN for none
+    shear : callable -- of a spot in a column, by a rolling shutter, at most [px/px]
     """
     top = max(0, math.floor(row - reach) - meter.half)
     bottom = min(image.shape[0], math.ceil(row + reach) + meter.half + 1)
@@ -89,7 +92,8 @@ def spots_in_row(
                 found.others.append((x, "shape"))
                 continue
             spot, own_light, gates = meter.undimmed(image, *candidate, appearance, is_narrow=is_crowded)
-            why = meter.judge(spot, gates._replace(row=(row - reach, row + reach)))
+            gates = gates._replace(row=(row - reach, row + reach))
+            why = meter.judge(upright_spot(spot, 0.0, shear(spot.u)), gates)
             if why == "jump":
                 continue
             if why != "ok":
@@ -109,20 +113,28 @@ class OneDisc:
     ----------
     reason : Reason -- "ok", or why no disc does, at rest or smeared along u
     excess : float -- second moment along u beyond that along v, which a smear must explain [px^2]
-    tolerance : float -- of this excess, for a disc at rest [px^2]
+    covariance : float -- which the shear of a rolling shutter must explain [px^2]
+    tolerance : float -- of both, for a disc at rest [px^2]
     """
 
     reason: Reason
     excess: float
+    covariance: float
     tolerance: float
 
 
 def one_disc(
-    spot: Spot, light: Light, disc: Appearance, parameters: TrackerParameters, narrower: float = 0.0
+    spot: Spot,
+    light: Light,
+    disc: Appearance,
+    parameters: TrackerParameters,
+    narrower: float = 0.0,
+    shear: float = 0.0,
 ) -> OneDisc:
     """Compare a spot with the image of one disc, and with what that would be at rest.
 
-    The second moments of discs are greater by so much than their areas say, or less where it is negative [px^2].
+    The second moments of discs are greater by so much than their areas say, or less where it is negative [px^2]; a
+    rolling shutter shears them by so much at most [px/px].
 
     Notes
     -----
@@ -137,7 +149,7 @@ def one_disc(
     excess = spot.variance_u - disc.variance_v + uniform * (1 / parameters.aspect - parameters.aspect)
     is_round = (
         excess >= -tolerance
-        and abs(spot.covariance) <= tolerance
+        and abs(spot.covariance) <= tolerance + shear * disc.variance_v
         and disc.variance_v - uniform / parameters.aspect >= narrower - tolerance
     )
-    return OneDisc("ok" if is_round else "shape", excess, tolerance)
+    return OneDisc("ok" if is_round else "shape", excess, spot.covariance, tolerance)

@@ -217,6 +217,16 @@ def disc_scatter(light: Light, area: float) -> float:
     return light.noise / (light.height * math.sqrt(area))
 
 
+def upright_spot(spot: Spot, shear: float, doubt: float) -> Spot:
+    """Return a spot without the covariance that a rolling shutter's shear explains, give or take a doubt [px/px].
+
+    Less shear than that is none, or of a readout that is shorter than stated.
+    """
+    half = 0.5 * shear
+    left = _beyond(spot.covariance - half * spot.variance_v, (abs(half) + doubt) * spot.variance_v)
+    return spot._replace(covariance=left)
+
+
 def _middle(bounds: Bounds) -> tuple[float, float]:
     """Middle of some bounds, and how far they are from it."""
     return 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])

@@ -42,7 +42,7 @@ from beam_ros.vision.tracking.rivals import (
 )
 from beam_ros.vision.tracking.second_image import NO_PULL, Pull, SecondImages, Sighting, is_explained
 from beam_ros.vision.tracking.spot_search import RowSpots
-from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter, upright_spot
 
 _PROBATION_FRAMES = 10
 """A marker acquired for the first time is doubted anew where something appears in its row within so many frames."""
@@ -156,7 +156,7 @@ class MarkerTracker:
             self._period_s, self._exposed_s = camera.period_s, camera.exposure_s
             self._row_delay_s = camera.readout_s / (camera.height - 1)
         self._frame = self._look_until = self._stamp_ns = 0
-        self._since_s = self._period_s
+        self._since_s, self._shear_of_speed = self._period_s, 0.0
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -248,13 +248,14 @@ class MarkerTracker:
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
         # Stamps may come late, and frames be missing: of period and elapsed time it is the less.
         self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
+        self._shear_of_speed = self._recovery.shear_of_speed = self._row_delay_s / self._since_s
         for marker, place in zip_longest(self._markers, foretold):
             marker.foretold, marker.is_foretold = place, False
         image = self._defects.mended(image, self._contrast(image) if self._frame <= self._look_until else 0.0)
         reasons: dict[int, Reason] = {}
         if not self.is_acquired:
             self._look_until = self._frame + LOOKS
-            reasons = self._acquisition.acquire(image, self._frame, elapsed_ns)
+            reasons = self._acquisition.acquire(image, self._frame, elapsed_ns, self._shear_of_speed)
         spots: dict[int, Spot] = {}
         places = {
             k: self._expected(marker)
@@ -338,7 +339,11 @@ class MarkerTracker:
         assert appearance is not None
         assert gates is not None
         rivals = self._beside(marker) if marker.rivals else []
-        reason, distance = self._meter.judge(spot, gates), abs(spot.u - predicted)
+        upright = spot
+        if self._shear_of_speed > 0.0:
+            speed, doubt = marker.speed(spot.u, self._frame)
+            upright = upright_spot(spot, self._shear_of_speed * speed, self._shear_of_speed * doubt)
+        reason, distance = self._meter.judge(upright, gates), abs(spot.u - predicted)
         if reason == "ok" and (
             distance > self.parameters.max_jump_px
             or (rivals and 2 * distance >= min(abs(spot.u - at) for at in rivals))
@@ -395,7 +400,7 @@ class MarkerTracker:
     def _shear(self, marker: MarkerState, u: float, *, is_fresh: bool) -> float:
         """What a rolling shutter makes of a marker's speed, at most [px/px]."""
         speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
-        return self._row_delay_s / self._since_s * (abs(speed) + doubt)
+        return self._shear_of_speed * (abs(speed) + doubt)
 
     def _is_plain(self, sight: Sight) -> bool:
         """True where a marker's mean speed explains what is seen of it."""

@@ -564,6 +564,34 @@ def test_a_rolling_shutter_costs_moving_markers_nothing(readout_s, frequency, no
     assert abs(np.sum(errors * speeds) / np.sum(speeds**2)) < 4 * 0.00225 * noise / (4.6 * np.sqrt(585))
 
 
+@pytest.mark.parametrize("is_sheared", [True, False])
+@pytest.mark.parametrize(("speed_px", "frequency"), [(24.0, 0.03), (32.0, 0.15), (45.0, 0.12)])
+def test_no_speed_of_a_marker_makes_a_rolling_shutter_hide_it(speed_px, frequency, is_sheared):
+    camera = packaged_camera(readout_s=0.009, exposure_s=5e-4, noise_grey=2.0)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3, FrameTiming(camera))
+    rng, omega, scores = np.random.default_rng(17), 2 * np.pi * frequency, []
+    speed_px = speed_px * np.array([0.9, 0.95, 1.0])
+    for k in range(60):
+        phase = omega * k + 0.4
+        u, speed = camera.origin_px[0] + speed_px / omega * np.sin(phase), speed_px * np.cos(phase)
+        result = tracker.process(rolled(camera, u, is_sheared * speed, rng), 10_000_000 * k)
+        scores.append((columns(result) - u) / [marker.sigma_px for marker in result.markers])
+    assert np.isfinite(scores).mean() > 0.95
+    assert np.sqrt(np.nanmean(np.square(scores))) < 1.15
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+def test_a_rolling_shutter_shears_no_marker_that_rests(is_known):
+    camera = packaged_camera(readout_s=0.009, exposure_s=5e-4, noise_grey=2.0)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3, FrameTiming(camera))
+    rng, u = np.random.default_rng(18), np.full(3, camera.origin_px[0] + 0.3)
+    for k in range(60):
+        sheared = 0.0 if is_known and k < 40 else 30.0  # whatever makes it so, it is no speed
+        result = tracker.process(rolled(camera, u, np.array([0.0, sheared, 0.0]), rng), 10_000_000 * k)
+        is_valid = [marker.is_valid for marker in result.markers]
+        assert is_valid == [True, sheared == 0.0, True], [marker.reason for marker in result.markers]
+
+
 def test_sixteen_bit_images_are_tracked_as_eight_bit_ones():
     camera = packaged_camera()
     renderer, tracker = make(camera)
