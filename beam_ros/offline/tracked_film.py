@@ -28,6 +28,7 @@ from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.measurement.repeated_frames import find_repeated_frames
 from beam_ros.vision.mosaic import UNDO
 from beam_ros.vision.parameters import CameraParameters
+from beam_ros.vision.tracking.acquisition import FULL_DISCS
 
 _MIN_SEEN = _MAX_DAMAGED = 0.5
 
@@ -142,12 +143,15 @@ def track_video(
             f"deinterlace it where it is interlaced ({DEINTERLACE})"
         )
     if not is_whole and not tracked.reasons[0].get("ok"):
-        remedy = (
-            f"grey or colour images, no raw mosaic of a colour sensor: {UNDO}"
-            if "mosaic" in tracked.reasons[0]
-            else "it where the rig file puts it: check markers.heights, markers.diameter, camera.origin_u and "
+        remedies = {
+            "mosaic": f"grey or colour images, no raw mosaic of a colour sensor: {UNDO}",
+            "ring": FULL_DISCS,
+        }
+        elsewhere = (
+            "it where the rig file puts it: check markers.heights, markers.diameter, camera.origin_u and "
             "origin_v, camera.pixels_per_metre and tracker.polarity"
         )
+        remedy = next((remedies[reason] for reason in remedies if reason in tracked.reasons[0]), elsewhere)
         raise VideoError(
             f"{video.path}: the low marker {tracked.names[0]} is in none of {len(tracked.times_ns)} frames "
             f"({_in_words(tracked.reasons[0])}); expected {remedy}"

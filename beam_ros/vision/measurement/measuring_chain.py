@@ -24,6 +24,7 @@ from beam_ros.vision.measurement.motion_prediction import BeamMotion, MotionPred
 from beam_ros.vision.mosaic import UNDO
 from beam_ros.vision.parameters import CameraParameters, TrackerParameters
 from beam_ros.vision.timing import FrameTiming
+from beam_ros.vision.tracking.acquisition import FULL_DISCS
 from beam_ros.vision.tracking.marker_state import Foretold
 from beam_ros.vision.tracking.tracker import FrameResult, MarkerTracker
 
@@ -176,9 +177,22 @@ class MeasuringChain:
         )
 
     @property
+    def rings_doubt(self) -> str:
+        """What is to be said of markers that are rings, or ""."""
+        if not self.tracker.shows_rings:
+            return ""
+        return f"what is like the markers has another brightness in its middle (ring): expected {FULL_DISCS}"
+
+    @property
     def doubts(self) -> list[str]:
         """What is to be said of the camera, in node and film alike."""
-        said = self.calibration_doubt, self.exposure_doubt, self.fields_doubt, self.mosaic_doubt
+        said = (
+            self.calibration_doubt,
+            self.exposure_doubt,
+            self.fields_doubt,
+            self.mosaic_doubt,
+            self.rings_doubt,
+        )
         return [doubt for doubt in said if doubt]
 
     @property

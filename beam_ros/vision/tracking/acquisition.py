@@ -35,6 +35,9 @@ _SIGNIFICANT = 3.0
 _EQUAL_SIZE = 0.1
 """Relative tolerance of the area of a marker against that of the others."""
 
+FULL_DISCS = "full discs of one brightness: fill or cover their middles"
+"""What a person can do about markers that are rings."""
+
 Candidate = tuple[Spot, Light]
 Found = tuple[dict[int, Candidate], dict[int, Reason]]
 """The spots that are markers, and why the other markers are not acquired."""
@@ -52,6 +55,7 @@ class Acquisition:
     Attributes
     ----------
     shows_mosaic : bool -- most of what last was like a marker lies in a mosaic of colours
+    shows_rings : bool -- most of it has a hole
     """
 
     def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
@@ -64,7 +68,8 @@ class Acquisition:
         self._looks: dict[Spot, Appearance] = {}
         self._bare: dict[Spot, tuple[Spot, Light, Appearance]] = {}
         self._narrower = 0.0
-        self.shows_mosaic = False
+        self._rings: list[tuple[float, float]] = []
+        self.shows_mosaic = self.shows_rings = False
 
     def acquire(
         self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
@@ -89,6 +94,7 @@ class Acquisition:
             return dict.fromkeys(missing, "no_contrast")
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
+        self._rings = []
         for top, bottom in self._bands(missing, image.shape[0]):
             self._look(image, top, bottom, found, others)
         if found:
@@ -99,6 +105,7 @@ class Acquisition:
         self._looks = {candidate[0]: self._meter.appearance(*candidate) for candidate in found}
         self._bare = {candidate[0]: self._meter.bare(image, *candidate) for candidate in found}
         self._narrower = self._sharpened()
+        self.shows_rings = len(self._rings) > len(found)
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
         unequal = self._unequal(chosen)
@@ -106,6 +113,8 @@ class Acquisition:
             spot, light = chosen[k]
             appearance = self._looks[spot]
             self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
+        if self.shows_rings:
+            reasons = {k: "ring" if reason == "not_acquired" else reason for k, reason in reasons.items()}
         return {**reasons, **dict.fromkeys(unequal, "area")}
 
     def _sharpened(self) -> float:
@@ -145,6 +154,9 @@ class Acquisition:
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
                 if candidate is None:
                     others.append((u, v))
+                    is_new = all(math.dist((u, v), ring) > self._meter.radius for ring in self._rings)
+                    if is_new and self._meter.is_ring(image, u, v, background):
+                        self._rings.append((u, v))
                     continue
                 away = min((math.dist(candidate[0][:2], spot[:2]) for spot, _ in found), default=math.inf)
                 if away > 2 * self._meter.radius:

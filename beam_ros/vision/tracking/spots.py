@@ -53,6 +53,7 @@ Reason = Literal[
     "not_acquired",
     "no_contrast",
     "mosaic",
+    "ring",
     "repeated",
     "hidden",
     "ambiguous",
@@ -67,7 +68,7 @@ Reason = Literal[
 """Why a measurement is not valid; "ok" where it is.
 
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; mosaic: the
-pixels differ as behind the filters of a colour sensor; repeated: the
+pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; repeated: the
 image is the one before, bit for bit, though the markers moved; hidden: no spot where the marker should be;
 ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
 the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed
@@ -121,6 +122,8 @@ _LONGER = 1.2
 """A smear is so many times as long as the part of it that stands above the subtracted level."""
 _BELOW = 2.0
 """The least of the values over which an appearance is averaged lies so many standard deviations below them all."""
+_SIDES = 8
+"""A ring is seen in so many directions."""
 _EVEN = 0.1
 """A marker is acquired only where the background at either side agrees to this fraction of its contrast."""
 
@@ -342,6 +345,19 @@ class SpotMeter:
         """True when the pixels about a spot differ as behind a mosaic of colour filters."""
         left, top, right, bottom = spot.region
         return is_mosaic(image[top:bottom, left:right], light.background, light.noise)
+
+    def is_ring(self, image: ImageArray, u: float, v: float, background: float) -> bool:
+        """True when what lies about a place is a ring: as bright as a marker on all sides and not in the middle."""
+        parameters = self.parameters
+        turns = np.arange(_SIDES) * 2.0 * math.pi / _SIDES
+        away = np.arange(math.ceil(self.radius * (1.0 + parameters.diameter_tolerance)) + 1)[:, None]
+        height, width = image.shape
+        columns = np.clip(np.rint(u + away * np.cos(turns)), 0, width - 1).astype(np.intp)
+        rows = np.clip(np.rint(v + away * np.sin(turns)), 0, height - 1).astype(np.intp)
+        light = image[rows, columns] - background
+        around = float((-light if self._is_dark else light).max(axis=0).min())
+        middle = abs(float(image[rows[:2], columns[:2]].mean()) - background)
+        return around >= parameters.min_contrast_grey and middle < 0.5 * around
 
     def is_compact(self, image: ImageArray, spot: Spot, light: Light) -> bool:
         """True when a spot ends within its region above and below, as discs do that touch; a bar does not."""

@@ -212,6 +212,11 @@ class MarkerTracker:
         """True where what last was like a marker lies in a mosaic of colours, and was not acquired."""
         return self._acquisition.shows_mosaic
 
+    @property
+    def shows_rings(self) -> bool:
+        """True where most of what last was like a marker has a hole, and was not acquired."""
+        return self._acquisition.shows_rings
+
     # -- frames --------------------------------------------------------------------------------------------
 
     def process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold] = ()) -> FrameResult:

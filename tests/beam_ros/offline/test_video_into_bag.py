@@ -395,6 +395,9 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     raw_frame[::2, 1::2] //= 2
     raw_frame[1::2, ::2] //= 2
     raw = write_video(tmp_path / "raw.mkv", [raw_frame] * 30)
+    hollow_frame = still_frame.copy()
+    hollow_frame[cv2.erode(still_frame, np.ones((3, 3))) > 100] = 20
+    hollow = write_video(tmp_path / "hollow.avi", [hollow_frame] * 30)
     cut = tmp_path / "cut.avi"
     cut.write_bytes(VIDEO.read_bytes()[:3000])
     (tmp_path / "times.txt").write_text("0.0\n0.01\nsoon\n", encoding="utf-8")
@@ -419,6 +422,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         (blank, rig, "the low marker z010 is in none of 30 frames (no_contrast 30)"),
         (still, rig, "never moved"),
         (raw, rig, "(mosaic 30); expected grey or colour images, no raw mosaic of a colour sensor: set"),
+        (hollow, rig, "(ring 30); expected full discs of one brightness: fill or cover their middles"),
         (VIDEO, [*rig, "--rate", "25"], "frame rate?"),
         (VIDEO, [*rig, "--rate", "-1"], "expected one > 0"),
         (VIDEO, [*rig, "--rate", "400"], "at 400 frames/s"),

@@ -11,6 +11,8 @@ import pytest
 from beam_ros.vision.calibration.linear import LinearCalibration
 
 pytest.importorskip("cv2")
+import cv2
+
 from beam_ros.vision.measurement.diagnosis import Complaint, Diagnosis
 from beam_ros.vision.measurement.lateness import LatenessWatch
 from beam_ros.vision.measurement.measuring_chain import MeasuringChain
@@ -117,6 +119,18 @@ def test_interlaced_frames_are_said_with_the_remedy() -> None:
     assert re.search(r"two instants, 0\.(4[5-9]|5\d?) of a frame apart \(interlaced\)", report.sentence)
     assert "set the camera to progressive" in report.sentence
     assert "camera.exposure" not in report.sentence
+
+
+@pytest.mark.parametrize("rim_px", [0, 5, 6, 7])
+def test_markers_that_are_rings_are_said_with_the_remedy(rim_px: int) -> None:
+    day = _Day()
+    frame = day.frame.copy()
+    if rim_px:
+        frame[cv2.erode(frame, np.ones((rim_px, rim_px))) > 100] = 20
+    for k in range(1, 20):
+        day.film([k], frame=frame)
+    said = day.diagnosis.report(0.2).sentence
+    assert ("(ring): expected full discs of one brightness: fill or cover" in said) == (rim_px > 0)
 
 
 def test_a_raw_mosaic_that_is_called_grey_is_said_with_the_remedy() -> None:
