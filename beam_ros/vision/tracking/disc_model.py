@@ -543,10 +543,12 @@ class DiscModel:
         beta, left_beta = max(beta, _ROUNDING - alpha), max(left_beta, _ROUNDING - left_alpha)
         self._noise_frames += 1
         share = max(1.0 / self._noise_frames, _NOISE_EVERY_FRAMES / _SLOW_FRAMES)
-        self.alpha += share * (alpha - self.alpha)
+        # Where all that scatters lies on the disc, the line leads below nothing beside it.
+        self.alpha = max(self.alpha + share * (alpha - self.alpha), _ROUNDING)
         self.beta += share * (beta - self.beta)
         old_alpha, old_beta = self._left
-        self._left = old_alpha + share * (left_alpha - old_alpha), old_beta + share * (left_beta - old_beta)
+        left_alpha = max(old_alpha + share * (left_alpha - old_alpha), _ROUNDING)
+        self._left = left_alpha, old_beta + share * (left_beta - old_beta)
         radius = self.disc[0] * RADIUS_STEP_PX + float(solved[4] / solved[2])
         edge = self.disc[1] * EDGE_STEP_PX + float(solved[5] / solved[2])
         self._radius += share * (radius - self._radius)

@@ -431,3 +431,17 @@ def test_a_camera_whose_noise_is_known_needs_no_residuals():
     assert film.model.alpha == pytest.approx(1.0 + 1 / 12 + 0.4 * BACKGROUND, rel=0.02)
     assert film.model.beta == pytest.approx(0.4 * CONTRAST, rel=0.02)
     assert 0.87 < rms(errors / stated) < 1.16
+
+
+@pytest.mark.parametrize(("column", "row"), [(-4, 2), (-2, -4)])
+def test_what_scatters_on_the_disc_alone_makes_no_variance_of_the_ground_negative(column, row):
+    film, model = Film(12.0, np.zeros(1), seed=3), DiscModel()
+    for _ in range(16):
+        image = film.frame(1, 2.0, 0.0, 0.0)
+        image[film.half + row, film.half + column] -= 150.0  # a dead pixel, or dirt
+        u, v = film.half + film.places[1]
+        grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        found = model.fit(grey, u, v, radius=6.0, edge=EDGE, smear=0.0, least=90.0, ground=(25.0, 35.0))
+        assert found is not None
+        assert abs(found.u - u) < max(6 * found.sigma_u, 0.35)
+        assert model.alpha > 0.0
