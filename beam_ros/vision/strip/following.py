@@ -9,7 +9,8 @@ Cramer-Rao bound of white noise:
 The curve (a polynomial along the strip) only says where to look and how the strip leans within a band; a point is
 free to deviate from it by as much as its noise allows. The noise is measured in the same pixels, as a + b I. Rows
 that do not look like the strip (a hand, a dot, a thread) are left out; a band that has lost too many of them, whose
-height has changed alone, or that lies off the curve is not valid and says why.
+height has changed alone, or that lies off the curve is not valid and says why. The heights follow the light, which
+may change at once, and along the strip as slowly as shadows do.
 
 Where prediction fails, at the start and after a jump, the strip is searched: the cross-section is correlated with
 every column, and the best path from the clamp to the tip is taken (dynamic programming).
@@ -17,6 +18,7 @@ every column, and the best path from the clamp to the tip is taken (dynamic prog
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,6 +54,13 @@ _MIN_ROWS = 0.6
 _UNMODELLED = 0.03
 """Share of the height that the pixels of a row may be off what any model holds."""
 _HEIGHT_TOLERANCE, _HEIGHT_SIGMAS = 0.35, 4.0
+"""A band may be so much higher or lower than the bands about it. Light that leaves less than that share is none: what
+is not the strip may show as much."""
+_BESIDE = 3
+"""Bands on either side that say how the light is at a band: a shadow is longer than half of them all."""
+_EIGHTH, _BETWEEN_SIGMAS, _BETWEEN_CHANCE = 0.125, 2.3, 8.0
+"""Light is uneven where the bands between the lowest and the highest eighth differ by more than noise. Those of n
+normal values differ by so many standard deviations, and four of that difference's are 8 / sqrt(n)."""
 _SIGMAS, _OFF_CURVE_PX = 6.0, 0.25
 _ROW_SIGMAS = 5.0
 _MIN_GOOD = 0.6
@@ -138,7 +147,7 @@ class _Step(NamedTuple):
     moved: FloatArray
     sigma: FloatArray
     reasons: IndexArray
-    gain: float
+    gain: float | FloatArray
     heights: FloatArray
     is_good: np.ndarray
     table: ProfileTable
@@ -385,13 +394,24 @@ class StripFollower:
             pixels,
         )
 
-    def _gain(self, heights: FloatArray, variance: FloatArray) -> float | None:
-        """Brightness of this frame against the learned one; None where there is none to speak of."""
+    def _gain(self, heights: FloatArray, variance: FloatArray) -> float | FloatArray | None:
+        """Brightness of this frame against the learned one; None where there is none to speak of.
+
+        One for all rows, or one for each where the light has changed along the strip.
+        """
         assert self._heights is not None
         seen, learned, spread = self._bands(np.concatenate([heights, self._heights, variance]).reshape(3, -1))
-        gain = _middle(seen / learned)
-        typical = _middle(np.abs(learned)) * gain
-        return gain if 0.1 < gain < 10.0 and typical > _MIN_SIGNIFICANCE * np.sqrt(_middle(spread)) else None
+        gains = seen / learned
+        eighth, half = int(_EIGHTH * self._n), self._n // 2
+        ordered = np.partition(gains, (eighth, half, -1 - eighth))
+        gain, noise = float(ordered[half]), math.sqrt(_middle(spread))
+        typical = _middle(np.abs(learned))
+        if not (0.1 < gain < 10.0 and typical * gain > _MIN_SIGNIFICANCE * noise):
+            return None
+        usual = (_BETWEEN_SIGMAS + _BETWEEN_CHANCE / math.sqrt(self._n)) * noise / typical
+        if ordered[-1 - eighth] - ordered[eighth] < usual + 2.0 * _UNMODELLED * gain:
+            return gain
+        return np.repeat(_gains_along(gains, gain), self.parameters.row_step)
 
     def _judged(self, sums: FloatArray) -> IndexArray:
         """Judge bands by their rows inside, good ones, and the heights, expected heights and variances."""
@@ -551,6 +571,18 @@ class StripFollower:
 def _middle(values: FloatArray) -> float:
     """Middle value; of an even number the upper one."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
+
+
+def _gains_along(gains: FloatArray, usual: float) -> FloatArray:
+    """Gain of every band as the bands about it have it, by their median: it follows the edge of a shadow.
+
+    Where one of them shows no light that the strip may stand in, the usual gain is left: a hand ends there.
+    """
+    size = 2 * _BESIDE + 1
+    first = np.clip(np.arange(len(gains)) - _BESIDE, 0, len(gains) - size)
+    about = np.sort(gains[first[:, None] + np.arange(size)], axis=1)
+    is_light = (about[:, 0] > _HEIGHT_TOLERANCE * usual) & (about[:, -1] < usual / _HEIGHT_TOLERANCE)
+    return np.where(is_light, about[:, _BESIDE], usual)
 
 
 def _own_heights(rows: FloatArray, typical: float) -> FloatArray:

@@ -160,6 +160,29 @@ def test_light_that_falls_to_a_third_and_a_dark_frame_are_got_over(bright):
     assert np.isfinite(u[[35, 36, 51, 52]]).mean() > 0.95
 
 
+def test_a_shadow_that_moves_along_the_strip_is_light_and_no_thing(bright):
+    rows = np.arange(bright.light.shape[1])
+    edge = 1.0 / (1.0 + np.exp(-(rows[None, :] - 8.0 * np.arange(N_FRAMES)[:, None]) / 6.0))
+    light = bright.light * (1.0 - 0.5 * edge)[:, :, None]
+    frames = np.clip(np.rint(light + np.random.default_rng(12).normal(0, 2, light.shape)), 0, 255)
+    u, sigma, _ = followed(bright, frames.astype(np.uint8))
+    error = u - bright.truth
+    assert np.isfinite(u).mean() > 0.97
+    assert 0.9 < np.sqrt(np.nanmean((error[10:] / sigma[10:]) ** 2)) < 1.15
+    assert not np.any(np.abs(error) > np.maximum(6 * sigma, 0.35))
+
+
+def test_a_hand_before_a_third_of_the_strip_is_no_shadow(bright):
+    frames = bright.frames(np.random.default_rng(13))[:40]
+    frames[20:, 150:300, 40:130] = np.random.default_rng(14).normal(90, 2, (20, 150, 90))
+    u, sigma, _ = followed(bright, frames)
+    rows = StripFollower(bright.parameters, frames.shape[1:]).rows_px
+    hidden = (rows > 150) & (rows < 299)
+    assert not np.isfinite(u[20:, hidden]).any()
+    assert np.isfinite(u[20:, ~hidden]).mean() > 0.9
+    assert not np.any(np.abs(u - bright.truth[:40]) > np.maximum(6 * sigma, 0.35))
+
+
 @pytest.mark.parametrize("every", [1, 2, 3])
 def test_no_smear_is_expected_that_no_point_shows_before_the_speed_is_known(bright, every):
     frames, truth = bright.frames(np.random.default_rng(8))[::every][:12], bright.truth[::every][:12]
