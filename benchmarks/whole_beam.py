@@ -27,7 +27,8 @@ import numpy as np
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.rendering.imaging import CameraFaults, FaultyCamera
-from beam_ros.vision.strip.following import StripFollower, StripParameters
+from beam_ros.vision.strip.following import StripParameters
+from beam_ros.vision.strip.moving_line import StripFollower
 from beam_ros.vision.strip.profile import profile
 
 RIG = Rig.from_file()

@@ -54,7 +54,7 @@ from beam_ros.thesis.figures import bode
 from beam_ros.viewers.curves import COLOURS, live_plots
 from beam_ros.vision.measurement.overlay import draw_overlay
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.strip.following import StripFollower
+from beam_ros.vision.strip.moving_line import StripFollower
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
 

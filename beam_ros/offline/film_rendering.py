@@ -31,7 +31,7 @@ from beam_ros.vision.errors import VideoError
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.rendering.imaging import CameraFaults, FaultyCamera
-from beam_ros.vision.strip.following import StripFollower
+from beam_ros.vision.strip.moving_line import StripFollower
 from beam_ros.vision.timing import exposure_weights
 
 _STRIP_POINTS = 151

@@ -20,7 +20,8 @@ from beam_ros.vision.calibration.perspective import Perspective
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError
 from beam_ros.vision.parameters import CameraParameters
-from beam_ros.vision.strip.following import REASONS, StripFollower, StripParameters
+from beam_ros.vision.strip.following import REASONS, StripParameters
+from beam_ros.vision.strip.moving_line import StripFollower
 from beam_ros.vision.timing import FrameTiming
 
 _MIN_SEEN = 0.05

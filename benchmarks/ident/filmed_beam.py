@@ -31,7 +31,7 @@ from beam_ros.offline.whole_beam import strip_parameters
 from beam_ros.rig.filming import Exposure, Film
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.strip.following import StripFollower
+from beam_ros.vision.strip.moving_line import StripFollower
 from benchmarks.ident.study import Outcome, Study
 
 N_MODES = 3

@@ -19,6 +19,7 @@ every column, and the best path from the clamp to the tip is taken (dynamic prog
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,6 +54,13 @@ _MIN_ROWS = 0.6
 """Share of a band's rows that must look like the strip."""
 _UNMODELLED = 0.03
 """Share of the height that the pixels of a row may be off what any model holds."""
+_LEFT = 1.0 / 3.0
+"""A line looks like the strip where the cross-section leaves less of the pixels' variance, but for noise, than that
+share of what it explains; of a step of the light, the edge of something wide, it leaves about as much."""
+_LEFT_ALONE = 1.0 / 16.0
+"""What leaves more, a quarter of the grey levels, is not alone: another line beside it may be the strip."""
+_MOST_LOOKS = 4
+"""All but one of so many lines may be refused in the search for the strip."""
 _HEIGHT_TOLERANCE, _HEIGHT_SIGMAS = 0.35, 4.0
 """A band may be so much higher or lower than the bands about it. Light that leaves less than that share is none: what
 is not the strip may show as much."""
@@ -80,10 +88,10 @@ _MAX_SECTIONS = 12
 _NOTHING = 1e-12
 _SEARCHES_PX = (12, 60)
 
-REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside", "repeated")
+REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside", "repeated", "doubtful")
 """Whether a point is valid, or why it is not: the strip is nowhere; its rows look like something else; its height has
 changed alone; it lies off the curve through the others; it is beyond the image's edge; the image is the one before,
-bit for bit, though the strip moved."""
+bit for bit, though the strip moved; another line looks like it, and neither has moved yet."""
 
 
 @dataclass(frozen=True)
@@ -155,8 +163,8 @@ class _Step(NamedTuple):
     pixels: Float32Array
 
 
-class StripFollower:
-    """Follows one strip.
+class LineFollower:
+    """Follows what looks like the strip.
 
     Parameters
     ----------
@@ -168,6 +176,9 @@ class StripFollower:
     rows_px : ndarray, shape (n_points,) -- row of every point, from the clamp upwards [px]
     section : CrossSection -- width and blur found in the first frames
     searches : int -- how often the strip was searched
+    avoided : sequence of ndarray, shape (n_points,) -- columns of lines that are not it; no search leads there [px]
+    is_alone : bool -- where it was found first, there was hardly anything else
+    is_second : bool -- something else looked like the strip then, as a whole, but not in its parts
     """
 
     def __init__(self, parameters: StripParameters, shape: tuple[int, int]) -> None:
@@ -192,6 +203,8 @@ class StripFollower:
         self._along = along
         self.section = CrossSection(parameters.width_px, along)
         self.searches = 0
+        self.avoided: Sequence[FloatArray] = ()
+        self.is_alone, self.is_second = True, False
         self._tabulate()
         self._heights: FloatArray | None = None
         self._noise: StripNoise | None = None
@@ -205,6 +218,35 @@ class StripFollower:
     def _bands(self, of_rows: FloatArray) -> FloatArray:
         """Sums over the rows of every band, shape (..., n_points)."""
         return np.asarray(of_rows.reshape(*of_rows.shape[:-1], self._n, -1) @ self._ones)
+
+    @property
+    def is_found(self) -> bool:
+        """The last frame showed it."""
+        return self._prediction is not None and not self._is_lost
+
+    @property
+    def columns_px(self) -> FloatArray:
+        """Columns of all points where it was last, shape (n_points,) [px]."""
+        assert self._prediction is not None
+        return np.asarray(self._band_basis @ self._prediction.last)
+
+    @property
+    def apart_px(self) -> float:
+        """Two strips that are closer are one [px]."""
+        return float(self._table_widths_px.max()) + 2.0 * self.section.blur_px
+
+    @property
+    def curve(self) -> FloatArray | None:
+        """Coefficients of the curve that was found last."""
+        return None if self._prediction is None else self._prediction.last
+
+    def has_left(self, curve: FloatArray) -> bool:
+        """True where it is another line than that of this curve, or has come as far."""
+        return not self.is_at(self._band_basis @ curve)
+
+    def is_at(self, columns_px: FloatArray) -> bool:
+        """True where it is the line in these columns."""
+        return bool(np.median(np.abs(self.columns_px - columns_px)) < self.apart_px)
 
     # -- one frame -----------------------------------------------------------------------------------------
 
@@ -402,14 +444,17 @@ class StripFollower:
         assert self._heights is not None
         seen, learned, spread = self._bands(np.concatenate([heights, self._heights, variance]).reshape(3, -1))
         gains = seen / learned
-        eighth, half = int(_EIGHTH * self._n), self._n // 2
-        ordered = np.partition(gains, (eighth, half, -1 - eighth))
-        gain, noise = float(ordered[half]), math.sqrt(_middle(spread))
-        typical = _middle(np.abs(learned))
+        ordered = np.sort(gains)
+        gain, noise, typical = (
+            float(ordered[self._n // 2]),
+            math.sqrt(_middle(spread)),
+            _middle(np.abs(learned)),
+        )
         if not (0.1 < gain < 10.0 and typical * gain > _MIN_SIGNIFICANCE * noise):
             return None
-        usual = (_BETWEEN_SIGMAS + _BETWEEN_CHANCE / math.sqrt(self._n)) * noise / typical
-        if ordered[-1 - eighth] - ordered[eighth] < usual + 2.0 * _UNMODELLED * gain:
+        eighth = int(_EIGHTH * self._n)
+        between = (_BETWEEN_SIGMAS + _BETWEEN_CHANCE / math.sqrt(self._n)) * noise / typical
+        if ordered[-1 - eighth] - ordered[eighth] < between + 2.0 * _UNMODELLED * gain:
             return gain
         return np.repeat(_gains_along(gains, gain), self.parameters.row_step)
 
@@ -491,13 +536,50 @@ class StripFollower:
 
     def _acquire(self, flat: ImageArray) -> tuple[FloatArray, StripFrame] | None:
         """Find the strip where no more than its width is known, and that roughly; learn what it looks like."""
+        refused: list[FloatArray] = []
+        is_like_another = False
+        self.searches += 1
+        for _ in range(_MOST_LOOKS):
+            led, curve = self._first_curve(flat, refused)
+            table, column, entry, pixels, inside, fits = self._row_fit(flat, curve)
+            if not np.any(inside):
+                break
+            residual = table.residual(entry, pixels)[inside]
+            levels = noise_levels(table, entry[inside], pixels[inside], residual)
+            left = usual_variance(residual)
+            # Rows with dots or hands before them: the median of the bands knows better.
+            typical, height_gain = float(np.median(fits.height[inside])), float(np.median(fits.height_gain))
+            spread = math.sqrt(left * height_gain / self.parameters.row_step)
+            sign = 1.0 if self.parameters.is_bright else -1.0
+            if not np.all(np.isfinite(levels)) or sign * typical < _MIN_SIGNIFICANCE * max(spread, 1e-6):
+                break
+            # What rows have in common is no noise.
+            noise = usual_variance(np.diff(pixels, axis=0)[np.diff(column) == 0]) / 2.0
+            share = (left - noise) * height_gain * table.size / typical**2
+            if share < _LEFT:
+                self.is_alone, self.is_second = share < _LEFT_ALONE, is_like_another
+                is_like_another = True
+                self._noise = StripNoise(levels, left)
+                self._heights = np.repeat(
+                    _own_heights(fits.height.reshape(self._n, -1), typical), self.parameters.row_step
+                )
+                self._frames = 0
+                found = self._turns(flat, curve, None)
+                if found is not None:
+                    return found
+            refused += [self._band_basis @ led, self._band_basis @ curve]
+        self.section = CrossSection(self.parameters.width_px, self._along)
+        return None
+
+    def _first_curve(self, flat: ImageArray, refused: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Best line in the whole image but for those refused, as searched and then settled, with width and blur."""
         rest = np.zeros(_DEGREE + 1)
         rest[0] = self.parameters.rest_column
-        self.searches += 1
         for is_certain in (False, True):
             self.section = CrossSection(self.parameters.width_px, self._along, is_certain=is_certain)
             self._tabulate()
-            curve = self._searched(flat, rest, max(self._width - 1 - int(rest[0]), int(rest[0])))
+            reach = max(self._width - 1 - int(rest[0]), int(rest[0]))
+            led = curve = self._searched(flat, rest, reach, refused)
             for _ in range(_MAX_SECTIONS):
                 curve = self._settled(flat, curve)
                 self.section.forget()
@@ -507,36 +589,20 @@ class StripFollower:
                 break
         for _ in range(3):
             curve = self._settled(flat, curve)
-        table, entry, pixels, inside, fits = self._row_fit(flat, curve)
-        if not np.any(inside):
-            return None
-        residual = table.residual(entry, pixels)[inside]
-        levels, quiet = noise_levels(table, entry[inside], pixels[inside], residual), usual_variance(residual)
-        # Rows with dots or hands before them: the median of the bands knows better.
-        typical = float(np.median(fits.height[inside]))
-        spread = np.sqrt(quiet * np.median(fits.height_gain) / self.parameters.row_step)
-        sign = 1.0 if self.parameters.is_bright else -1.0
-        if not np.all(np.isfinite(levels)) or sign * typical < _MIN_SIGNIFICANCE * max(float(spread), 1e-6):
-            return None
-        self._noise = StripNoise(levels, quiet)
-        self._heights = np.repeat(
-            _own_heights(fits.height.reshape(self._n, -1), typical), self.parameters.row_step
-        )
-        self._frames = 0
-        return self._turns(flat, curve, None)
+        return led, curve
 
     def _row_fit(
         self, flat: ImageArray, curve: FloatArray
-    ) -> tuple[ProfileTable, IndexArray, Float32Array, np.ndarray, RowFits]:
+    ) -> tuple[ProfileTable, IndexArray, IndexArray, Float32Array, np.ndarray, RowFits]:
         """Fit every row at rest on a curve."""
         table = self._table_of(SMEAR_STEP_PX)
         column, entry, _ = table.entries(self._basis @ curve, np.zeros(len(self._starts)), self._width_index)
         pixels, inside = self._pixels(flat, table.half, column)
-        return table, entry, pixels, inside, table.fit(entry, pixels)
+        return table, column, entry, pixels, inside, table.fit(entry, pixels)
 
     def _settled(self, flat: ImageArray, curve: FloatArray) -> FloatArray:
         """One turn without any knowledge of heights: bands weighted by what they show."""
-        _, _, _, inside, fits = self._row_fit(flat, curve)
+        _, _, _, _, inside, fits = self._row_fit(flat, curve)
         height, slope = self._bands(np.stack([fits.height, fits.slope]) * inside)
         seen = height if self.parameters.is_bright else -height
         is_there = (seen > 0.3 * np.median(seen)) & (seen > 0)
@@ -547,7 +613,9 @@ class StripFollower:
         points = middle + np.clip(moved, -_LINEAR_PX, _LINEAR_PX)
         return self._fitted_curve(points, np.full(self._n, 0.1), is_there)[0]
 
-    def _searched(self, flat: ImageArray, curve: FloatArray, reach: int) -> FloatArray:
+    def _searched(
+        self, flat: ImageArray, curve: FloatArray, reach: int, refused: Sequence[FloatArray] = ()
+    ) -> FloatArray:
         """Best path of the cross-section within some columns of a curve."""
         table = self._table_of(SMEAR_STEP_PX)
         middle = self._band_basis @ curve
@@ -563,6 +631,9 @@ class StripFollower:
         scores = np.lib.stride_tricks.sliding_window_view(bands, table.size, axis=1) @ shape
         centre = columns[:, table.half : table.half + scores.shape[1]]
         within = (centre >= table.half) & (centre < self._width - table.half)
+        apart = self.apart_px
+        for line in (*self.avoided, *refused):
+            within &= np.abs(centre - line[:, None]) > apart
         path = best_path(np.where(within, scores, -np.inf))
         points = centre[np.arange(self._n), path].astype(np.float64)
         return self._fitted_curve(points, np.full(self._n, 0.5), np.ones(self._n, dtype=bool))[0]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.errors import VisionParameterError
-from beam_ros.vision.strip.following import REASONS, StripFollower, StripParameters
+from beam_ros.vision.strip.following import REASONS, LineFollower, StripParameters
+from beam_ros.vision.strip.moving_line import StripFollower
 from tests.beam_ros.vision.strip.filmed_strip import Strip, bound_px, camera_of, film
 
 N_FRAMES = 70
@@ -187,7 +188,7 @@ def test_a_hand_before_a_third_of_the_strip_is_no_shadow(bright):
 def test_no_smear_is_expected_that_no_point_shows_before_the_speed_is_known(bright, every):
     frames, truth = bright.frames(np.random.default_rng(8))[::every][:12], bright.truth[::every][:12]
     parameters = replace(bright.parameters, exposure_frames=bright.parameters.exposure_frames / every)
-    follower, longest = StripFollower(parameters, frames.shape[1:]), 0.0
+    follower, longest = LineFollower(parameters, frames.shape[1:]), 0.0
     for frame in frames:
         follower.process(frame)
         longest = max([longest, *follower._tables])
