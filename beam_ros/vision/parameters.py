@@ -27,6 +27,8 @@ StampMeaning = Literal["start", "mid", "end", "arrival"]
 Polarity = Literal["bright", "dark"]
 Refinement = Literal["none", "radial_symmetry", "disc_model"]
 
+WHITES = frozenset(white for k in (10, 12, 14) for white in (2**k - 1, 2**16 - 2 ** (16 - k)))
+"""White of cameras that fill part of 16 bits, from below or from above."""
 PERFECT_DISC_SIGMA_PX = 0.0003
 """What sampling leaves of a perfect disc's position [px]: no standard deviation is smaller."""
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from beam_ros.arrays import ByteArray, FloatArray, ImageArray
 from beam_ros.vision.errors import CalibrationError
+from beam_ros.vision.parameters import WHITES
 
 MIN_FRAMES = 8
 """Frames that a series must have."""
@@ -39,8 +40,6 @@ _BURIED = 2.0
 """A dark level closer than so many standard deviations to black has lost part of its noise there."""
 _SURE = 3.0
 """A dark series is not the darkest where it is brighter by so many of the frames' standard deviations."""
-_WHITES = frozenset(white for k in (10, 12, 14) for white in (2**k - 1, 2**16 - 2 ** (16 - k)))
-"""White of cameras that fill part of 16 bits, from below or from above."""
 _ROUNDING = 1.0 / 12.0
 
 
@@ -118,7 +117,7 @@ class Series:
             total / len(means),
             squares / (2 * (len(means) - 1)),
             float(np.std(means)),
-            float(peak if bits == 16 and peak in _WHITES else 2**bits - 1),
+            float(peak if bits == 16 and peak in WHITES else 2**bits - 1),
         )
 
     @property

@@ -75,7 +75,14 @@ class CrossSection:
         self.is_plausible = bool(least < widths.min() and widths.max() < most)
         self.widths_px = np.clip(widths, least, most)
 
-    def learn(self, table: ProfileTable, entry: IndexArray, pixels: Float32Array, rows: IndexArray) -> bool:
+    def learn(
+        self,
+        table: ProfileTable,
+        entry: IndexArray,
+        pixels: Float32Array,
+        rows: IndexArray,
+        seen: np.ndarray | None = None,
+    ) -> bool:
         """Add what rows of a strip at rest tell.
 
         Parameters
@@ -84,18 +91,24 @@ class CrossSection:
         entry : ndarray of int, shape (n,) -- of the rows in the table
         pixels : ndarray, shape (n, size) -- about their columns, near zero [grey levels]
         rows : ndarray of int, shape (n,) -- their indices
+        seen : ndarray of bool, shape (n, size), optional -- pixels that are not cut off at white
 
         Returns
         -------
         bool -- width or blur are other ones, by as much as could be seen
         """
-        fits, changes = table.fit(entry, pixels), table.changes()
+        fits, changes = table.fit(entry, pixels, seen), table.changes()
         misfit = np.maximum(fits.misfit, 0.0)
         usual = max(float(np.median(misfit)), 1e-9)
         weight = (table.size - 3) / np.maximum(usual, misfit / _OUTLIER)
         # Per row: the residual along the changes of T, and these among themselves.
-        along = np.einsum("rcw,rw->rc", changes.take(entry, axis=0), table.residual(entry, pixels))
+        along = np.einsum("rcw,rw->rc", changes.take(entry, axis=0), table.residual(entry, pixels, seen))
         among = np.einsum("ecw,edw->ecd", changes, changes).take(entry, axis=0).astype(np.float64)
+        if seen is not None:
+            basis, inverse = table.seen_basis(entry, seen)
+            there = changes.take(entry, axis=0) * seen[:, None, :]
+            shared = np.einsum("rcw,rkw->rck", there, basis)
+            among = there @ there.transpose(0, 2, 1) - shared @ inverse @ shared.transpose(0, 2, 1)
         terms = self._terms[rows]
         start = self._found
         design = np.zeros((len(rows), 2, len(start)))

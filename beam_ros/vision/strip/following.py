@@ -29,7 +29,7 @@ from beam_ros.arrays import Float32Array, FloatArray, ImageArray, IndexArray
 from beam_ros.vision.errors import VisionParameterError
 from beam_ros.vision.repeats import LATELY, RepeatedImages, is_on_its_way
 from beam_ros.vision.strip.cross_section import CrossSection
-from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance
+from beam_ros.vision.strip.noise import StripNoise, noise_levels, usual_variance, white_level
 from beam_ros.vision.strip.prediction import CurvePrediction
 from beam_ros.vision.strip.profile import SMEAR_STEP_PX, ProfileTable, RowFits
 from beam_ros.vision.strip.scatter import PointScatter
@@ -161,6 +161,7 @@ class _Step(NamedTuple):
     table: ProfileTable
     entry: IndexArray
     pixels: Float32Array
+    seen: np.ndarray | None
 
 
 class LineFollower:
@@ -207,7 +208,9 @@ class LineFollower:
         self.is_alone, self.is_second = True, False
         self._tabulate()
         self._heights: FloatArray | None = None
+        self._typical = 0.0  # height of a band
         self._noise: StripNoise | None = None
+        self._white: float | None = None  # grey level at which pixels are cut off
         self._scatter = PointScatter(self._n, step)
         self._prediction: CurvePrediction | None = None
         self._repeats = RepeatedImages()
@@ -272,6 +275,8 @@ class LineFollower:
         else:
             curve, speed = prediction.next()
             found = self._turns(flat, curve, speed)
+            if found is None:
+                self._white = white_level(flat.reshape(-1, self._width))
             for reach in _SEARCHES_PX:
                 if found is not None:
                     break
@@ -335,14 +340,19 @@ class LineFollower:
 
     def _pixels(
         self, flat: ImageArray, half: int, column: IndexArray, rows: slice = slice(None)
-    ) -> tuple[Float32Array, np.ndarray]:
-        """Pixels about every row's column, shape (n_rows, 2 half + 1), and whether they lie in the image."""
+    ) -> tuple[Float32Array, np.ndarray, np.ndarray | None]:
+        """Pixels about every row's column, shape (n_rows, 2 half + 1), and whether they lie in the image.
+
+        Where some are cut off at white, the last tells which ones are not.
+        """
         left = column - half
         inside = (left >= 0) & (left < self._width - 2 * half)
         first = self._starts[rows] + np.where(inside, left, 0)
         size = 2 * half + 1
         windows = np.ndarray((flat.size - 2 * half, size), flat.dtype, flat, strides=2 * flat.strides)
-        return windows[first].astype(np.float32), inside
+        pixels = windows[first]
+        seen = None if self._white is None else pixels < self._white
+        return pixels.astype(np.float32), inside, None if seen is None or seen.all() else seen
 
     # -- least squares in every row ------------------------------------------------------------------------
 
@@ -396,9 +406,9 @@ class LineFollower:
         table = self._table(float(smear.max()))
         u = self._basis @ curve
         column, entry, tabulated = table.entries(u, smear, self._width_index)
-        pixels, inside = self._pixels(flat, table.half, column)
+        pixels, inside, seen = self._pixels(flat, table.half, column)
         pixels -= np.float32(dark)
-        fits = table.fit(entry, pixels)
+        fits = table.fit(entry, pixels, seen)
         white = base + growth * np.maximum(fits.grey + dark, 0.0)
         height_variance = fits.height_gain * white
         gain = self._gain(fits.height * inside, height_variance)
@@ -406,7 +416,8 @@ class LineFollower:
             return None
         expected = self._heights * gain
         loose = base + growth * np.maximum(fits.mean + dark, 0.0) + (_UNMODELLED * expected) ** 2
-        limit = (1.0 + _ROW_SIGMAS * np.sqrt(2.0 / (table.size - 3))) * (table.size - 3)
+        freedom = table.size - 3 if seen is None else np.maximum(seen.sum(axis=1) - 3, 1)
+        limit = freedom + _ROW_SIGMAS * (2.0 * freedom) ** 0.5
         is_good = inside & (fits.misfit < limit * loose)
         weight = is_good * expected / (fits.slope_gain * white)
         # The table's positions differ from the curve's by up to half a phase: that is taken out of the shifts.
@@ -434,6 +445,7 @@ class LineFollower:
             table,
             entry,
             pixels,
+            seen,
         )
 
     def _gain(self, heights: FloatArray, variance: FloatArray) -> float | FloatArray | None:
@@ -498,11 +510,15 @@ class LineFollower:
         self._heights += np.where(good, rate * (step.heights / step.gain - self._heights), 0.0)
         if self._frames > _EARLY and self._frames % _NOISE_FRAMES:
             return
+        self._typical = _middle(np.abs(self._bands(self._heights)))
         rows = np.flatnonzero(good)[:: 1 if self._frames <= _EARLY else _NOISE_ROWS]
         entry, pixels = step.entry[rows], step.pixels[rows]
-        residual = step.table.residual(entry, pixels)
+        seen = None if step.seen is None else step.seen[rows]
+        residual = step.table.residual(entry, pixels, seen)
         pixels += np.float32(self._noise.ground_grey)
-        levels = noise_levels(step.table, entry, pixels, residual)
+        levels = noise_levels(step.table, entry, pixels, residual, seen)
+        if self._white is None and len(rows) > 0:
+            self._white = white_level(np.rint(pixels))
         self._noise.learn(levels, max(_NOISE_RATE, 1.0 / self._frames))
         if self._frames <= _EARLY or self._frames % _SCATTER_FRAMES == 0:
             self._learn_scatter(step, curve, is_ok)
@@ -522,12 +538,13 @@ class LineFollower:
         table = self._table_of(0.0)
         u = self._basis[rows] @ curve
         column, entry, _ = table.entries(u, np.zeros(len(u)), self._width_index[rows])
-        pixels, inside = self._pixels(flat, table.half, column, rows)
+        pixels, inside, seen = self._pixels(flat, table.half, column, rows)
         if np.count_nonzero(inside) < len(u) // 2:
             return False
         pixels = pixels[inside] - np.median(pixels)
         indices = np.arange(len(self._starts))[rows][inside]
-        is_other = self.section.learn(table, entry[inside], pixels, indices)
+        there = None if seen is None else seen[inside]
+        is_other = self.section.learn(table, entry[inside], pixels, indices, there)
         if is_other:
             self._tabulate()
         return is_other
@@ -536,17 +553,19 @@ class LineFollower:
 
     def _acquire(self, flat: ImageArray) -> tuple[FloatArray, StripFrame] | None:
         """Find the strip where no more than its width is known, and that roughly; learn what it looks like."""
+        self._white = white_level(flat.reshape(-1, self._width))
         refused: list[FloatArray] = []
         is_like_another = False
         self.searches += 1
         for _ in range(_MOST_LOOKS):
             led, curve = self._first_curve(flat, refused)
-            table, column, entry, pixels, inside, fits = self._row_fit(flat, curve)
+            table, column, entry, pixels, inside, seen, fits = self._row_fit(flat, curve)
             if not np.any(inside):
                 break
-            residual = table.residual(entry, pixels)[inside]
-            levels = noise_levels(table, entry[inside], pixels[inside], residual)
-            left = usual_variance(residual)
+            residual = table.residual(entry, pixels, seen)[inside]
+            there = None if seen is None else seen[inside]
+            levels = noise_levels(table, entry[inside], pixels[inside], residual, there)
+            left = usual_variance(residual if there is None else residual[there])
             # Rows with dots or hands before them: the median of the bands knows better.
             typical, height_gain = float(np.median(fits.height[inside])), float(np.median(fits.height_gain))
             spread = math.sqrt(left * height_gain / self.parameters.row_step)
@@ -554,7 +573,8 @@ class LineFollower:
             if not np.all(np.isfinite(levels)) or sign * typical < _MIN_SIGNIFICANCE * max(spread, 1e-6):
                 break
             # What rows have in common is no noise.
-            noise = usual_variance(np.diff(pixels, axis=0)[np.diff(column) == 0]) / 2.0
+            below = np.diff(pixels, axis=0)[np.diff(column) == 0]
+            noise = usual_variance(below if seen is None else below[below != 0.0]) / 2.0
             share = (left - noise) * height_gain * table.size / typical**2
             if share < _LEFT:
                 self.is_alone, self.is_second = share < _LEFT_ALONE, is_like_another
@@ -563,6 +583,7 @@ class LineFollower:
                 self._heights = np.repeat(
                     _own_heights(fits.height.reshape(self._n, -1), typical), self.parameters.row_step
                 )
+                self._typical = _middle(np.abs(self._bands(self._heights)))
                 self._frames = 0
                 found = self._turns(flat, curve, None)
                 if found is not None:
@@ -593,16 +614,16 @@ class LineFollower:
 
     def _row_fit(
         self, flat: ImageArray, curve: FloatArray
-    ) -> tuple[ProfileTable, IndexArray, IndexArray, Float32Array, np.ndarray, RowFits]:
+    ) -> tuple[ProfileTable, IndexArray, IndexArray, Float32Array, np.ndarray, np.ndarray | None, RowFits]:
         """Fit every row at rest on a curve."""
         table = self._table_of(SMEAR_STEP_PX)
         column, entry, _ = table.entries(self._basis @ curve, np.zeros(len(self._starts)), self._width_index)
-        pixels, inside = self._pixels(flat, table.half, column)
-        return table, column, entry, pixels, inside, table.fit(entry, pixels)
+        pixels, inside, seen = self._pixels(flat, table.half, column)
+        return table, column, entry, pixels, inside, seen, table.fit(entry, pixels, seen)
 
     def _settled(self, flat: ImageArray, curve: FloatArray) -> FloatArray:
         """One turn without any knowledge of heights: bands weighted by what they show."""
-        _, _, _, _, inside, fits = self._row_fit(flat, curve)
+        _, _, _, _, inside, _, fits = self._row_fit(flat, curve)
         height, slope = self._bands(np.stack([fits.height, fits.slope]) * inside)
         seen = height if self.parameters.is_bright else -height
         is_there = (seen > 0.3 * np.median(seen)) & (seen > 0)

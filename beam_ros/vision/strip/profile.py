@@ -32,6 +32,8 @@ _BACKGROUND_PX = 1.5
 """Columns on either side that show nothing but the ground [px]."""
 _SHARPEST_PX = 0.05
 _DIFFERENCE = 0.01
+_HARDLY = 1e-5
+"""A part of the basis of which no more than this share is seen is not told; single precision rounds to 1e-7."""
 
 
 def profile(x: FloatArray, width_px: float, blur_px: float, smear_px: float) -> tuple[FloatArray, FloatArray]:
@@ -211,30 +213,63 @@ class ProfileTable:
         entry = position + (width * self._bins + smears - column) * PHASES
         return column, entry, (position + 0.5) / PHASES - 0.5
 
-    def fit(self, entry: IndexArray, pixels: Float32Array) -> RowFits:
+    def fit(self, entry: IndexArray, pixels: Float32Array, seen: np.ndarray | None = None) -> RowFits:
         """Fit ground, height and shift in each of n rows.
 
         Parameters
         ----------
         entry : ndarray of int, shape (n,) -- of ``entries``
         pixels : ndarray, shape (n, size) -- about ``column``; near zero, for the sake of their squares [grey levels]
+        seen : ndarray of bool, shape (n, size), optional -- pixels that are not cut off at white; None: all
         """
-        parts = np.einsum("rkw,rw->kr", self.basis.take(entry, axis=0), pixels).astype(np.float64)
         of_raised, of_steep, per_shift, level, height_gain, slope_gain = self._terms.take(entry, axis=1)
+        if seen is None:
+            parts = np.einsum("rkw,rw->kr", self.basis.take(entry, axis=0), pixels).astype(np.float64)
+            explained = np.einsum("kr,kr->r", parts, parts)
+            squares = np.einsum("rw,rw->r", pixels, pixels)
+        else:
+            basis, inverse = self.seen_basis(entry, seen)
+            along = np.einsum("rkw,rw->kr", basis, pixels).astype(np.float64)
+            parts = np.einsum("rkl,lr->kr", inverse, along)
+            explained = np.einsum("kr,kr->r", along, parts)
+            squares = np.einsum("rw,rw,rw->r", pixels, pixels, seen)
+            height_terms = np.stack([of_raised, of_steep])
+            height_gain = np.einsum("kr,rkl,lr->r", height_terms, inverse[:, 1:, 1:], height_terms)
+            slope_gain = slope_gain * inverse[:, 2, 2]
         height, slope = of_raised * parts[1] + of_steep * parts[2], per_shift * parts[2]
         mean = parts[0] / math.sqrt(self.size)
         return RowFits(
-            height,
-            slope,
-            mean,
-            np.einsum("rw,rw->r", pixels, pixels) - np.einsum("kr,kr->r", parts, parts),
-            height_gain,
-            slope_gain,
-            mean + height * level,
+            height, slope, mean, squares - explained, height_gain, slope_gain, mean + height * level
         )
 
-    def residual(self, entry: IndexArray, pixels: Float32Array) -> Float32Array:
-        """Return what the fit leaves of the pixels, shape (n, size)."""
-        basis = self.basis.take(entry, axis=0)
-        parts = np.einsum("rkw,rw->rk", basis, pixels)
-        return np.asarray(pixels - np.einsum("rk,rkw->rw", parts, basis))
+    def residual(
+        self, entry: IndexArray, pixels: Float32Array, seen: np.ndarray | None = None
+    ) -> Float32Array:
+        """Return what the fit leaves of the pixels, shape (n, size); nothing of those not seen."""
+        if seen is None:
+            basis = self.basis.take(entry, axis=0)
+            parts = np.einsum("rkw,rw->rk", basis, pixels)
+            return np.asarray(pixels - np.einsum("rk,rkw->rw", parts, basis))
+        basis, inverse = self.seen_basis(entry, seen)
+        parts = np.einsum("rkl,rlw,rw->rk", inverse, basis, pixels, optimize=True)
+        return np.asarray(pixels * seen - np.einsum("rk,rkw->rw", parts, basis), dtype=np.float32)
+
+    def freedom_of(self, entry: IndexArray, seen: np.ndarray | None = None) -> FloatArray:
+        """Return the share of each pixel's variance that is left in its residual, shape (n, size)."""
+        if seen is None:
+            return np.asarray(self.freedom.take(entry, axis=0), dtype=np.float64)
+        basis, inverse = self.seen_basis(entry, seen)
+        used = np.einsum("rkw,rkl,rlw->rw", basis, inverse, basis, optimize=True)
+        return np.asarray(np.clip(seen - used, 0.0, 1.0))
+
+    def seen_basis(self, entry: IndexArray, seen: np.ndarray) -> tuple[Float32Array, FloatArray]:
+        """Return the basis with 0 in pixels that are not seen, and the covariances of its parts.
+
+        Returns
+        -------
+        basis : ndarray, shape (n, 3, size)
+        inverse : ndarray, shape (n, 3, 3) -- large where what is seen tells nothing
+        """
+        basis = self.basis.take(entry, axis=0) * seen[:, None, :]
+        among = (basis @ basis.transpose(0, 2, 1)).astype(np.float64)
+        return basis, np.linalg.inv(among + _HARDLY * np.eye(3))

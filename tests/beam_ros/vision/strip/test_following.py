@@ -108,6 +108,34 @@ def test_a_strip_of_another_kind_is_not_believed_by_its_width():
     assert follower.section.widths_px == pytest.approx(12.0)
 
 
+@pytest.mark.parametrize(("width_px", "gain"), [(6.0, 3.0), (20.0, 3.0), (6.0, -3.0)])
+def test_pixels_cut_off_at_white_tell_nothing(width_px, gain):
+    strip = made(100.0, 2.0, width_px, n_frames=30)
+    above = gain * (strip.light - strip.light.min())
+    light = above + (20.0 if gain > 0 else 315.0)
+    frames = np.clip(np.rint(light + np.random.default_rng(15).normal(0, 2, light.shape)), 0, 255)
+    parameters = replace(strip.parameters, is_bright=gain > 0)
+    follower = StripFollower(parameters, light.shape[1:])
+    found = [follower.process(frame) for frame in frames.astype(np.uint8)]
+    error = np.array([frame.u_px for frame in found]) - strip.truth
+    sigma = np.array([frame.sigma_px for frame in found])
+    assert np.isfinite(error).mean() > 0.98
+    assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
+    # What is left of the edges says where they are: a third of the way up they are as steep as half the way.
+    assert np.nanmean(sigma) < 0.01
+    assert follower.section.blur_px == pytest.approx(strip.camera.blur_px, rel=0.05)
+
+
+def test_light_that_begins_to_cut_the_strip_off_is_got_over():
+    strip = made(100.0, 2.0, 6.0, n_frames=30)
+    light = 20.0 + (strip.light - 20.0) * np.where(np.arange(30) < 13, 1.0, 3.0)[:, None, None]
+    frames = np.clip(np.rint(light + np.random.default_rng(16).normal(0, 2, light.shape)), 0, 255)
+    u, sigma, _ = followed(strip, frames.astype(np.uint8))
+    error = u - strip.truth
+    assert np.isfinite(error).mean() > 0.98
+    assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
+
+
 @pytest.mark.parametrize("quality", [80, 40])
 def test_what_a_codec_does_to_the_pixels_is_in_the_standard_deviations(quality):
     strip = made(100.0, 2.0, 6.0, n_frames=120)
