@@ -150,7 +150,8 @@ def follow_strip(
         raise VideoError(
             f"{video.path}: {len(chosen)} of {len(rows)} points of the strip are ever seen ({words}); expected it "
             "where the rig file puts it: check beam.length, beam.thickness, camera.origin_u and origin_v, "
-            "camera.pixels_per_metre and camera.contrast, light the strip's edge, or give more rows a point"
+            "camera.pixels_per_metre and camera.contrast, light the strip's edge, hide lines like it "
+            "(doubtful), or give more rows a point"
         )
     perfect_u, perfect_v = columns, np.broadcast_to(rows, columns.shape)
     if lens is not None:

@@ -179,6 +179,7 @@ class LineFollower:
     searches : int -- how often the strip was searched
     avoided : sequence of ndarray, shape (n_points,) -- columns of lines that are not it; no search leads there [px]
     is_alone : bool -- where it was found first, there was hardly anything else
+    is_disturbed : bool -- something more than noise is beside a line that is avoided, which may hide what it is
     is_second : bool -- something else looked like the strip then, as a whole, but not in its parts
     """
 
@@ -205,7 +206,7 @@ class LineFollower:
         self.section = CrossSection(parameters.width_px, along)
         self.searches = 0
         self.avoided: Sequence[FloatArray] = ()
-        self.is_alone, self.is_second = True, False
+        self.is_alone, self.is_second, self.is_disturbed = True, False, False
         self._tabulate()
         self._heights: FloatArray | None = None
         self._typical = 0.0  # height of a band
@@ -554,6 +555,7 @@ class LineFollower:
     def _acquire(self, flat: ImageArray) -> tuple[FloatArray, StripFrame] | None:
         """Find the strip where no more than its width is known, and that roughly; learn what it looks like."""
         self._white = white_level(flat.reshape(-1, self._width))
+        self.is_disturbed = False
         refused: list[FloatArray] = []
         is_like_another = False
         self.searches += 1
@@ -570,13 +572,17 @@ class LineFollower:
             typical, height_gain = float(np.median(fits.height[inside])), float(np.median(fits.height_gain))
             spread = math.sqrt(left * height_gain / self.parameters.row_step)
             sign = 1.0 if self.parameters.is_bright else -1.0
-            if not np.all(np.isfinite(levels)) or sign * typical < _MIN_SIGNIFICANCE * max(spread, 1e-6):
-                break
+            is_there = sign * typical > _MIN_SIGNIFICANCE * max(spread, 1e-6) and np.all(np.isfinite(levels))
             # What rows have in common is no noise.
             below = np.diff(pixels, axis=0)[np.diff(column) == 0]
             noise = usual_variance(below if seen is None else below[below != 0.0]) / 2.0
-            share = (left - noise) * height_gain * table.size / typical**2
-            if share < _LEFT:
+            if sign * typical > _MIN_SIGNIFICANCE * math.sqrt(noise * height_gain / self.parameters.row_step):
+                at, reach = self._band_basis @ curve, table.half + self.apart_px / 2.0
+                self.is_disturbed |= any(np.median(np.abs(at - line)) < reach for line in self.avoided)
+            if not is_there and seen is None:
+                break
+            share = (left - noise) * height_gain * table.size / max(typical**2, _NOTHING)
+            if is_there and share < _LEFT:
                 self.is_alone, self.is_second = share < _LEFT_ALONE, is_like_another
                 is_like_another = True
                 self._noise = StripNoise(levels, left)

@@ -5,7 +5,8 @@ three times as far as any other, and farther than noise: a camera that shakes mo
 still. They are known from then on, and no search takes them for the strip. As long as a line has not moved, others
 are looked for again, ever more rarely. Where the strip had to be searched, as behind a hand, what was found may be
 another line again; found in another place, it is doubtful alone until it has moved, and so is a line for which a
-likelier one was given up. With more than itself in its place it is doubtful until it has left that.
+likelier one was given up, or beside which there is something. With more than itself in its place it is doubtful until
+it has left that.
 """
 
 from __future__ import annotations
@@ -144,6 +145,8 @@ class StripFollower:
             other = LineFollower(*self._of)
             other.avoided = self._still + [one.line.columns_px for one in self._candidates]
             frame = other.process(image)
+            if other.is_disturbed and not other.is_found:
+                self._candidates[0].is_sure = False
             if not other.is_found or any(other.is_at(columns) for columns in other.avoided):
                 break
             self._candidates.append(_Candidate(other, frame))

@@ -7,7 +7,7 @@ import pytest
 
 from beam_ros.vision.strip.following import REASONS
 from beam_ros.vision.strip.moving_line import StripFollower
-from tests.beam_ros.vision.strip.filmed_strip import Strip
+from tests.beam_ros.vision.strip.filmed_strip import Strip, camera_of, film
 from tests.beam_ros.vision.strip.test_following import followed, made
 
 N_FRAMES = 40
@@ -60,6 +60,19 @@ def test_a_line_that_the_strip_comes_near_is_never_the_strip(swinging, column):
     noise = 2.0 * np.random.default_rng(2).standard_normal(light.shape)
     u, sigma, _ = followed(swinging, np.clip(np.rint(light + noise), 0, 255).astype(np.uint8))
     assert not np.any(is_wrong(u, sigma, swinging.truth))
+
+
+@pytest.mark.parametrize(("columns", "grey"), [(slice(86, 87), 128), (slice(96, 98), 255)])
+def test_a_bright_line_close_to_a_dim_strip_is_not_taken_for_it(columns, grey):
+    parameters, camera = made(80.0, 2.0, 0.75, n_frames=1).parameters, camera_of(80.0, 2.0, 0.75)
+    rows = StripFollower(parameters, (camera.height, camera.width)).rows_px
+    strip = film(12, rows, parameters, camera, swing_m=0.0005, hub_m=0.0003)
+    frames = strip.frames(np.random.default_rng(5))
+    frames[:, :, columns] = grey
+    u, sigma, _ = followed(strip, frames)
+    assert not np.any(is_wrong(u, sigma, strip.truth))
+    # The first is in the way of the strip's own pixels; the second is white, and no grey levels.
+    assert np.isfinite(u).mean() > 0.9 or grey < 255
 
 
 def test_before_anything_moves_two_lines_are_in_doubt_and_one_is_not(swinging):
