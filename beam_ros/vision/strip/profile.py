@@ -31,7 +31,7 @@ _MARGIN_SIGMAS = 4.0
 _BACKGROUND_PX = 1.5
 """Columns on either side that show nothing but the ground [px]."""
 _SHARPEST_PX = 0.05
-_DIFFERENCE = 0.01
+_ROOT = math.sqrt(2.0 * math.pi)
 _HARDLY = 1e-5
 """A part of the basis of which no more than this share is seen is not told; single precision rounds to 1e-7."""
 
@@ -72,7 +72,7 @@ def _integrals(
     for bar in (1.0, -1.0):
         for pixel in (1.0, -1.0):
             end = (x + 0.5 * (bar * width_px + pixel)) / sigma
-            once, density = ndtr(end), np.exp(-0.5 * end * end) / math.sqrt(2.0 * math.pi)
+            once, density = ndtr(end), np.exp(-0.5 * end * end) / _ROOT
             twice = end * once + density
             sums += bar * pixel * np.stack([once, sigma * twice, sigma**2 / 2 * (end * twice + once)])
     return sums[0], sums[1], sums[2]
@@ -175,18 +175,23 @@ class ProfileTable:
         return np.stack(shape, axis=1).reshape(entries), np.stack(slope, axis=1).reshape(entries), spread
 
     def changes(self) -> Float32Array:
-        """How T changes with the logarithm of the blur, and with the width [1/px], beyond what the basis explains.
+        """How T of a strip at rest changes with its blur's logarithm and its width [1/px], beyond the basis.
 
         Returns
         -------
         ndarray, shape (n_entries, 2, size)
         """
-        up, down = math.exp(_DIFFERENCE), math.exp(-_DIFFERENCE)
-        of_blur = [self._tabulated(self._widths_px, self._blur_px * factor)[0] for factor in (up, down)]
-        of_width = [
-            self._tabulated(self._widths_px + sign * _DIFFERENCE, self._blur_px)[0] for sign in (1, -1)
-        ]
-        changes = np.stack([more - less for more, less in (of_blur, of_width)], axis=1) / (2.0 * _DIFFERENCE)
+        phases = (np.arange(PHASES)[::-1, None] + 0.5) / PHASES - 0.5
+        x, widths = np.arange(-self.half, self.half + 1) + phases, self._widths_px[:, None, None]
+        sigma = max(self._blur_px, _SHARPEST_PX)
+        of_blur = of_width = np.zeros(())
+        for bar in (1.0, -1.0):
+            for pixel in (1.0, -1.0):
+                end = (x + 0.5 * (bar * widths + pixel)) / sigma
+                # The second integral of a Gaussian changes with its deviation as the Gaussian itself.
+                of_blur = of_blur + bar * pixel * sigma / _ROOT * np.exp(-0.5 * end * end)
+                of_width = of_width + 0.5 * pixel * ndtr(end)
+        changes = np.stack([of_blur, of_width], axis=2).reshape(-1, 2, self.size)
         basis = self.basis.astype(np.float64)
         changes -= (changes @ basis.transpose(0, 2, 1)) @ basis
         return np.asarray(changes.astype(np.float32))
