@@ -35,6 +35,7 @@ from beam_ros.offline.tracked_film import TrackedVideo, track_video
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.camera.video import VideoFile, read_frame_times
+from beam_ros.vision.errors import SynchronisationError
 from beam_ros.vision.measurement.frame_losses import FilmTimes, time_film
 
 Progress = Callable[[str, float], None]
@@ -164,7 +165,10 @@ def track_into_bag(
         is_whole=is_whole,
         row_step=row_step,
     )
-    found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
+    try:
+        found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
+    except SynchronisationError as err:
+        raise SynchronisationError("; ".join([str(err), *tracked.notes])) from err
     tracked = _by_the_hubs_clock(tracked, found, int(hub.stamps_ns[0]))
     summary = _summary(video, tracked, found)
     progress("writing the bag", 1.0)

@@ -365,8 +365,9 @@ class _Search:
                 raise SynchronisationError(
                     f"about {times[used][first] - times[0]:.2f} s into the film its frames come "
                     f"{shift * 1e3:+.2f} ms off the hub's clock; expected {limit * 1e3:g} ms at most: its frame "
-                    "times are not right and cannot be mended, or its codec shows slow motion late (H.264, H.265); "
-                    "give the camera's own times with --times, film at a constant rate, or with less compression"
+                    "times are not right and cannot be mended, or its codec (H.264, H.265) or the camera's noise "
+                    "reduction shows slow motion late; give the camera's own times with --times, film at a constant "
+                    "rate, or with less compression and no noise reduction"
                 )
         # r = -v delta + noise: what the squares gain with the speed is the jitter's variance.
         # A marker at rest shows one and the same error of its place among the pixels, one that moves shows all of

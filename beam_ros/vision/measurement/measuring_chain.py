@@ -167,6 +167,18 @@ class MeasuringChain:
         )
 
     @property
+    def reduction_doubt(self) -> str:
+        """What is to be said of a camera that averages its frames with those before, or ""."""
+        lag = self.tracker.lag_frames
+        if lag == 0.0:
+            return ""
+        return (
+            "the images' noise comes again from frame to frame, as of a camera that averages them: expected noise of "
+            f"its own in each. What moves may be shown up to {lag:.2g} frames late, which is stated as its standard "
+            "deviation; switch the camera's temporal noise reduction (3DNR) off, and give it more light"
+        )
+
+    @property
     def mosaic_doubt(self) -> str:
         """What is to be said of a raw mosaic of colours, or ""."""
         if not self.tracker.shows_mosaic:
@@ -190,6 +202,7 @@ class MeasuringChain:
             self.calibration_doubt,
             self.exposure_doubt,
             self.fields_doubt,
+            self.reduction_doubt,
             self.mosaic_doubt,
             self.rings_doubt,
         )

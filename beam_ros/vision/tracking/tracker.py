@@ -22,6 +22,7 @@ from beam_ros.arrays import ImageArray
 from beam_ros.vision.defects import LOOKS, DefectivePixels
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.fields import InterlacedFields
+from beam_ros.vision.noise_reduction import STILL_PX, NoiseReduction
 from beam_ros.vision.parameters import TrackerParameters
 from beam_ros.vision.repeats import RepeatedImages
 from beam_ros.vision.timing import FrameTiming
@@ -171,6 +172,7 @@ class MarkerTracker:
         self._defects = DefectivePixels()
         self._repeats = RepeatedImages()
         self._fields = InterlacedFields()
+        self._reduction = NoiseReduction()
         self._shape = None
         self._frame, self._look_until = 0, LOOKS
 
@@ -206,6 +208,11 @@ class MarkerTracker:
     def fields_apart(self) -> float:
         """Time between the instants that even and odd rows show [frames]; 0 where nothing shows that they are two."""
         return self._fields.apart
+
+    @property
+    def lag_frames(self) -> float:
+        """How far a temporal noise reduction shows what moves behind its time [frames]; 0 where nothing shows one."""
+        return self._reduction.lag_frames
 
     @property
     def shows_mosaic(self) -> bool:
@@ -290,6 +297,10 @@ class MarkerTracker:
         ]
         if self._frame >= self._fields.next_frame:
             self._look_at_fields(image, found[self._frame // 2 % self.n_markers])
+        if self._frame >= self._reduction.next_frame and any(
+            sight.marker.steps > 0 and abs(sight.marker.velocity) <= STILL_PX for sight in sights
+        ):
+            self._reduction.look(self._frame, image, [sight.spot.region for sight in sights])
         self._recovery.before = image
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
@@ -456,6 +467,12 @@ class MarkerTracker:
             disc = appearance.radius, appearance.edge
             filled_px = self._defects.pull(spot.u, v, disc, light.contrast, light.noise)
             uneven_px = math.hypot(uneven_px, filled_px)
+        if self._reduction.share > 0.0:
+            step, tail = (
+                max(abs(marker.velocity), marker.hold_error),
+                max(found.excess - appearance.excess, 0.0),
+            )
+            uneven_px = math.hypot(uneven_px, self._reduction.lag_px(step, tail + found.sigma_excess))
         sigma = marker.sigma = math.hypot(
             max(found.sigma_u, pull_px), uneven_px, self.parameters.sigma_floor_px
         )

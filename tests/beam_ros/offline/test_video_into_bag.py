@@ -172,6 +172,22 @@ def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
     assert "-vf bwdif" in note
 
 
+def test_a_film_behind_a_noise_reduction_is_named_also_where_it_is_refused(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = Rig.from_file(RIG_FILE)
+    camera, rng = replace(rig.camera_parameters(), noise_grey=3.0), np.random.default_rng(4)
+    renderer = SceneRenderer(camera, rig.markers.heights)
+    frames, shown = [], np.array(0.0)
+    for k in range(80):
+        shown = 0.5 * renderer.render(1e-3 * np.sin(0.05 * k) * np.ones(3), rng) + 0.5 * shown
+        frames.append(np.rint(shown).astype(np.uint8))
+    film = write_video(tmp_path / "reduced.mkv", frames[10:])
+    assert any("(3DNR) off" in note for note in track_video(VideoFile(film), rig).notes)
+    assert main(["track", str(film), "--into", str(bag), "--rig-file", str(RIG_FILE)]) == 2
+    assert "(3DNR) off" in capsys.readouterr().err
+
+
 @tells_key_frames
 def test_a_codec_that_keeps_what_changes_is_named_and_one_of_whole_pictures_not(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)

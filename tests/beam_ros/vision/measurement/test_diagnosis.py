@@ -133,6 +133,21 @@ def test_markers_that_are_rings_are_said_with_the_remedy(rim_px: int) -> None:
     assert ("(ring): expected full discs of one brightness: fill or cover" in said) == (rim_px > 0)
 
 
+def test_a_temporal_noise_reduction_is_said_with_the_remedy() -> None:
+    day, rng = _Day(), np.random.default_rng(2)
+    renderer = SceneRenderer(CAMERA, HEIGHTS)
+    shown = renderer.render([0.0, 0.0, 0.0], rng).astype(np.float64)
+    for k in range(1, 40):
+        shown = 0.6 * renderer.render([0.0, 0.0, 0.0], rng) + 0.4 * shown
+        day.film([k], frame=np.rint(shown).astype(np.uint8))
+    report = day.diagnosis.report(0.4)
+    assert report.level == "WARN"
+    late = re.search(r"up to (.*) frames late", report.sentence)
+    assert late is not None
+    assert 0.4 < float(late.group(1)) < 1.0
+    assert "switch the camera's temporal noise reduction (3DNR) off" in report.sentence
+
+
 def test_a_raw_mosaic_that_is_called_grey_is_said_with_the_remedy() -> None:
     day, rng = _Day(), np.random.default_rng(2)
     renderer = SceneRenderer(CAMERA, HEIGHTS)
