@@ -53,6 +53,10 @@ _EXPOSURES = 32, 256
 """... of so many smears at least, and the last so many at most, ..."""
 _AGREEING = 1.25
 """... whose quartiles agree up to this ratio."""
+_TOO_SHORT = 2
+"""For each of these, no more than so many other smears may be too short for such an exposure."""
+TELLING_PX = 1.0
+"""A step that is shorter leaves no exposure out [px]."""
 _LONGER = 1.1
 """An exposure that is so many times the stated one is another one."""
 _EXCLUDED = 3.0
@@ -174,6 +178,13 @@ class Pull(NamedTuple):
     behind_px: float = 0.0
 
 
+class _Exposure(NamedTuple):
+    """An exposure that a smear shows, or that is the longest one of which it can be [s]."""
+
+    seconds: float
+    is_most: bool
+
+
 NO_PULL = Pull(AT_REST, 0.0, False)
 
 
@@ -209,20 +220,24 @@ class SecondImages:
         self._exposed_s = exposed_s
         self._row_delay_s = row_delay_s
         self._odds = _MIN_ODDS
-        self._smears_s: deque[float] = deque(maxlen=_EXPOSURES[1])
+        self._exposures: deque[_Exposure] = deque(maxlen=_EXPOSURES[1])
         self._unreflected_frames = _MEMORY_FRAMES
 
     @property
     def exposure_s(self) -> float:
         """Exposure that smears show which are too long for the stated one [s]; that one where they do not agree.
 
-        A second image of any kind is longer than a smear by amounts that no one exposure explains.
+        A second image of any kind is longer than a smear by amounts that no one exposure explains. The speed is at
+        times another one than the places tell: that makes about as many smears too short as too long, and of a wrong
+        exposure nearly all are too short.
         """
-        if len(self._smears_s) < _EXPOSURES[0]:
+        shown = [exposure.seconds for exposure in self._exposures if not exposure.is_most]
+        if len(shown) < _EXPOSURES[0]:
             return self._exposed_s
-        lower, middle, upper = quantiles(self._smears_s)
+        lower, middle, upper = quantiles(shown)
+        n_against = sum(exposure.is_most and exposure.seconds < middle for exposure in self._exposures)
         is_another = upper <= _AGREEING * lower and middle > _LONGER * self._exposed_s
-        return middle if is_another else self._exposed_s
+        return middle if is_another and n_against <= _TOO_SHORT * len(shown) else self._exposed_s
 
     @property
     def is_usual(self) -> bool:
@@ -232,6 +247,12 @@ class SecondImages:
     @property
     def _is_reflected(self) -> bool:
         return self._unreflected_frames < _MEMORY_FRAMES
+
+    def note_explained(self, sigma_excess: float, step: float, since_s: float) -> None:
+        """Take note of the longest exposure that a marker whose step [px] explains its smear leaves possible."""
+        squared, doubt = (self._exposed_s * step / since_s) ** 2, 12 * _PLAIN * sigma_excess
+        if squared > doubt:
+            self._exposures.append(_Exposure(self._exposed_s * math.sqrt(1.0 + doubt / squared), True))
 
     def pulls(self, sightings: Sequence[Sighting], since_s: float, *, is_seen: bool) -> list[Pull]:
         """Judge a frame.
@@ -264,7 +285,9 @@ class SecondImages:
             if px > 0.0 and doubt < _STEADY * speed:
                 smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
                 if smear_s <= since_s:
-                    self._smears_s.append(smear_s)
+                    self._exposures.append(_Exposure(smear_s, False))
+            elif px == 0.0:
+                self.note_explained(found.sigma_excess, speed, since_s)
         if is_seen or self._is_reflected:
             for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
                 disc = Disc(flatness, 0.0, appearance.variance_v)

@@ -41,7 +41,14 @@ from beam_ros.vision.tracking.rivals import (
     continued,
     recent,
 )
-from beam_ros.vision.tracking.second_image import NO_PULL, Pull, SecondImages, Sighting, is_explained
+from beam_ros.vision.tracking.second_image import (
+    NO_PULL,
+    TELLING_PX,
+    Pull,
+    SecondImages,
+    Sighting,
+    is_explained,
+)
 from beam_ros.vision.tracking.spot_search import RowSpots
 from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter, upright_spot
 
@@ -424,7 +431,11 @@ class MarkerTracker:
         if marker.is_pulled or not appearance.is_settled:
             return False
         step = sight.spot.u - marker.u if marker.lost_frames == 0 else 0.0
-        return is_explained(sight.found, appearance, step, self._exposed_s / self._since_s)
+        if not is_explained(sight.found, appearance, step, self._exposed_s / self._since_s):
+            return False
+        if abs(step) > TELLING_PX:
+            self._seconds.note_explained(sight.found.sigma_excess, step, self._since_s)
+        return True
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""

@@ -236,3 +236,19 @@ def test_a_marker_that_shows_a_second_image_far_aside_is_not_believed():
 
 def test_a_disc_of_known_aspect_is_compared_with_that():
     assert pull(disc(0.3), AT_REST, Disc(0.3, 0.0, 9.0)) == 0.0
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.2, 1.5])
+def test_smears_show_another_exposure_only_where_few_are_too_short_for_it(longer):
+    # Where a motion turns, one speed in five is a quarter more than the places tell.
+    exposed_s, since_s, rng = 0.004, 0.01, np.random.default_rng(6)
+    seconds, look = SecondImages(exposed_s, 0.0), settled()
+    for _ in range(2000):
+        speed = rng.uniform(8.0, 20.0)
+        smear = longer * exposed_s / since_s * speed * (1.25 if rng.random() < 0.2 else 1.0)
+        found = disc(smear**2 / 12 + SIGMA * rng.standard_normal())
+        if is_explained(found, look, speed, exposed_s / since_s):
+            seconds.note_explained(SIGMA, speed, since_s)
+        else:
+            seconds.pulls([Sighting(found, look, 0.0, speed, speed, 0.0, False)], since_s, is_seen=False)
+    assert seconds.exposure_s == (exposed_s if longer == 1.0 else pytest.approx(longer * exposed_s, rel=0.2))
