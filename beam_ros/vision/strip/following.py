@@ -607,6 +607,8 @@ class LineFollower:
             self._tabulate()
             reach = max(self._width - 1 - int(rest[0]), int(rest[0]))
             led = curve = self._searched(flat, rest, reach, refused)
+            if not self._shows_anything(flat, self._settled(flat, curve)):
+                break
             for _ in range(_MAX_SECTIONS):
                 curve = self._settled(flat, curve)
                 self.section.forget()
@@ -617,6 +619,16 @@ class LineFollower:
         for _ in range(3):
             curve = self._settled(flat, curve)
         return led, curve
+
+    def _shows_anything(self, flat: ImageArray, curve: FloatArray) -> bool:
+        """False where a better cross-section, of twice the height, would not let it stand out of its noise either."""
+        table, _, entry, pixels, inside, seen, fits = self._row_fit(flat, curve)
+        if seen is not None or not np.any(inside):
+            return True
+        noise = usual_variance(table.residual(entry, pixels, seen)[inside])
+        spread = math.sqrt(noise * float(np.median(fits.height_gain)) / self.parameters.row_step)
+        typical = float(np.median(fits.height[inside])) * (1.0 if self.parameters.is_bright else -1.0)
+        return 2.0 * typical > _MIN_SIGNIFICANCE * spread
 
     def _row_fit(
         self, flat: ImageArray, curve: FloatArray
