@@ -126,10 +126,11 @@ class StripParameters:
             raise VisionParameterError(
                 f"StripParameters.width_px is {self.width_px!r}; expected a width > 0: correct beam.thickness"
             )
-        if self.last_row - self.first_row < 12 * self.row_step:
+        if self.last_row - self.first_row < _MIN_POINTS * self.row_step:
             raise VisionParameterError(
-                f"the strip spans rows {self.first_row:.0f} to {self.last_row:.0f}; expected at least 12 points of "
-                f"{self.row_step} rows: correct beam.length and camera.pixels_per_metre, or give fewer rows a point"
+                f"the strip spans rows {self.first_row:.0f} to {self.last_row:.0f}; expected at least {_MIN_POINTS} "
+                f"points of {self.row_step} rows: correct beam.length and camera.pixels_per_metre, or give fewer "
+                "rows a point"
             )
 
 

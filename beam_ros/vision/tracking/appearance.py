@@ -155,7 +155,7 @@ class Smeared(NamedTuple):
         return Smeared(*(own / other for own, other in zip(self, rest, strict=True)))
 
 
-AT_REST = Smeared(1.0, 1.0, 1.0, 1.0)
+UNSMEARED = Smeared(1.0, 1.0, 1.0, 1.0)
 
 
 def _drawn(radius: float, edge: float, room: float) -> FloatArray:
@@ -271,7 +271,7 @@ class SmearedLooks:
         size = _solved(look, (self._area, self._variance), (_LOOK_DOUBT, _LOOK_DOUBT), usual, spread)
         disc = _drawn(size[0], size[1], self._longest_px / 2 + 1.0)
         integral, (own, own_u) = _integral(disc), _seen(disc, level, noise)
-        excesses, looks = [0.0], [AT_REST]
+        excesses, looks = [0.0], [UNSMEARED]
         count = min(math.ceil(self._longest_px), _MAX_LENGTHS)
         for length in np.linspace(0.0, self._longest_px, count + 1)[1:].tolist():
             seen, along = _seen(_smeared(integral, length), level, noise)
@@ -287,7 +287,7 @@ class SmearedLooks:
         excesses, looks = self._table
         after = bisect_left(excesses, excess)
         if after == 0:
-            return AT_REST
+            return UNSMEARED
         if after == len(excesses):
             return looks[-1]
         share = (excess - excesses[after - 1]) / (excesses[after] - excesses[after - 1])
@@ -336,7 +336,7 @@ def smear_of(
     size = _solved(look, (area, variance_v, variance_u), doubt, usual, spread)
     seen, _ = drawn(size)
     rest, _ = _seen(_drawn(size[0], size[1], 0.0), level * seen.plateau, noise * seen.plateau)
-    return seen.over(rest) if math.isfinite(seen.area) else AT_REST
+    return seen.over(rest) if math.isfinite(seen.area) else UNSMEARED
 
 
 def smeared_looks(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ros.vision.tracking import spots
-from beam_ros.vision.tracking.appearance import AT_REST, Appearance, Light
+from beam_ros.vision.tracking.appearance import UNSMEARED, Appearance, Light
 from beam_ros.vision.tracking.spots import SpotMeter
 from tests.beam_ros.vision.packaged_rig import packaged_tracker
 
@@ -135,7 +135,7 @@ def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_the
 def test_a_camera_that_shows_noise_alone_costs_no_search_for_smears(monkeypatch):
     # A thousand spots a frame, a millisecond and a half each: half a second for every frame of a covered lens.
     searches = []
-    monkeypatch.setattr(spots, "smear_of", lambda *look: searches.append(look) or AT_REST)
+    monkeypatch.setattr(spots, "smear_of", lambda *look: searches.append(look) or UNSMEARED)
     image = np.random.default_rng(1).integers(0, 256, (480, 640)).astype(np.uint8)
     meter = SpotMeter(packaged_tracker())
     background, extreme = meter.levels(image)
