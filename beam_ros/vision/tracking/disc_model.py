@@ -15,7 +15,8 @@ px at a sixteenth of a pixel; where the start was further away, the step is made
 More things pull the centre and are known in part only: a slope of the background and one of the light on the disc,
 and the bend of the motion within the exposure. Each has a row of weights of its own, and an expectation learned from
 the frames before (``Habit``): a slope that is always there is taken off without cost, and a bend that never shows is
-not fitted, as it would cost up to a quarter more noise.
+not fitted, as it would cost up to a quarter more noise. What the bend usually is has two answers, one for frames
+between which the disc's speed hardly changes, and one for the rest.
 
 The standard deviation is what the frames show: alpha and beta come from the residuals of the fit, and modes of the
 rim in which a disc that moves has no part (two, three and four waves around it) show what compression, texture or
@@ -118,6 +119,18 @@ _PRIOR_FRAMES = 4
 """Frames' weight of what is expected of a marker that has just been found."""
 
 
+class Gain(NamedTuple):
+    """How a sum changes with a move of the disc [1/px] where radius, blur or smear are other than tabulated."""
+
+    of_radius: float
+    of_edge: float
+    of_smear: float
+
+    def at(self, thicker: float, softer: float, longer: float) -> float:
+        """Change with a move where the three are so much larger [px]."""
+        return self.of_radius * thicker + self.of_edge * softer + self.of_smear * longer
+
+
 class DiscTable(NamedTuple):
     """Tabulated weights about one point.
 
@@ -130,15 +143,16 @@ class DiscTable(NamedTuple):
     columns : ndarray of float32, shape (11 or 12, height * width) -- the model's, the slopes along u and v, and the
         shear where there is one
     inverse : ndarray, shape (11, 11) or (12, 12) -- of X' W X of all these
-    gain : tuple of 3 float -- how A du changes with what radius, blur and smear are other than tabulated, over itself
-        [1/px]
+    gains : tuple of 4 Gain -- of A du, the slopes and A times the bend, over A du
     pull : tuple of 3 float -- change of A du with the slopes, and of du with the bend
     sheared : tuple of 5 float -- change of the modes with the shear [px]; empty where there is none
     bent : tuple of 2 float -- change of A times the bend with the slopes
+    sloped : tuple of 2 float -- change of the slopes with A times the bend
     variances : list of 14 (float, float) -- of the sums for alpha = 1 and for beta = 1
     noise : ndarray, shape (2, 2) -- from sums of squared residuals, plain and times T, to alpha and beta
     beyond : ndarray of float32, shape (height * width,) -- 0 beyond the rim, infinity within
-    behind : ndarray of float32, shape (height, width) -- A du, the slopes taken off, by what the disc does not hide
+    behind : ndarray of float32, shape (height, width) -- A du by what the disc does not hide, of a disc at rest
+        with the slopes taken off
     """
 
     left: int
@@ -148,10 +162,11 @@ class DiscTable(NamedTuple):
     weights: Float32Array
     columns: Float32Array
     inverse: FloatArray
-    gain: tuple[float, float, float]
+    gains: tuple[Gain, Gain, Gain, Gain]
     pull: tuple[float, float, float]
     sheared: tuple[float, ...]
     bent: tuple[float, float]
+    sloped: tuple[float, float]
     variances: list[tuple[float, float]]
     noise: FloatArray
     beyond: Float32Array
@@ -197,8 +212,8 @@ def _tabulated(
     own[2], own[3] = disc, 1.0
     weight = 1.0 / (1.0 + _LIGHT_STEPS[light] * disc)
     solution = np.linalg.inv((own * weight) @ own.T) @ (own * weight)
-    changes = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
-    gain = [float(solution[0] @ seen(change)) for change in changes]
+    moved = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
+    changes = [seen(change) for change in moved]
     angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
     modes = [seen(slope * wave(n * angle)) for n, wave in _MODES_OF_RIM]
     bend = (instants**2 - 1 / 12) * along
@@ -224,6 +239,10 @@ def _tabulated(
     rows = [outside_weights, *inside_weights, bend_weights, *beside(np.stack(modes), taken)[0]]
     rows += [solution[6], *beside(seen(turn)[None, :], taken)[0]]
     weights = np.vstack([solution[:4], rows])
+
+    def gain(row: FloatArray) -> Gain:
+        return Gain(*(float(row @ change) for change in changes))
+
     columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
     sheared: list[float] = []
     if is_sheared:  # every row is moved along u by its distance from the centre
@@ -231,6 +250,8 @@ def _tabulated(
         columns = np.vstack([columns, shear])
         sheared = (weights[_MODES] @ shear).tolist()
     inverse = np.linalg.inv((columns * weight) @ columns.T)
+    # What rests behind a disc at rest has slopes that are known; what a smear passes has new ones in every frame.
+    behind = weights[0] if smear_steps else weights[0] - [outside_pull, inside_pull] @ weights[4:6]
     squared = weights * weights
     share = 1.0 - np.sum(columns * (inverse @ (columns * weight)), axis=0)
     sums = [float(np.sum(share * disc**power)) for power in range(3)]
@@ -242,16 +263,15 @@ def _tabulated(
         weights.astype(np.float32),
         columns.astype(np.float32),
         inverse,
-        (gain[0], gain[1], gain[2]),
+        (gain(weights[0]), gain(weights[4]), gain(weights[5]), gain(weights[_BEND])),
         (outside_pull, inside_pull, bend_pull),
         tuple(sheared),
         (float(bend_weights @ outside), float(bend_weights @ inside)),
+        (float(weights[4] @ bent), float(weights[5] @ bent)),
         list(zip(squared.sum(axis=1).tolist(), (squared @ disc).tolist(), strict=True)),
         np.linalg.inv(np.array([[sums[0], sums[1]], [sums[1], sums[2]]])),
         np.where(disc > _OUTSIDE, math.inf, 0.0).astype(np.float32),
-        ((1.0 - disc) * (weights[0] - [outside_pull, inside_pull] @ weights[4:6]))
-        .reshape(y.size, x.size)
-        .astype(np.float32),
+        ((1.0 - disc) * behind).reshape(y.size, x.size).astype(np.float32),
     )
 
 
@@ -384,7 +404,7 @@ class DiscModel:
         self._noise_frames = 0
         self._radius = self._edge = 0.0
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
-        self._bend = Habit(_BENT, 0.0)
+        self._even_bend, self._bend = Habit(_BENT, 0.0), Habit(_BENT, 0.0)
         self._modes = [0.0] * len(_MODES_OF_RIM)
         self._last = math.nan
         self._roughness = 1.0, 1.0
@@ -403,6 +423,7 @@ class DiscModel:
         least: float,
         ground: tuple[float, float],
         shear: float | None = None,
+        bend: float = math.inf,
     ) -> DiscFit | None:
         """Find the disc near a point.
 
@@ -417,6 +438,8 @@ class DiscModel:
             explains and away from the disc's side of them or beyond its rim, counts as the nearer one [grey levels]
         shear : float or None -- by how much its speed and a rolling shutter move every row, at most [px/px]; None
             where no shutter rolls
+        bend : float -- how far its motion within the exposure bends, by its last places: b of b (t^2 - 1/12), from
+            t = -1/2 to 1/2 [px]; infinity where they do not tell
 
         Returns
         -------
@@ -446,16 +469,14 @@ class DiscModel:
             contrast = sums[2]
             if contrast < least if least > 0.0 else contrast > least:
                 return None
-            gain = table.gain
-            gains = 1.0 + gain[0] * (self._radius - disc[0] * RADIUS_STEP_PX)
-            gains += gain[1] * (self._edge - disc[1] * EDGE_STEP_PX)
+            thicker, softer = self._radius - disc[0] * RADIUS_STEP_PX, self._edge - disc[1] * EDGE_STEP_PX
             longer = (
                 sums[_LENGTH] / contrast
                 if smear_steps
                 else self._unseen_smear(table, sums[_LENGTH], contrast)
             )
-            gains += gain[2] * longer
-            step_u, step_v = sums[0] / (contrast * gains), sums[1] / contrast
+            gain = 1.0 + table.gains[0].at(thicker, softer, longer)
+            step_u, step_v = sums[0] / (contrast * gain), sums[1] / contrast
             u, v = at_u / _PHASES + step_u, at_v / _PHASES + step_v
             if abs(u - start_u) > _LOST_PX or abs(v - start_v) > _LOST_PX:
                 return None
@@ -465,6 +486,7 @@ class DiscModel:
             # Each end of a smear moves by half of what its length changes.
             longer = min(max(longer, -2.0 * _LOST_PX), 2.0 * _LOST_PX)
             smear = max(smear_steps * _SMEAR_STEP_PX + longer, 0.0)
+        other = thicker, softer, longer
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
             grey = clipped(image, left, top, right, bottom, table.beyond, *bounds)
@@ -478,20 +500,29 @@ class DiscModel:
         # shows, and the remainder pulls as it lies there.
         fresh = min(self.rim, 1.0)
         behind = fresh * (noise[0] - self._behind * alpha) + self._beside
-        variance = max(self.rim * noise[0], behind) / (gains * gains)
+        variance = max(self.rim * noise[0], behind) / (gain * gain)
         # A texture adds to the second moments as to the place; waves of the rim may be a second image's own.
         rough = max(fresh, behind / noise[0])
-        bend = sums[_BEND] / contrast
-        for k, habit, tug, bent in zip(_SLOPES, self._slopes, table.pull, table.bent, strict=False):
-            # Of a smear the slopes tell less: how it bends may look like them.
-            slope, slope_variance = habit.expect(sums[k] / contrast, noise[k], may_change=not smear_steps)
+        length, is_even = smear_steps * _SMEAR_STEP_PX, bend * bend <= noise[_BEND]
+        told = 0.0 if is_even or math.isinf(bend) else bend
+        # Of the step, what the slopes usually pull is none of the disc.
+        moved = step_u - sum(tug * habit.mean for tug, habit in zip(table.pull, self._slopes, strict=False))
+        shown = sums[_BEND] / contrast - moved * table.gains[3].at(*other)
+        for i, habit in enumerate(self._slopes):
+            # Of a smear the slopes tell less: how it bends may look like them, and is foretold to a part only.
+            k, tug = _SLOPES[i], table.pull[i]
+            slope, slope_variance = habit.expect(
+                sums[k] / contrast - moved * table.gains[1 + i].at(*other) - table.sloped[i] * told,
+                noise[k] + (table.sloped[i] * told) ** 2,
+                may_change=not smear_steps,
+            )
             u -= tug * slope
-            bend -= bent * slope
+            shown -= table.bent[i] * slope
             variance += tug * tug * slope_variance
         if table.pull[2]:
-            length = smear_steps * _SMEAR_STEP_PX
-            bend, bend_variance = self._bend.expect(bend / length, noise[_BEND] / (length * length))
-            u -= table.pull[2] * bend * length
+            habit = self._even_bend if is_even else self._bend
+            bent, bend_variance = habit.expect(shown / length, noise[_BEND] / (length * length))
+            u -= table.pull[2] * bent * length
             variance += (table.pull[2] * length) ** 2 * bend_variance
         modes = [mode / contrast for mode in sums[_MODES]]
         sheared = [] if shear is None else [(shear * change) ** 2 for change in table.sheared]
@@ -505,7 +536,6 @@ class DiscModel:
         sigma_excess = math.sqrt(rough * (alpha * unit + beta * lit))
         if smear_steps:
             # A motion of length s has the second moment s^2 / 12.
-            length = smear_steps * _SMEAR_STEP_PX
             excess, sigma_excess = (length + longer) ** 2 / 12, length / 6 * sigma_excess
         unit, lit = table.variances[_TILT]
         sigma_tilt = math.sqrt(rough * (alpha * unit + beta * lit))

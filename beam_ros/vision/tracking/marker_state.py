@@ -232,6 +232,15 @@ class MarkerState:
             speed = math.copysign(most - doubt, speed)
         return speed, doubt
 
+    def turn(self, u: float) -> float:
+        """How its speed changes per frame, the most of late, in a frame that shows it in a column [px per frame^2].
+
+        Infinity where it made too few steps since it was found.
+        """
+        if self.steps < 2:
+            return math.inf
+        return max(u - self.u - self.velocity, self.acceleration, key=abs)
+
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:
         """Carry a valid measurement in a frame into the state; a fresh one is the first after a loss."""
         if is_fresh:

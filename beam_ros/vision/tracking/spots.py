@@ -416,6 +416,7 @@ class SpotMeter:
         light: Light,
         appearance: Appearance,
         shear: float | None = None,
+        bend: float = math.inf,
     ) -> DiscFit | Reason:
         """Centre and standard deviation by the refinement that the parameters ask for.
 
@@ -423,7 +424,7 @@ class SpotMeter:
         ----------
         image : ndarray, shape (height, width), uint8 or uint16
         spot, light, appearance : Spot, Light, Appearance -- what is seen, and what is known of the marker
-        shear : float or None -- of a rolling shutter, as in ``DiscModel.fit`` [px/px]
+        shear, bend : float or None, float -- as in ``DiscModel.fit`` [px/px, px]
 
         Returns
         -------
@@ -447,6 +448,7 @@ class SpotMeter:
             least=least,
             ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
             shear=shear,
+            bend=bend,
         )
         if found is None:
             return self.centre(image, spot, light, appearance)

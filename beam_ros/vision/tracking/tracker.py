@@ -411,7 +411,8 @@ class MarkerTracker:
                 others = [other for other, _ in row.alike]
                 marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
         shear = None if self._row_delay_s == 0.0 else self._shear(marker, spot.u, is_fresh=is_fresh)
-        found = meter.refine(image, spot, light, appearance, shear)
+        bend = math.inf if is_fresh else marker.turn(spot.u) * (self._exposed_s / self._since_s) ** 2 / 2
+        found = meter.refine(image, spot, light, appearance, shear, bend)
         if not isinstance(found, DiscFit):
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
