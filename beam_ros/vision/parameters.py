@@ -137,13 +137,12 @@ class CameraParameters:
         _require_number(self, "blur_px", 0.0, 20.0)
         _require_number(self, "noise_grey", 0.0, 128.0)
         _require_number(self, "latency_s", -1.0, 10.0)
-        for name in ("exposure_s", "readout_s"):
-            _require(
-                getattr(self, name) <= self.period_s * (1 + 1e-9),
-                f"CameraParameters.{name}",
-                getattr(self, name),
-                f"at most the frame period of {self.period_s:g} s (rate_hz {self.rate_hz:g})",
-            )
+        for key, seconds in (("camera.exposure", self.exposure_s), ("camera.readout", self.readout_s)):
+            if seconds > self.period_s * (1 + 1e-9):
+                raise VisionParameterError(
+                    f"{key} is {seconds:g} s; expected at most the frame period of {self.period_s:g} s "
+                    f"(camera.rate {self.rate_hz:g} Hz): correct it, or the rate, in the rig file"
+                )
         origin = self.origin_px
         _require(
             isinstance(origin, Sequence) and len(origin) == 2 and all(_is_finite(c) for c in origin),

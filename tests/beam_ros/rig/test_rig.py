@@ -99,6 +99,16 @@ def test_a_ground_on_which_dark_markers_can_be_drawn_is_taken_as_it_is() -> None
     assert (camera.background, camera.contrast) == (200.0, -180.0)
 
 
+@pytest.mark.parametrize(("key", "seconds"), [("camera.exposure", 0.05), ("camera.readout", 0.04)])
+def test_what_does_not_fit_into_a_frame_is_named_by_its_keys(key, seconds):
+    rig = Rig.from_file().with_values({key: seconds})
+    with pytest.raises(
+        VisionParameterError, match=rf"{key} is {seconds} s.*frame period.*camera\.rate 100 Hz"
+    ):
+        rig.camera_parameters()
+    assert rig.with_values({"camera.rate": 20.0}).camera_parameters().rate_hz == 20.0
+
+
 @pytest.mark.parametrize(
     ("polarity", "grey"),
     [("dark", -80), ("bright", 280)],
