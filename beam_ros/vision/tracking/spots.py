@@ -418,7 +418,7 @@ class SpotMeter:
         shear: float | None = None,
         bend: float = math.inf,
     ) -> DiscFit | Reason:
-        """Centre and standard deviation by the refinement that the parameters ask for.
+        """Centre and standard deviation by the disc model, or by radial symmetry where the parameters ask for it.
 
         Parameters
         ----------
@@ -428,11 +428,9 @@ class SpotMeter:
 
         Returns
         -------
-        DiscFit -- that of ``centre`` where the refinement fails; or a reason as there, or "shape" where the rim is
+        DiscFit -- that of ``centre`` where the disc model fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
-        if self.parameters.refinement == "none":
-            return self.centre(image, spot, light, appearance)
         # A smear that the moments do not show beyond their noise, and that of their pixels, the fit itself finds.
         still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
         noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)

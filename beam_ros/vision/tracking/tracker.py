@@ -153,6 +153,7 @@ class MarkerTracker:
         self.n_markers = n_markers
         self.timing = timing
         self._meter = SpotMeter(parameters)
+        self._is_refined = parameters.refinement != "none"
         self._markers: list[MarkerState] = []
         self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
         self._shape: tuple[int, int] | None = None
@@ -298,6 +299,10 @@ class MarkerTracker:
             pulls = iter(
                 self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
             )
+        else:
+            for sight in sights:
+                if abs(step := self._step(sight)) > TELLING_PX:
+                    self._seconds.note_explained(sight.found.sigma_excess, step, self._since_s)
         results = [
             self._result(image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
             for sight in found
@@ -410,9 +415,11 @@ class MarkerTracker:
             if row.alike or marker.rivals:
                 others = [other for other, _ in row.alike]
                 marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
-        shear = None if self._row_delay_s == 0.0 else self._shear(marker, spot.u, is_fresh=is_fresh)
-        bend = math.inf if is_fresh else marker.turn(spot.u) * (self._exposed_s / self._since_s) ** 2 / 2
-        found = meter.refine(image, spot, light, appearance, shear, bend)
+        if self._is_refined:
+            shear, bend = self._within_exposure(marker, spot.u, is_fresh=is_fresh)
+            found = meter.refine(image, spot, light, appearance, shear, bend)
+        else:
+            found = meter.centre(image, spot, light, appearance)
         if not isinstance(found, DiscFit):
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
@@ -421,22 +428,30 @@ class MarkerTracker:
         is_lit = is_due and not is_accompanied
         return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
 
-    def _shear(self, marker: MarkerState, u: float, *, is_fresh: bool) -> float:
-        """What a rolling shutter makes of a marker's speed, at most [px/px]."""
-        speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
-        return self._shear_of_speed * (abs(speed) + doubt)
+    def _within_exposure(
+        self, marker: MarkerState, u: float, *, is_fresh: bool
+    ) -> tuple[float | None, float]:
+        """Shear and bend that a marker's motion makes of its image, as in ``DiscModel.fit`` [px/px, px]."""
+        shear, bend = None, math.inf
+        if self._row_delay_s > 0.0:
+            speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
+            shear = self._shear_of_speed * (abs(speed) + doubt)
+        if not is_fresh:
+            bend = marker.turn(u) * (self._exposed_s / self._since_s) ** 2 / 2
+        return shear, bend
 
     def _is_plain(self, sight: Sight) -> bool:
         """True where a marker's mean speed explains what is seen of it."""
         marker, appearance = sight.marker, sight.appearance
         if marker.is_pulled or not appearance.is_settled:
             return False
-        step = sight.spot.u - marker.u if marker.lost_frames == 0 else 0.0
-        if not is_explained(sight.found, appearance, step, self._exposed_s / self._since_s):
-            return False
-        if abs(step) > TELLING_PX:
-            self._seconds.note_explained(sight.found.sigma_excess, step, self._since_s)
-        return True
+        exposed = self._exposed_s / self._since_s
+        return is_explained(sight.found, appearance, self._step(sight), exposed)
+
+    @staticmethod
+    def _step(sight: Sight) -> float:
+        """How far a marker came since the frame before [px]; 0 where that did not show it."""
+        return sight.spot.u - sight.marker.u if sight.marker.lost_frames == 0 else 0.0
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""
