@@ -64,7 +64,9 @@ _LOST_PX = 1.5
 """No disc is found further than this from the start [px]."""
 _SMEAR_STEP_PX = 1.0
 _POSITIONS_PER_STEP = 2
-"""A smeared disc is modelled by so many positions for each step of its length."""
+"""A smeared disc is modelled by so many positions for each step of its length, ..."""
+_MIN_POSITIONS = 4
+"""... and by so many at least: two show no bend."""
 _SMEARED = 2.0
 """A disc that seems to rest moves where its second moment is so many standard deviations too large."""
 _RIM = 2.5
@@ -192,8 +194,11 @@ def _tabulated(
     top, bottom = math.ceil(v - reach), math.floor(v + reach)
     x = np.arange(left, right + 1, dtype=np.float64)[None, None, :] - u
     y = np.arange(top, bottom + 1, dtype=np.float64)[None, :, None] - v
-    count = max(1, _POSITIONS_PER_STEP * smear_steps)
+    count = max(_MIN_POSITIONS, _POSITIONS_PER_STEP * smear_steps) if smear_steps else 1
     instants = (((np.arange(count) + 0.5) / count) - 0.5)[:, None, None]
+    if smear_steps:
+        # Their mean square is that of all instants, 1/12, so that a bend moves the disc by nothing on average.
+        instants /= math.sqrt(1.0 - 1.0 / count**2)
     dx = x - smear * instants
     distance = np.maximum(np.hypot(dx, y), 1e-6)
     depth = (radius - distance) / edge
