@@ -85,7 +85,7 @@ _SECTION_FRAMES = frozenset(range(2, 40, 5))
 _SECTION_ROWS = slice(None, None, 3)
 """... in these rows."""
 _MAX_SECTIONS = 12
-_NOTHING = 1e-12
+_NOTHING, _LEAST_SPREAD = 1e-12, 1e-6
 _SEARCHES_PX = (12, 60)
 
 REASONS = ("ok", "no_strip", "covered", "height", "off_curve", "outside", "repeated", "doubtful")
@@ -165,6 +165,47 @@ class _Step(NamedTuple):
     seen: np.ndarray | None
 
 
+class _RestFit(NamedTuple):
+    """The cross-section of a strip at rest, fitted in every row on a curve.
+
+    Attributes
+    ----------
+    table : ProfileTable
+    column, entry : ndarray of int, shape (n_rows,) -- pixel nearest to the curve, row of the table
+    pixels : ndarray, shape (n_rows, size) -- about the columns [grey levels]
+    is_inside : ndarray of bool, shape (n_rows,) -- the pixels lie in the image
+    seen : ndarray of bool, shape (n_rows, size), or None -- pixels that are not cut off at white; None: all
+    fits : RowFits
+    """
+
+    table: ProfileTable
+    column: IndexArray
+    entry: IndexArray
+    pixels: Float32Array
+    is_inside: np.ndarray
+    seen: np.ndarray | None
+    fits: RowFits
+
+    @property
+    def height(self) -> float:
+        """Of the strip [grey levels]: rows with dots or hands before them do not move the median."""
+        return float(np.median(self.fits.height[self.is_inside]))
+
+    @property
+    def height_gain(self) -> float:
+        """Variance of a row's height for white noise of variance 1."""
+        return float(np.median(self.fits.height_gain))
+
+    def significance(self, variance: float, rows: int) -> float:
+        """Height over its standard deviation in a band of so many rows, for pixels of that variance."""
+        return self.height / max(math.sqrt(variance * self.height_gain / rows), _LEAST_SPREAD)
+
+    def inside(self) -> tuple[IndexArray, Float32Array, np.ndarray | None]:
+        """Return entries, pixels and what is seen of them in the rows that lie in the image."""
+        here = self.is_inside
+        return self.entry[here], self.pixels[here], None if self.seen is None else self.seen[here]
+
+
 class LineFollower:
     """Follows what looks like the strip.
 
@@ -186,6 +227,7 @@ class LineFollower:
 
     def __init__(self, parameters: StripParameters, shape: tuple[int, int]) -> None:
         self.parameters = parameters
+        self._sign = 1.0 if parameters.is_bright else -1.0
         self._width = shape[1]
         step = parameters.row_step
         last = min(int(np.floor(parameters.last_row)), shape[0] - 1)
@@ -562,34 +604,29 @@ class LineFollower:
         self.searches += 1
         for _ in range(_MOST_LOOKS):
             led, curve = self._first_curve(flat, refused)
-            table, column, entry, pixels, inside, seen, fits = self._row_fit(flat, curve)
-            if not np.any(inside):
+            fit = self._rest_fit(flat, curve)
+            if not np.any(fit.is_inside):
                 break
-            residual = table.residual(entry, pixels, seen)[inside]
-            there = None if seen is None else seen[inside]
-            levels = noise_levels(table, entry[inside], pixels[inside], residual, there)
-            left = usual_variance(residual if there is None else residual[there])
-            # Rows with dots or hands before them: the median of the bands knows better.
-            typical, height_gain = float(np.median(fits.height[inside])), float(np.median(fits.height_gain))
-            spread = math.sqrt(left * height_gain / self.parameters.row_step)
-            sign = 1.0 if self.parameters.is_bright else -1.0
-            is_there = sign * typical > _MIN_SIGNIFICANCE * max(spread, 1e-6) and np.all(np.isfinite(levels))
+            entry, pixels, seen = fit.inside()
+            residual = fit.table.residual(entry, pixels, seen)
+            levels = noise_levels(fit.table, entry, pixels, residual, seen)
+            left = usual_variance(residual if seen is None else residual[seen])
+            is_there = self._significance(fit, left) > _MIN_SIGNIFICANCE and np.all(np.isfinite(levels))
             # What rows have in common is no noise.
-            below = np.diff(pixels, axis=0)[np.diff(column) == 0]
-            noise = usual_variance(below if seen is None else below[below != 0.0]) / 2.0
-            if sign * typical > _MIN_SIGNIFICANCE * math.sqrt(noise * height_gain / self.parameters.row_step):
-                at, reach = self._band_basis @ curve, table.half + self.apart_px / 2.0
+            below = np.diff(fit.pixels, axis=0)[np.diff(fit.column) == 0]
+            noise = usual_variance(below if fit.seen is None else below[below != 0.0]) / 2.0
+            if self._significance(fit, noise) > _MIN_SIGNIFICANCE:
+                at, reach = self._band_basis @ curve, fit.table.half + self.apart_px / 2.0
                 self.is_disturbed |= any(np.median(np.abs(at - line)) < reach for line in self.avoided)
-            if not is_there and seen is None:
+            if not is_there and fit.seen is None:
                 break
-            share = (left - noise) * height_gain * table.size / max(typical**2, _NOTHING)
+            share = (left - noise) * fit.height_gain * fit.table.size / max(fit.height**2, _NOTHING)
             if is_there and share < _LEFT:
                 self.is_alone, self.is_second = share < _LEFT_ALONE, is_like_another
                 is_like_another = True
                 self._noise = StripNoise(levels, left)
-                self._heights = np.repeat(
-                    _own_heights(fits.height.reshape(self._n, -1), typical), self.parameters.row_step
-                )
+                heights = _own_heights(fit.fits.height.reshape(self._n, -1), fit.height)
+                self._heights = np.repeat(heights, self.parameters.row_step)
                 self._typical = _middle(np.abs(self._bands(self._heights)))
                 self._frames = 0
                 found = self._turns(flat, curve, None)
@@ -608,10 +645,10 @@ class LineFollower:
             self._tabulate()
             reach = max(self._width - 1 - int(rest[0]), int(rest[0]))
             led = curve = self._searched(flat, rest, reach, refused)
-            if not self._shows_anything(flat, self._settled(flat, curve)):
-                break
-            for _ in range(_MAX_SECTIONS):
+            for turn in range(_MAX_SECTIONS):
                 curve = self._settled(flat, curve)
+                if turn == 0 and not self._shows_anything(flat, curve):
+                    return led, curve
                 self.section.forget()
                 if not self._learn_section(flat, curve):
                     break
@@ -623,28 +660,28 @@ class LineFollower:
 
     def _shows_anything(self, flat: ImageArray, curve: FloatArray) -> bool:
         """False where a better cross-section, of twice the height, would not let it stand out of its noise either."""
-        table, _, entry, pixels, inside, seen, fits = self._row_fit(flat, curve)
-        if seen is not None or not np.any(inside):
+        fit = self._rest_fit(flat, curve)
+        if fit.seen is not None or not np.any(fit.is_inside):
             return True
-        noise = usual_variance(table.residual(entry, pixels, seen)[inside])
-        spread = math.sqrt(noise * float(np.median(fits.height_gain)) / self.parameters.row_step)
-        typical = float(np.median(fits.height[inside])) * (1.0 if self.parameters.is_bright else -1.0)
-        return 2.0 * typical > _MIN_SIGNIFICANCE * spread
+        noise = usual_variance(fit.table.residual(*fit.inside()))
+        return 2.0 * self._significance(fit, noise) > _MIN_SIGNIFICANCE
 
-    def _row_fit(
-        self, flat: ImageArray, curve: FloatArray
-    ) -> tuple[ProfileTable, IndexArray, IndexArray, Float32Array, np.ndarray, np.ndarray | None, RowFits]:
+    def _significance(self, fit: _RestFit, variance: float) -> float:
+        """Height of the strip in a typical band over its standard deviation; negative where it should be dark."""
+        return self._sign * fit.significance(variance, self.parameters.row_step)
+
+    def _rest_fit(self, flat: ImageArray, curve: FloatArray) -> _RestFit:
         """Fit every row at rest on a curve."""
         table = self._table_of(SMEAR_STEP_PX)
         column, entry, _ = table.entries(self._basis @ curve, np.zeros(len(self._starts)), self._width_index)
         pixels, inside, seen = self._pixels(flat, table.half, column)
-        return table, column, entry, pixels, inside, seen, table.fit(entry, pixels, seen)
+        return _RestFit(table, column, entry, pixels, inside, seen, table.fit(entry, pixels, seen))
 
     def _settled(self, flat: ImageArray, curve: FloatArray) -> FloatArray:
         """One turn without any knowledge of heights: bands weighted by what they show."""
-        _, _, _, _, inside, _, fits = self._row_fit(flat, curve)
-        height, slope = self._bands(np.stack([fits.height, fits.slope]) * inside)
-        seen = height if self.parameters.is_bright else -height
+        fit = self._rest_fit(flat, curve)
+        height, slope = self._bands(np.stack([fit.fits.height, fit.fits.slope]) * fit.is_inside)
+        seen = self._sign * height
         is_there = (seen > 0.3 * np.median(seen)) & (seen > 0)
         if np.count_nonzero(is_there) < _DEGREE + 2:
             return curve
@@ -660,7 +697,7 @@ class LineFollower:
         table = self._table_of(SMEAR_STEP_PX)
         middle = self._band_basis @ curve
         shape = table.shapes[len(table.shapes) // 2].astype(np.float64)
-        shape = (shape - shape.mean()) * (1.0 if self.parameters.is_bright else -1.0)
+        shape = (shape - shape.mean()) * self._sign
         # The window of a band stands upright about its middle; what leaves the image repeats its edge.
         left = np.rint(middle).astype(np.intp) - reach - table.half
         columns = left[:, None] + np.arange(2 * reach + table.size)[None, :]
