@@ -69,6 +69,8 @@ _BESIDE = 3
 _EIGHTH, _BETWEEN_SIGMAS, _BETWEEN_CHANCE = 0.125, 2.3, 8.0
 """Light is uneven where the bands between the lowest and the highest eighth differ by more than noise. Those of n
 normal values differ by so many standard deviations, and four of that difference's are 8 / sqrt(n)."""
+_TIP_BLURS = 4.0
+"""Farther above the tip than so many blurs nothing of it is seen."""
 _SIGMAS, _OFF_CURVE_PX = 6.0, 0.25
 _ROW_SIGMAS = 5.0
 _MIN_GOOD = 0.6
@@ -294,6 +296,31 @@ class LineFollower:
     def is_at(self, columns_px: FloatArray) -> bool:
         """True where it is the line in these columns."""
         return bool(np.median(np.abs(self.columns_px - columns_px)) < self.apart_px)
+
+    def goes_on(self, image: ImageArray) -> bool:
+        """True where the line is seen above the strip's tip, too, at least half as high as below it.
+
+        Where the image ends within the tip's blur, or the line leaves it there, nothing is known: False.
+        """
+        table = self._table_of(SMEAR_STEP_PX)
+        step, tip = self.parameters.row_step, self.parameters.first_row
+        rows = np.arange(
+            max(0, math.ceil(tip) - 2 * step), math.floor(tip - _TIP_BLURS * self.section.blur_px)
+        )
+        if len(rows) == 0 or not self.is_found:
+            return False
+        # The curve is no guide beyond its end: the upper bands' line is, give or take a few columns.
+        along = np.polyfit(self.rows_px[-_BESIDE:], self.columns_px[-_BESIDE:], 1)
+        column = np.rint(np.polyval(along, rows)).astype(np.intp)
+        reach = table.half + math.ceil(self.apart_px)
+        columns = column[:, None] + np.arange(-reach, reach + 1)
+        if columns.min() < 0 or columns.max() >= self._width:
+            return False
+        mean = image[rows[:, None], columns].astype(np.float32).mean(axis=0)
+        windows = np.lib.stride_tricks.sliding_window_view(mean, table.size)
+        entry = np.full(len(windows), table.entries(np.zeros(1), np.zeros(1), self._width_index[-1:])[1][0])
+        heights = self._sign * table.fit(entry, windows - windows.mean()).height
+        return float(heights.max()) > 0.5 * self._typical / step
 
     # -- one frame -----------------------------------------------------------------------------------------
 

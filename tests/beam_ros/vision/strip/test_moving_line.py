@@ -99,3 +99,42 @@ def test_the_edge_of_something_wide_is_no_line(swinging):
     found = np.array([follower.process(frame).u_px for frame in frames])
     assert np.isfinite(found).mean() > 0.95
     assert np.nanmax(np.abs(found - swinging.truth)) < 0.35
+
+
+def cable(shapes: np.ndarray) -> np.ndarray:
+    """Light of a line at 55 px that moves by shapes (n_frames, n_rows) [px], 3 px wide and behind the lens."""
+    edge = 1.7 * 0.8
+    x = np.arange(160.0) - 55.0 - shapes[:, :, None]
+    right, left = (1.0 / (1.0 + np.exp(-1.7 * (x + side * 1.5) / edge)) for side in (1, -1))
+    return 100.0 * (right - left)
+
+
+@pytest.mark.parametrize(
+    "of_height", [lambda z: 1.0 - 0.8 * z, lambda z: np.sin(np.pi * z), lambda z: 1.0 + z**2]
+)
+def test_a_line_that_swings_while_the_strip_rests_is_never_the_strip(swinging, of_height):
+    rest = 20
+    at_rest = np.repeat(swinging.light[:1], rest, axis=0)
+    truth = np.concatenate([np.repeat(swinging.truth[:1], rest, axis=0), swinging.truth])
+    frames = np.arange(len(truth))[:, None]
+    # The last bends as a strip does, but goes on above the tip; the others are hinged above or at both ends.
+    moved = (
+        4.0
+        * np.sin(0.11 * frames + 0.3)
+        * of_height(1.0 - np.arange(swinging.light.shape[1])[None, :] / 480.0)
+    )
+    light = np.concatenate([at_rest, swinging.light]) + cable(moved)
+    noise = 2.0 * np.random.default_rng(6).standard_normal(light.shape)
+    u, sigma, reasons = followed(swinging, np.clip(np.rint(light + noise), 0, 255).astype(np.uint8))
+    assert not np.any(is_wrong(u, sigma, truth))
+    assert np.all(reasons[:rest] == DOUBTFUL)
+    assert np.isfinite(u[rest + 12 :]).mean() > 0.9
+
+
+def test_a_line_that_goes_on_above_the_tip_is_doubtful_alone_until_it_bends(swinging):
+    hidden = np.full_like(swinging.light, swinging.light[0, -1, 0])
+    for moved in (0.0, 4.0):
+        shift = moved * np.sin(0.11 * np.arange(N_FRAMES))[:, None] * np.ones((1, hidden.shape[1]))
+        light = hidden + cable(shift) + 2.0 * np.random.default_rng(7).standard_normal(hidden.shape)
+        _, _, reasons = followed(swinging, np.clip(np.rint(light), 0, 255).astype(np.uint8))
+        assert np.all(reasons == DOUBTFUL)
