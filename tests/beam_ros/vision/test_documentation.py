@@ -2,10 +2,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "vision.md"
+from beam_ros.vision.tracking.spots import Reason
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGE, FIGURES = DOCS / "vision.md", DOCS / "vision-figures.md"
 
 
 def test_the_example_of_the_page_runs_and_says_what_it_promises(capsys):
@@ -19,8 +23,18 @@ def test_the_example_of_the_page_runs_and_says_what_it_promises(capsys):
     assert capsys.readouterr().out.count("'ok'") == 3
 
 
-def test_every_test_that_the_page_names_exists():
-    text = PAGE.read_text(encoding="utf-8")
+@pytest.mark.parametrize("page", [PAGE, FIGURES], ids=lambda page: page.stem)
+def test_every_test_that_a_page_names_exists(page):
+    text = page.read_text(encoding="utf-8")
     files = {path.stem: path.read_text(encoding="utf-8") for path in Path(__file__).parent.rglob("test_*.py")}
     for name in re.findall(r"`(test_\w+)", text):
         assert name in files or name in "".join(files.values()), name
+
+
+def test_every_reason_for_no_measurement_stands_on_the_page():
+    text = PAGE.read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| ((?:`\w+`(?:, )?)+) \|", text[text.index("## When a measurement is refused") :], re.M
+    )
+    named = {word for row in rows for word in re.findall(r"\w+", row)}
+    assert {*get_args(Reason), "unreadable"} - {"ok"} <= named
