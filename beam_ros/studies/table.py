@@ -19,14 +19,14 @@ def require_parquet() -> None:
     Raises
     ------
     UsageError
-        The package for that is not installed.
+        The package for that is not installed, or not for this NumPy.
     """
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError as err:
         raise UsageError(
-            "a Parquet file needs pyarrow, which is not installed: `pip install pyarrow` (or the extra `study` of "
-            "this suite) brings it; or take --csv"
+            f"a Parquet file needs pyarrow, which cannot be loaded ({err}): `pip install pyarrow` (or the extra "
+            "`study` of this suite) brings it; or take --csv"
         ) from err
 
 
