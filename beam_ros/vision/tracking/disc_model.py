@@ -491,14 +491,13 @@ class DiscModel:
             # Each end of a smear moves by half of what its length changes.
             longer = min(max(longer, -2.0 * _LOST_PX), 2.0 * _LOST_PX)
             smear = max(smear_steps * _SMEAR_STEP_PX + longer, 0.0)
-        other = thicker, softer, longer
         self._frames += 1
         if self._frames <= _NOISE_EVERY_FRAMES or self._frames % _NOISE_EVERY_FRAMES == 0:
             grey = clipped(image, left, top, right, bottom, table.beyond, *bounds)
             self._look_closely(table, grey, light)
         if self._frames & (self._frames - 1) == 0 or self._frames % _CONSTANT_FRAMES == 0:
             self._look_beside(table, image, left, top, ground, contrast)
-        # Of the sums, each over the contrast.
+        shares = [value / contrast for value in sums]
         alpha, beta = self.alpha / (contrast * contrast), self.beta / (contrast * contrast)
         noise = [alpha * unit + beta * lit for unit, lit in table.variances]
         # Of the background's scatter, alpha includes what rests; so much of alpha changes with the frames as the rim
@@ -508,36 +507,18 @@ class DiscModel:
         variance = max(self.rim * noise[0], behind) / (gain * gain)
         # A texture adds to the second moments as to the place; waves of the rim may be a second image's own.
         rough = max(fresh, behind / noise[0])
-        length, is_even = smear_steps * _SMEAR_STEP_PX, bend * bend <= noise[_BEND]
-        told = 0.0 if is_even or math.isinf(bend) else bend
-        # Of the step, what the slopes usually pull is none of the disc.
-        moved = step_u - sum(tug * habit.mean for tug, habit in zip(table.pull, self._slopes, strict=False))
-        shown = sums[_BEND] / contrast - moved * table.gains[3].at(*other)
-        for i, habit in enumerate(self._slopes):
-            # Of a smear the slopes tell less: how it bends may look like them, and is foretold to a part only.
-            k, tug = _SLOPES[i], table.pull[i]
-            slope, slope_variance = habit.expect(
-                sums[k] / contrast - moved * table.gains[1 + i].at(*other) - table.sloped[i] * told,
-                noise[k] + (table.sloped[i] * told) ** 2,
-                may_change=not smear_steps,
-            )
-            u -= tug * slope
-            shown -= table.bent[i] * slope
-            variance += tug * tug * slope_variance
-        if table.pull[2]:
-            habit = self._even_bend if is_even else self._bend
-            bent, bend_variance = habit.expect(shown / length, noise[_BEND] / (length * length))
-            u -= table.pull[2] * bent * length
-            variance += (table.pull[2] * length) ** 2 * bend_variance
-        modes = [mode / contrast for mode in sums[_MODES]]
+        length, other = smear_steps * _SMEAR_STEP_PX, (thicker, softer, longer)
+        pull, pull_variance = self._pull(table, shares, noise, step_u, other, length, bend)
+        u -= pull
+        variance += pull_variance
         sheared = [] if shear is None else [(shear * change) ** 2 for change in table.sheared]
-        wave = self._learn_rim(modes, noise[_MODES], sheared)
+        wave = self._learn_rim(shares[_MODES], noise[_MODES], sheared)
         # In the second moments, what the model leaves of a flat top shows.
         unit, lit = table.variances[_LENGTH]
         alpha, beta = (left / (contrast * contrast) for left in self._left)
         # A disc that is a step away from the tabulated point has the moments of that step, too.
-        excess = sums[_LENGTH] / contrast - (step_u * step_u - step_v * step_v)
-        tilt = sums[_TILT] / contrast - 2.0 * step_u * step_v
+        excess = shares[_LENGTH] - (step_u * step_u - step_v * step_v)
+        tilt = shares[_TILT] - 2.0 * step_u * step_v
         sigma_excess = math.sqrt(rough * (alpha * unit + beta * lit))
         if smear_steps:
             # A motion of length s has the second moment s^2 / 12.
@@ -546,6 +527,50 @@ class DiscModel:
         sigma_tilt = math.sqrt(rough * (alpha * unit + beta * lit))
         sigma = max(math.sqrt(variance), wave)
         return DiscFit(u, v, sigma, contrast, wave, excess, tilt, max(sigma_excess, sigma_tilt))
+
+    def _pull(
+        self,
+        table: DiscTable,
+        shares: list[float],
+        noise: list[float],
+        step_u: float,
+        other: tuple[float, float, float],
+        length: float,
+        bend: float,
+    ) -> tuple[float, float]:
+        """What slopes and bend pull a centre by, and its variance [px, px^2]; learns from what is seen of them.
+
+        Parameters
+        ----------
+        shares, noise : list of 14 float -- the sums over the contrast, and their variances by the noise
+        step_u : float -- step from the tabulated point [px]
+        other : tuple of 3 float -- what radius, blur and smear are more than tabulated [px]
+        length : float -- of the tabulated smear [px]
+        bend : float -- as in ``fit`` [px]
+        """
+        is_even = bend * bend <= noise[_BEND]
+        told = 0.0 if is_even or math.isinf(bend) else bend
+        # Of the step, what the slopes usually pull is none of the disc.
+        moved = step_u - sum(tug * habit.mean for tug, habit in zip(table.pull, self._slopes, strict=False))
+        shown = shares[_BEND] - moved * table.gains[3].at(*other)
+        pull = variance = 0.0
+        for i, habit in enumerate(self._slopes):
+            # Of a smear the slopes tell less: how it bends may look like them, and is foretold to a part only.
+            k, tug = _SLOPES[i], table.pull[i]
+            slope, slope_variance = habit.expect(
+                shares[k] - moved * table.gains[1 + i].at(*other) - table.sloped[i] * told,
+                noise[k] + (table.sloped[i] * told) ** 2,
+                may_change=length == 0.0,
+            )
+            pull += tug * slope
+            shown -= table.bent[i] * slope
+            variance += tug * tug * slope_variance
+        if table.pull[2]:
+            habit = self._even_bend if is_even else self._bend
+            bent, bend_variance = habit.expect(shown / length, noise[_BEND] / (length * length))
+            pull += table.pull[2] * bent * length
+            variance += (table.pull[2] * length) ** 2 * bend_variance
+        return pull, variance
 
     def _unseen_smear(self, table: DiscTable, moment: float, contrast: float) -> float:
         """Length of a smear that only the fit of a disc at rest shows, by its second moment along u [px]."""
