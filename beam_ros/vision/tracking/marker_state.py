@@ -235,10 +235,8 @@ class MarkerState:
     def turn(self, u: float) -> float:
         """How its speed changes per frame, the most of late, in a frame that shows it in a column [px per frame^2].
 
-        Infinity where it made too few steps since it was found.
+        It must have made two steps since it was found.
         """
-        if self.steps < 2:
-            return math.inf
         return max(u - self.u - self.velocity, self.acceleration, key=abs)
 
     def remember(self, u: float, v: float, frame: int, *, is_fresh: bool) -> None:

@@ -436,7 +436,7 @@ class MarkerTracker:
         if self._row_delay_s > 0.0:
             speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
             shear = self._shear_of_speed * (abs(speed) + doubt)
-        if not is_fresh:
+        if not is_fresh and marker.steps > 1:
             bend = marker.turn(u) * (self._exposed_s / self._since_s) ** 2 / 2
         return shear, bend
 

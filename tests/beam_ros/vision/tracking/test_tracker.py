@@ -541,6 +541,18 @@ def rolled(
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+def test_an_exposure_of_no_length_bends_nothing():
+    camera = packaged_camera(exposure_s=0.0)
+    renderer, rng = SceneRenderer(camera, HEIGHTS), np.random.default_rng(1)
+    tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), 3, FrameTiming(camera))
+    for k in range(12):
+        positions = np.full(3, 0.001 * np.sin(0.4 * k))
+        result = tracker.process(renderer.render(positions, rng), k * 10_000_000)
+        assert result.is_complete, [marker.reason for marker in result.markers]
+        found = [marker.u_px for marker in result.markers]
+        assert found == pytest.approx(camera.columns(positions), abs=0.05)
+
+
 @pytest.mark.parametrize("readout_s", [0.0, 0.009])
 @pytest.mark.parametrize(("frequency", "noise"), [(0.05, 0.7), (0.21, 2.0)])
 def test_a_rolling_shutter_costs_moving_markers_nothing(readout_s, frequency, noise):
