@@ -11,12 +11,15 @@ WORKERS = -n 2
 
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 
+# The tracker as machine code is tried in a copy of the tree, and in an environment of its own.
+COMPILED = $(PYTHON) $(CURDIR)/bootstrap.py --venv .venv-compiled --extras ros,test,compiled,dev --
+
 # The matrices here are small: more threads only take the processors from the real-time nodes.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test verify lint firmware mutants docs dist test-matrix clean distclean
+.PHONY: help setup demo test verify lint firmware mutants docs dist compiled test-compiled test-matrix clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' Makefile
@@ -55,6 +58,15 @@ dist: ## source archive and wheel into dist/, with their metadata and contents c
 	@$(SETUP) --extras ros,test,dev -- python -m build -o dist
 	@$(SETUP) --extras ros,test,dev -- python -m twine check --strict dist/*
 	@$(SETUP) --extras ros,test,dev -- check-manifest
+
+compiled: ## a copy of the tree with the tracker as machine code, in build/compiled (needs a C compiler)
+	@rm -rf build/compiled && mkdir -p build/compiled
+	@tar -c --exclude='./.*' --exclude=./build --exclude=./dist --exclude=./runs . | tar -x -C build/compiled
+	@cd build/compiled && $(COMPILED) env BEAM_COMPILE=1 python setup.py -q build_ext --inplace
+
+test-compiled: compiled ## the camera's tests on that machine code (ARGS: for pytest)
+	@cd build/compiled && $(COMPILED) env PYTHONPATH=. python -m pytest $(WORKERS) \
+		tests/beam_ros/vision tests/packaging/test_machine_code.py $(ARGS)
 
 test-matrix: ## the tests on several Pythons, newest and oldest requirements (MATRIX="3.12-oldest ...")
 	@failed=; tried=; for cell in $(MATRIX); do \

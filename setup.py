@@ -1,11 +1,12 @@
 """Name, version, requirements and executables of the suite, for pip and for colcon."""
 
+import os
 import subprocess
 import sys
 from glob import glob
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 PACKAGE = "beam_ros"
 
@@ -19,6 +20,11 @@ ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5
 
 # Machine code for loops over long records and for the tracker's sums; the results are the same without.
 COMPILED = ["numba>=0.60"]
+
+# The tracker's own steps as machine code, made of the same source where BEAM_COMPILE is 1: it needs a C compiler.
+MYPYC = "mypy>=2.4,<3"
+MACHINE_CODE = ["appearance", "disc_model", "marker_state", "rivals", "second_image", "spots", "tracker"]
+IS_COMPILED = os.environ.get("BEAM_COMPILE") == "1"
 
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).
 DASK = ["distributed>=2024.1"]
@@ -49,7 +55,7 @@ BROWSER = ["playwright>=1.44", "axe-playwright-python>=0.1.4"]
 
 DEV = [
     "ruff>=0.17,<0.18",
-    "mypy>=2.4,<3",
+    MYPYC,
     "import-linter>=2.5,<3",
     "cosmic-ray>=8.4,<9",
     "coverage>=7.13,<8",
@@ -72,6 +78,32 @@ EXECUTABLES = [
     "bag_player",
     "firmware_emulator",
 ]
+
+
+def machine_code() -> list[Extension]:
+    """Extension modules of the tracker; none where none are asked for, or nothing is built yet."""
+    in_place, copied = {"develop", "editable_wheel"}, {"build", "build_ext", "bdist_wheel"}
+    if not IS_COMPILED or not (in_place | copied) & set(sys.argv):
+        return []
+    if in_place & set(sys.argv):
+        raise SystemExit(
+            "BEAM_COMPILE is 1 for an installation that leaves the source in its place, where edits would have "
+            "no effect; expected one that copies it: leave out -e, or --symlink-install"
+        )
+    try:
+        from mypyc.build import mypycify
+    except ImportError as error:
+        raise SystemExit(
+            f"BEAM_COMPILE is 1 and there is no mypyc ({error}); expected it beside setuptools: pip install '{MYPYC}'"
+        ) from None
+    # Arrays are plain objects to mypyc, whether NumPy and its types are installed or not.
+    options = ["--config-file=", "--no-site-packages", "--ignore-missing-imports", "--follow-imports=silent"]
+    modules = [f"{PACKAGE}/vision/tracking/{name}.py" for name in MACHINE_CODE]
+    found: list[Extension] = mypycify(
+        [*options, *modules], opt_level="3", debug_level="0", group_name=PACKAGE
+    )
+    return found
+
 
 # colcon's scripts start with signals blocked, as those of bootstrap.py do, and the suite lets them in; pip makes its
 # own first lines.
@@ -126,6 +158,8 @@ setup(
         (f"share/{PACKAGE}/config/cameras", glob(f"{PACKAGE}/config/cameras/*.yaml")),
         (f"share/{PACKAGE}/viewers", glob(f"{PACKAGE}/config/viewers/*")),
     ],
+    ext_modules=machine_code(),
+    setup_requires=[MYPYC] if IS_COMPILED else [],
     options={"build_scripts": {"executable": f"{' '.join(BLOCKED)} {sys.executable}"}} if CAN_BLOCK else {},
     zip_safe=False,
     install_requires=[

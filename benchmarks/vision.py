@@ -16,7 +16,8 @@ OPENBLAS_NUM_THREADS=1.
 disc in noise that grows with the light, for diameters, smears, noises, shot noise and bits of its own.
 
 `--speed` measures the tracker alone at two image sizes, the search for markers, the renderer, the reading of
-images, and the tracking of whole files, as `beam track` does it, beside the decoder alone in the same rounds.
+images, and the tracking of whole files, as `beam track` does it, beside the decoder alone in the same rounds. The
+tracker as machine code: `make compiled`, then the same in `build/compiled`.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import PERFECT_DISC_SIGMA_PX, CameraParameters, TrackerParameters
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
+from beam_ros.vision.tracking import tracker as tracking
+from beam_ros.vision.tracking.moments import compiled_spot_numbers
 from beam_ros.vision.tracking.tracker import MarkerTracker
 
 HEIGHTS = (0.010, 0.100, 0.225, 0.285)
@@ -374,6 +377,8 @@ def best_ms(action: Callable[[], object], repeats: int) -> float:
 def speed() -> list[dict[str, Any]]:
     """Measure tracker, acquisition, renderer and image reading at two sizes."""
     rows: list[dict[str, Any]] = []
+    numba = "with" if compiled_spot_numbers() else "without"
+    print(f"  tracker: {Path(tracking.__file__).suffix} files, {numba} Numba")
 
     def note(what: str, size: str, milliseconds: float) -> None:
         rows.append({"what": what, "size": size, "ms": milliseconds})

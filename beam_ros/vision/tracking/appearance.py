@@ -10,7 +10,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -256,9 +256,9 @@ class SmearedLooks:
     def __init__(self, area: float, variance: float, level: float, noise: float, longest_px: float) -> None:
         self._area, self._variance, self._longest_px = area, variance, longest_px
         self._level, self._noise = level, noise
+        self._table: tuple[list[float], list[Smeared]] | None = None
 
-    @cached_property
-    def _table(self) -> tuple[list[float], list[Smeared]]:
+    def _made_table(self) -> tuple[list[float], list[Smeared]]:
         """Growing second moments along u beyond that at rest [px^2], and what is seen with each."""
         level, noise = self._level, self._noise
 
@@ -284,6 +284,8 @@ class SmearedLooks:
 
     def at(self, excess: float) -> Smeared:
         """Look of the smear that adds so much to the second moment along u [px^2]; the longest one's beyond it."""
+        if self._table is None:
+            self._table = self._made_table()
         excesses, looks = self._table
         after = bisect_left(excesses, excess)
         if after == 0:
