@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+import traceback
 from collections.abc import Awaitable, Callable
 from datetime import datetime, timezone
 from pathlib import Path
@@ -91,6 +92,15 @@ class VisionTracker(RigNode):
             measurement = self._chain.measure(stamp_ns, image)
         except ImageFormatError as err:
             self._refuse(str(err), stamp_ns)
+            return
+        except Exception as err:  # noqa: BLE001 - whatever a frame leads to, the next one is measured
+            self._chain.reset()
+            place = traceback.extract_tb(err.__traceback__)[-1]
+            self._refuse(
+                f"a frame was left out, and the markers are acquired anew, after {type(err).__name__}: {err} in line "
+                f"{place.lineno} of {Path(place.filename).name}; expected no such error; report it with the frame",
+                stamp_ns,
+            )
             return
         self._publish(measurement)
         self._averaging.add(measurement)

@@ -66,6 +66,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrackerScene]:
         )
         scene.start("small", tracker__source="compressed")
         scene.start("foretold", tracker__prediction="beam")
+        scene.start("failing", program=[sys.executable, str(Path(__file__).with_name("failing_tracker.py"))])
         scene.start("film", tracker__source="file", tracker__video=folder / "film.avi")
         names = {("tracker", f"/{namespace}") for namespace in scene.processes}
         graph.wait(lambda: names <= set(graph.node.get_node_names_and_namespaces()), "every tracker", 40.0)
@@ -168,6 +169,20 @@ def test_wire_bytes_cut_anywhere_leave_the_node_alive(scene) -> None:
         scene.camera("plain").publish(wire[:length])
     scene.complaint("plain", "image message")
     assert _is_seen(scene.answer("plain", scene.image(scene.pixels(0.0)))) == [True] * 3
+
+
+def test_an_error_of_the_trackers_own_costs_a_frame_and_is_said(scene) -> None:
+    bright, black = (scene.pixels(1e-3) for _ in range(2))
+    bright[0, 0], black[0, 0] = 30, 0
+    for _ in range(3):
+        assert _is_seen(scene.answer("failing", scene.image(bright))) == [True] * 3
+        assert _is_seen(scene.answer("failing", scene.image(black))) == [False] * 3
+    scene.complaint("failing", "ZeroDivisionError")
+    said = scene.processes["failing"].output()
+    assert "of failing_tracker.py; expected" in said
+    assert "report it with the frame" in said
+    assert "Traceback" not in said
+    assert _is_seen(scene.answer("failing", scene.image(bright))) == [True] * 3
 
 
 def test_black_white_and_empty_frames_are_nan_and_the_markers_are_found_again_at_once(scene) -> None:

@@ -66,8 +66,8 @@ class TrackerScene:
         self._renderer = SceneRenderer(self.rig.camera_parameters(), self.heights)
         self._rng = np.random.default_rng(0)
 
-    def start(self, namespace: str, **parameters: object) -> None:
-        """Start a tracker; names of parameters with a double underscore for the dot."""
+    def start(self, namespace: str, *, program: Sequence[str] = (), **parameters: object) -> None:
+        """Start a tracker, or a program in its place; names of parameters with a double underscore for the dot."""
         words = [f"{name.replace('__', '.')}:={value}" for name, value in parameters.items()]
         self.processes[namespace] = self._executables.start(
             "vision_tracker",
@@ -76,6 +76,7 @@ class TrackerScene:
             f"__ns:=/{namespace}",
             *[word for assignment in words for word in ("-p", assignment)],
             timeout_s=120.0,
+            program=program,
         )
         self.seen[namespace] = Seen(self.graph, f"/{namespace}")
 
