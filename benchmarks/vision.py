@@ -431,8 +431,8 @@ def file_speed() -> list[dict[str, Any]]:
     """Measure tracking at 640x480: frames in memory, and files beside OpenCV's decoder alone (elapsed time)."""
     rng = np.random.default_rng(1)
     renderer = SceneRenderer(CAMERA, HEIGHTS)
-    x = 0.01 * np.sin(0.2 * np.arange(200)[:, None] + np.arange(4.0))
-    frames = [renderer.render(row, rng) for row in x]
+    x = 0.01 * np.sin(2 * np.pi * 6 / 200 * np.arange(200)[:, None] + np.arange(4.0))
+    frames = [renderer.render(row, rng) for row in x] * 5
     rows: list[dict[str, Any]] = []
 
     def note(what: str, milliseconds: float, remark: str = "") -> None:
@@ -450,7 +450,7 @@ def file_speed() -> list[dict[str, Any]]:
         while capture.grab():
             pass
 
-    note("track frames in memory", best_ms(lambda: track(enumerate(frames)), 5) / len(frames))
+    note("track frames in memory", best_ms(lambda: track(enumerate(frames)), 3) / len(frames))
     with tempfile.TemporaryDirectory() as folder:
         for code in ("MJPG", "FFV1"):
             path = Path(folder) / f"{code}.avi"
@@ -463,6 +463,7 @@ def file_speed() -> list[dict[str, Any]]:
                 for times in paired_times(
                     lambda path=path: decode(path),
                     lambda path=path: track(VideoFile(path, heeds_decoder=True).frames()),
+                    rounds=5,
                 )
             )
             note(f"decode a grey {code} file", float(np.median(alone)))
