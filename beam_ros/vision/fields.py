@@ -60,6 +60,7 @@ class InterlacedFields:
     Attributes
     ----------
     apart : float -- time between the two instants [frames]; 0 where they are one, or nobody knows yet
+    likely_apart : float -- the same, or what the samples of a test that has not ended show of it [frames]
     next_frame : int -- number of the first frame that is of use
 
     Notes
@@ -69,27 +70,36 @@ class InterlacedFields:
     """
 
     def __init__(self) -> None:
-        self._pending: _Pending | None = None
+        self._pending: dict[int, _Pending] = {}
         self._samples: list[tuple[float, float]] = []
-        self.apart = 0.0
+        self.apart = self.likely_apart = 0.0
         self.next_frame = 0
 
     def look(
-        self, frame: int, light: Callable[[], ImageArray], top: int, u: float, step: float, sigma: float
+        self,
+        frame: int,
+        marker: int,
+        light: Callable[[], ImageArray],
+        top: int,
+        u: float,
+        step: float,
+        sigma: float,
     ) -> None:
         """Look at a marker, in an even frame and the next one.
 
         Parameters
         ----------
-        frame : int -- its number
+        frame, marker : int -- their numbers
         light : callable -- gives the grey levels about the marker beyond the background, as of ``rows_apart``
         top : int -- first row of that in the image [px]
         u, step, sigma : float -- where it is, how far that is from the frame before, and the standard deviation [px]
         """
-        pending, self._pending = self._pending, None
+        if frame < self.next_frame:
+            return
+        pending = self._pending.pop(marker, None)
         if frame % 2 == 0:
             if abs(step) > _MOVING * sigma:
-                self._pending = _Pending(frame, u - step, rows_apart(light(), top))
+                self._pending[marker] = _Pending(frame, u - step, rows_apart(light(), top))
             return
         if pending is None or pending.frame != frame - 1:
             return
@@ -97,13 +107,16 @@ class InterlacedFields:
         if abs(speed) <= _MOVING * sigma:
             return
         self._samples.append((speed, pending.apart))
+        explaining = self._explaining()
+        self.likely_apart = max(explaining, self.apart)
         if len(self._samples) == _SAMPLES:
-            self._test()
+            self.apart = self.likely_apart = explaining
             self._samples = []
             self.next_frame = frame + _REST_FRAMES
 
-    def _test(self) -> None:
+    def _explaining(self) -> float:
+        """Time apart that explains the samples [frames]; 0 where none does."""
         speed, apart = np.array(self._samples).T
         b = float(speed @ apart / (speed @ speed))
-        is_found = b * (speed @ apart) > _EXPLAINED * (apart @ apart) and abs(b) >= _MIN_APART
-        self.apart = abs(b) if is_found else 0.0
+        is_explained = b * (speed @ apart) > _EXPLAINED * (apart @ apart) and abs(b) >= _MIN_APART
+        return abs(b) if is_explained else 0.0

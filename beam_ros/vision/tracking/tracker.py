@@ -308,7 +308,8 @@ class MarkerTracker:
             for sight in found
         ]
         if self._frame >= self._fields.next_frame:
-            self._look_at_fields(image, found[self._frame // 2 % self.n_markers])
+            for k in range(self.n_markers):
+                self._look_at_fields(image, k, found[k])
         if self._frame >= self._reduction.next_frame and any(
             sight.marker.steps > 0 and abs(sight.marker.velocity) <= STILL_PX for sight in sights
         ):
@@ -336,7 +337,7 @@ class MarkerTracker:
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
 
-    def _look_at_fields(self, image: ImageArray, sight: Sight | MarkerMeasurement) -> None:
+    def _look_at_fields(self, image: ImageArray, k: int, sight: Sight | MarkerMeasurement) -> None:
         """Look for two instants in the rows of a marker."""
         if isinstance(sight, Sight) and sight.marker.steps > 0:
             marker, (left, top, right, bottom) = sight.marker, sight.spot.region
@@ -345,7 +346,7 @@ class MarkerTracker:
                 is_dark = self.parameters.polarity == "dark"
                 return beyond(image[top:bottom, left:right], (sight.light.level,), is_dark=is_dark)
 
-            self._fields.look(self._frame, light, top, marker.u, marker.velocity, sight.found.sigma_u)
+            self._fields.look(self._frame, k, light, top, marker.u, marker.velocity, sight.found.sigma_u)
 
     def _beside(self, marker: MarkerState) -> list[float]:
         """Columns in which a marker's rivals should be [px]."""
@@ -488,8 +489,8 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
-        if self._fields.apart > 0.0:  # the mean of two instants is off the middle one
-            uneven_px = math.hypot(uneven_px, self._fields.apart**2 / 8 * marker.linear_error)
+        if self._fields.likely_apart > 0.0:  # the mean of two instants is off the middle one
+            uneven_px = math.hypot(uneven_px, self._fields.likely_apart**2 / 8 * marker.linear_error)
         if self._defects.count:
             disc = appearance.radius, appearance.edge
             filled_px = self._defects.pull(spot.u, v, disc, light.contrast, light.noise)

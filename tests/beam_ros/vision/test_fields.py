@@ -41,8 +41,8 @@ def found_of(apart: float, rng: np.random.Generator) -> float:
             at = 20.0 + (apart * step if row % 2 else 0.0) + 0.3 * rng.standard_normal()
             left = int(np.floor(at))
             image[row, left], image[row, left + 1] = round(200 * (1 - at + left)), round(200 * (at - left))
-        fields.look(frame, image.copy, 0, 0.0, step, 0.005)
-        fields.look(frame + 1, image.copy, 0, step, step, 0.005)
+        fields.look(frame, 0, image.copy, 0, 0.0, step, 0.005)
+        fields.look(frame + 1, 0, image.copy, 0, step, step, 0.005)
     assert fields.next_frame > 0
     return fields.apart
 
@@ -53,17 +53,25 @@ def test_noise_alone_is_hardly_ever_two_fields():
     assert found_of(-1.0, rng) == pytest.approx(1.0, abs=0.2)
 
 
-def film(apart: float, is_woven: bool, noise: float, swing_px: float, readout_s: float = 0.0):
+def film(
+    apart: float,
+    is_woven: bool,
+    noise: float,
+    swing_px: float,
+    readout_s: float = 0.0,
+    turn: float = 0.23,
+    seed: int = 9,
+):
     """A chain's tracker after a film whose odd rows come so much later [frames], and its last results with truth."""
     camera = packaged_camera(noise_grey=noise, readout_s=readout_s)
-    renderer, rng = SceneRenderer(camera, HEIGHTS), np.random.default_rng(9)
+    renderer, rng = SceneRenderer(camera, HEIGHTS), np.random.default_rng(seed)
     timing = FrameTiming(camera)
     tracker = MarkerTracker(packaged_tracker(camera, HEIGHTS), len(HEIGHTS), timing)
     shares = np.array([0.2, 0.8, 1.0]) * swing_px / camera.pixels_per_metre
 
     def place(instant: float) -> np.ndarray:
         x = [
-            np.sin(0.23 * (instant + e)) * shares for e in camera.exposure_s * 100 * np.linspace(-0.5, 0.5, 6)
+            np.sin(turn * (instant + e)) * shares for e in camera.exposure_s * 100 * np.linspace(-0.5, 0.5, 6)
         ]
         return np.array(x)
 
@@ -74,7 +82,7 @@ def film(apart: float, is_woven: bool, noise: float, swing_px: float, readout_s:
             first = k % 2 if is_woven else 1
             image[first::2] = renderer.render(place(k + apart), rng)[first::2]
         result = tracker.process(image, k * 10_000_000)
-        middle = camera.columns(np.sin(0.23 * (k + apart / 2)) * shares)
+        middle = camera.columns(np.sin(turn * (k + apart / 2)) * shares)
         found.append((k, result, middle))
     return tracker, found
 
@@ -96,6 +104,17 @@ def test_two_fields_are_found_and_their_mean_is_stated_for_the_middle_instant(
             assert not np.any(np.abs(error) > np.fmax(6 * sigma, 0.35))
             scores.append(error / sigma)
     assert 0.2 < np.sqrt(np.nanmean(np.square(scores))) < 1.5
+
+
+@pytest.mark.parametrize("turn", [0.8, 1.0])
+def test_what_is_not_known_to_be_two_instants_yet_is_in_the_standard_deviation(turn):
+    scores = []
+    for seed in range(5):
+        _, found = film(1.0, True, 1.0, 2.5, turn=turn, seed=seed)
+        for _, result, middle in found[5:20]:
+            sigma = np.array([marker.sigma_px for marker in result.markers])
+            scores.append((np.array([marker.u_px for marker in result.markers]) - middle) / sigma)
+    assert 0.5 < np.sqrt(np.nanmean(np.square(scores))) < 1.5
 
 
 @pytest.mark.parametrize(("noise", "swing_px", "readout_s"), [(2.0, 4.0, 0.0), (5.0, 30.0, 0.008)])
