@@ -117,9 +117,14 @@ def track_video(
     """
     camera = rig.camera_parameters()
     if (video.width, video.height) != (camera.width, camera.height):
+        remedy = "give its rig file with --rig-file, or -p camera.width:=.. -p camera.height:=.."
+        if (video.height, video.width) == (camera.width, camera.height):
+            remedy = (
+                f"turn a film that lies on its side (`ffmpeg -i FILE -vf transpose=1 ..`, or 2), or {remedy}"
+            )
         raise VideoError(
             f"{video.path}: is {video.width} x {video.height}; expected {camera.width} x {camera.height}, the rig's "
-            "camera: give its rig file with --rig-file, or -p camera.width:=.. -p camera.height:=.."
+            f"camera: {remedy}"
         )
     if math.isfinite(video.rate_hz):
         try:

@@ -42,6 +42,8 @@ Progress = Callable[[str, float], None]
 
 _MADE_ANEW = ("beam/displacement", "beam/markers", VIDEO_TOPIC)
 _GAIN_TOLERANCE = 0.03
+_RATE_TOLERANCE = 0.01
+"""Rates of 29.97 and 30 frames a second are one."""
 _LARGE_SD_S = 0.2e-3
 """A time known no better than this is reported: it turns the phase of a mode at 28 Hz by 2 degrees."""
 
@@ -168,7 +170,8 @@ def track_into_bag(
     try:
         found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)
     except SynchronisationError as err:
-        raise SynchronisationError("; ".join([str(err), *tracked.notes])) from err
+        said = [str(err), *_other_rate(video, rig.camera_parameters().rate_hz), *tracked.notes]
+        raise SynchronisationError("; ".join(said)) from err
     tracked = _by_the_hubs_clock(tracked, found, int(hub.stamps_ns[0]))
     summary = _summary(video, tracked, found)
     progress("writing the bag", 1.0)
@@ -190,6 +193,15 @@ def _by_the_hubs_clock(tracked: TrackedVideo, found: FilmTimes, hub_start_ns: in
         frame_times_ns=mapped(tracked.frame_times_ns + late_ns),
         times_ns=mapped(tracked.times_ns + late_ns[:, None]),
     )
+
+
+def _other_rate(video: VideoFile, rate_hz: float) -> Iterator[str]:
+    """Say that a film's rate is not the camera's, as where it is stored for replay in slow motion."""
+    if abs(video.rate_hz / rate_hz - 1) > _RATE_TOLERANCE:
+        yield (
+            f"the film was taken to run at {video.rate_hz:.6g} frames/s, and camera.rate is {rate_hz:g} Hz: give the "
+            "rate at which it was filmed with --rate, where the file states that of a replay"
+        )
 
 
 def _film_notes(tracked: TrackedVideo, times: FilmTimes) -> Iterator[str]:

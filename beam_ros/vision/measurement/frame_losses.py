@@ -259,7 +259,8 @@ class _Search:
 
     def _starts(self) -> list[tuple[int, Synchronisation]]:
         """Windows whose motion is the hub's at a place, the best first: frame and fit."""
-        size = max(24, round(_WINDOW_S / float(np.median(np.diff(self.times)))))
+        assert self.period_s is not None
+        size = max(24, round(_WINDOW_S / self.period_s))
         whole = np.nanmax(self.seen) - np.nanmin(self.seen)
         found: list[tuple[float, int, Synchronisation]] = []
         for first in range(0, max(1, len(self.times) - size // 2), size // 3):

@@ -122,7 +122,8 @@ def synchronise(
 
     Raises
     ------
-    SynchronisationError -- too few frames, no motion, or records that do not resemble each other
+    SynchronisationError -- too few frames, no motion, records that do not resemble each other, or of which one is
+        clearly better explained as the other's mirror image (less than half of the unexplained power, as above)
     """
     hub_t, hub_x = np.asarray(hub_times_s, dtype=np.float64), np.asarray(hub_positions_m, dtype=np.float64)
     t, x = np.asarray(camera_times_s, dtype=np.float64), np.asarray(low_marker_m, dtype=np.float64)
@@ -142,6 +143,12 @@ def synchronise(
     if np.ptp(hub_x) == 0 or np.ptp(x) <= _MIN_MOTION * np.ptp(hub_x):
         raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
     offset, correlation = _chosen_offset(hub_t, hub_x, t, x, expected_s)
+    _, against = _chosen_offset(hub_t, -hub_x, t, x, expected_s)
+    if against >= _MIN_CORRELATION and _CLEARLY * (1 - against**2) < 1 - max(correlation, 0.0) ** 2:
+        raise SynchronisationError(
+            f"the low marker moves against the hub (correlation {-against:.3f}; {correlation:.3f} at best with it); "
+            "expected the right direction: set camera.is_mirrored, or take it back, or mirror the pictures"
+        )
     if correlation < _MIN_CORRELATION:
         raise SynchronisationError(
             f"the low marker follows the hub with a correlation of {correlation:.2f} at best; expected at least "

@@ -406,6 +406,10 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     before = contents(bag)
     blank = write_video(tmp_path / "blank.avi", [np.full((240, 96), 20, np.uint8)] * 30)
     still_frame = next(VideoFile(VIDEO).frames())[1]
+    one = write_video(tmp_path / "one.avi", [still_frame])
+    pictures = [image for _, image in VideoFile(VIDEO).frames()]
+    mirrored = write_video(tmp_path / "mirrored.avi", [image[:, ::-1].copy() for image in pictures])
+    aside = write_video(tmp_path / "aside.avi", [still_frame.T.copy()])
     still = write_video(tmp_path / "still.avi", [still_frame] * 60)
     raw_frame = still_frame.copy()
     raw_frame[::2, 1::2] //= 2
@@ -439,7 +443,11 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
         (still, rig, "never moved"),
         (raw, rig, "(mosaic 30); expected grey or colour images, no raw mosaic of a colour sensor: set"),
         (hollow, rig, "(ring 30); expected full discs of one brightness: fill or cover their middles"),
+        (one, rig, "seen in 1 frames"),
+        (mirrored, rig, "set camera.is_mirrored"),
+        (aside, rig, "turn a film that lies on its side"),
         (VIDEO, [*rig, "--rate", "25"], "frame rate?"),
+        (VIDEO, [*rig, "--rate", "25"], "25 frames/s, and camera.rate is 100 Hz: give the rate"),
         (VIDEO, [*rig, "--rate", "-1"], "expected one > 0"),
         (VIDEO, [*rig, "--rate", "400"], "at 400 frames/s"),
         (VIDEO, [*rig, "--times", str(tmp_path / "times.txt")], "line 3 is 'soon'"),

@@ -109,6 +109,17 @@ def test_what_does_not_belong_together_is_refused():
         synchronise(t[::-1], position, camera_t, seen)
 
 
+def test_a_film_that_is_mirrored_is_refused_also_where_half_a_period_later_it_looks_right():
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, 20.0, PERIOD)
+    swing = 5e-3 * np.exp(-(((t - 10.0) / 3.0) ** 2)) * np.sin(4 * np.pi * t)
+    camera_t = np.arange(1.0, 19.0, 0.01)
+    seen = np.interp(camera_t, t, swing) + 5e-6 * rng.standard_normal(camera_t.size)
+    assert abs(synchronise(t, swing, camera_t, seen).offset_s) < 1e-3
+    with pytest.raises(SynchronisationError, match=r"against the hub .* set camera\.is_mirrored"):
+        synchronise(t, swing, camera_t, -seen)
+
+
 def test_between_samples_with_their_slopes_a_cubic_is_followed_exactly():
     def cubic(t):
         return 1.0 - 2.0 * t + 0.5 * t**2 + 3.0 * t**3, -2.0 + t + 9.0 * t**2
