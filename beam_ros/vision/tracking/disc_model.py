@@ -505,8 +505,10 @@ class DiscModel:
         fresh = min(self.rim, 1.0)
         behind = fresh * (noise[0] - self._behind * alpha) + self._beside
         variance = max(self.rim * noise[0], behind) / (gain * gain)
-        # A texture adds to the second moments as to the place; waves of the rim may be a second image's own.
-        rough = max(fresh, behind / noise[0])
+        # A texture adds to the second moments as to the place. What rests of the scatter, as of a picture that is
+        # interpolated, is another one where the disc's own moments were learned: it counts for both places. Of the
+        # rim's waves the short ones count, for a near second image makes long ones.
+        rough = max(2.0 - fresh, self._roughness[1], behind / noise[0])
         length, other = smear_steps * _SMEAR_STEP_PX, (thicker, softer, longer)
         pull, pull_variance = self._pull(table, shares, noise, step_u, other, length, bend)
         u -= pull
