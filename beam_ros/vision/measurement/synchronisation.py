@@ -142,8 +142,9 @@ def synchronise(
     t, x = t[seen], x[seen]
     if np.ptp(hub_x) == 0 or np.ptp(x) <= _MIN_MOTION * np.ptp(hub_x):
         raise SynchronisationError("the hub or the marker never moved; expected a motion to synchronise by")
-    offset, correlation = _chosen_offset(hub_t, hub_x, t, x, expected_s)
-    _, against = _chosen_offset(hub_t, -hub_x, t, x, expected_s)
+    offsets, correlations = _correlations(hub_t, hub_x, t, x)
+    offset, correlation = _chosen_offset(offsets, correlations, expected_s)
+    _, against = _chosen_offset(offsets, -correlations, expected_s)
     if against >= _MIN_CORRELATION and _CLEARLY * (1 - against**2) < 1 - max(correlation, 0.0) ** 2:
         raise SynchronisationError(
             f"the low marker moves against the hub (correlation {-against:.3f}; {correlation:.3f} at best with it); "
@@ -157,11 +158,8 @@ def synchronise(
     return _refined(hub_t, hub_x, t, x, offset, correlation, fits_drift, fits_lag)
 
 
-def _chosen_offset(
-    hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray, expected_s: float
-) -> tuple[float, float]:
+def _chosen_offset(offsets: FloatArray, correlations: FloatArray, expected_s: float) -> tuple[float, float]:
     """Lag of the largest correlation; of those that explain the motion about as well, one that is expected."""
-    offsets, correlations = _correlations(hub_t, hub_x, t, x)
     best = int(np.argmax(correlations))
     near = int(np.argmax(np.where(np.abs(offsets) <= expected_s, correlations, -1.0)))
     if correlations[near] > 0 and 1 - correlations[near] ** 2 < _CLEARLY * (1 - correlations[best] ** 2):
@@ -172,7 +170,7 @@ def _chosen_offset(
 def _correlations(
     hub_t: FloatArray, hub_x: FloatArray, t: FloatArray, x: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Offsets in steps of the camera's period, and the normalised correlation at each; -1 where it says nothing."""
+    """Offsets in steps of the camera's period, and the normalised correlation at each; 0 where it says nothing."""
     period = float(np.median(np.diff(t)))
     hub = np.interp(np.arange(hub_t[0], hub_t[-1], period), hub_t, hub_x)
     marker = np.interp(np.arange(t[0], t[-1], period), t, x)
@@ -195,7 +193,7 @@ def _correlations(
     # Little overlap, or an overlap in which next to nothing moved, correlates by chance.
     is_fair = (count >= _MIN_OVERLAP * min(hub.size, marker.size)) & (variance > 1e-3 * total)
     offsets = hub_t[0] - t[0] + (np.arange(normalised.size) - (marker.size - 1)) * period
-    return offsets, np.where(is_fair & np.isfinite(normalised), normalised, -1.0)
+    return offsets, np.where(is_fair & np.isfinite(normalised), normalised, 0.0)
 
 
 def _refined(
