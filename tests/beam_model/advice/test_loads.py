@@ -59,6 +59,24 @@ def test_a_lasting_acceleration_bends_the_beam_as_its_weight_would() -> None:
     assert force == pytest.approx(p.total_mass * 2.0, rel=1e-6)
 
 
+def test_a_lasting_force_on_a_free_hub_bends_the_beam_as_the_acceleration_of_all_masses_does() -> None:
+    """Once at rest relative to the hub, everything moves with f/(hub and beam): the static curve of that weight."""
+    calm = BeamModel(strip(damping=Damping(ratios=(0.3,))), 5)
+    p, force = calm.parameters, 3.0
+    held = HeldLoads(calm, PERIOD, THICKNESS, is_free=True)
+    moving = held.after(np.zeros(held.n_states), force, 20_000)
+    trace = LoadTrace(calm, PERIOD, THICKNESS, is_free=True, state=moving[held.elastic])
+    trace.add([force])
+    load = p.mass_per_length * force / p.total_mass / p.flexural_rigidity
+    for tip, strain, pull in (
+        held.peaks(moving, force, 1),
+        (trace.loads.tip_deflection, trace.loads.root_strain, trace.loads.hub_force),
+    ):
+        assert tip == pytest.approx(load * p.length**4 / 8, rel=1e-6)
+        assert strain == pytest.approx(THICKNESS / 2 * load * p.length**2 / 2, rel=1e-6)
+        assert pull == pytest.approx(force, rel=1e-9)
+
+
 def test_a_hold_overshoots_to_twice_its_lasting_deflection() -> None:
     slow = BeamModel(strip(damping=Damping(ratios=(1e-6,))), 1)
     p = slow.parameters
