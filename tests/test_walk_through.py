@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import shlex
 from pathlib import Path
@@ -48,3 +50,15 @@ def test_the_walk_through_says_what_the_recordings_give(
         # Other versions of SciPy end their iterations elsewhere, by far less than the intervals.
         assert float(rows[number][1]) == pytest.approx(float(frequency), rel=1e-5)
     assert (tmp_path / "report" / "report.html").is_file()
+
+
+def test_the_walk_through_says_of_the_recordings_what_they_are() -> None:
+    page = (ROOT / "docs" / "walk-through.md").read_text(encoding="utf-8")
+    recordings = json.loads((ROOT / "bags" / "expected.json").read_text()).values()
+    truths = [own["truth"]["natural_frequencies"][0] / (2 * math.pi) for own in recordings]
+    led = [own["identified"]["modes"][0]["frequency_hz"] for own in recordings]
+    led = [found for found, truth in zip(led, truths, strict=True) if truth == truths[0]]
+    assert (len(truths), len(led)) == (8, 7)
+    assert "The table has eight rows. Seven are experiments on a hub that is led" in page
+    assert max(abs(found / truths[0] - 1.0) for found in led) < 20e-6
+    assert "within 20 parts per million of the truth" in page

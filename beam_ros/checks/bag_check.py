@@ -189,9 +189,9 @@ def gates_of_bag(path: AnyPath, rig: Rig | None, options: FitOptions) -> tuple[G
 
 
 def format_check(check: BagCheck) -> str:
-    """Format the gates as a table for a terminal, the verdict below."""
+    """Format the verdict and below it the gates as a table for a terminal."""
     width = max((len(gate.name) for gate in check.gates), default=0)
-    lines = []
+    lines = [check.verdict, ""]
     for gate in check.gates:
         head = f"{gate.verdict:<10}  {gate.name:<{width}}  "
         lines.append(
@@ -207,4 +207,4 @@ def format_check(check: BagCheck) -> str:
             said = f"expected {gate.expected}" + (f"; {gate.remedy}" if gate.remedy else "")
             indent = " " * len(head)
             lines.append(textwrap.fill(said, _WIDTH, initial_indent=indent, subsequent_indent=indent))
-    return "\n".join([*lines, "", check.verdict])
+    return "\n".join(lines)

@@ -229,13 +229,13 @@ def test_a_damaged_file_is_named_and_a_missing_one_is_the_users_fault(tmp_path: 
         check_bag(tmp_path / "nowhere")
 
 
-def test_the_verb_prints_the_table_and_its_status_is_the_verdict(
+def test_the_verb_prints_the_verdict_above_the_table_and_its_status_is_the_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", str(WHOLE)]) == 0
     printed = capsys.readouterr().out
     assert "passed      stamps in order" in printed
-    assert printed.endswith("can be identified: yes\n")
+    assert printed.splitlines()[1] == "can be identified: yes"
     bare = changed(tmp_path / "bare", lambda k, row: None)
     assert main(["check", str(bare), "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
