@@ -1,16 +1,30 @@
-"""A node of the test's own on the graph."""
+"""Real nodes on a private ROS domain, and the `beam` command without the start of a process."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from beam_ros.cli.main import main
+from tests.private_ros import executables, graph, private_ros
+
+__all__ = ["beam", "executables", "graph", "private_ros"]
+
+Ended = subprocess.CompletedProcess[str]
+Beam = Callable[..., Ended]
+
 
 @pytest.fixture
-def graph() -> Iterator[object]:
-    pytest.importorskip("rclpy")
-    from tests.graph import Graph
+def beam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Beam:
+    """Run the command in the test's folder: `beam("info", "bag").stdout`."""
+    monkeypatch.chdir(tmp_path)
 
-    with Graph() as graph:
-        yield graph
+    def run(*arguments: str) -> Ended:
+        status = main(list(arguments))
+        printed = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, status, printed.out, printed.err)
+
+    return run

@@ -10,6 +10,10 @@ from typing import Any
 
 import pytest
 
+from tests.private_ros import executables, private_ros
+
+__all__ = ["executables", "private_ros"]
+
 ROOT = Path(__file__).parents[2]
 
 _NOT_OURS = shutil.ignore_patterns(

@@ -1,4 +1,4 @@
-"""The `beam` command as a person meets it: real processes, exit status, one clear line."""
+"""The `beam` command as a person meets it: exit status, one clear line; as a process where that may differ."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import pytest
 
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
+from tests.beam_ros.conftest import Beam, Ended
 
 
-def beam(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def beam_process(folder: Path, *arguments: str) -> Ended:
     return subprocess.run(
         [*command("beam"), *arguments],
         cwd=folder,
@@ -31,7 +32,7 @@ def strictly(ended: subprocess.CompletedProcess[str]) -> dict[str, Any]:
 
 
 def test_help_lists_the_verbs_and_needs_nothing(tmp_path: Path) -> None:
-    ended = beam(tmp_path, "--help")
+    ended = beam_process(tmp_path, "--help")
     assert ended.returncode == 0
     assert "beam demo" in ended.stdout
 
@@ -74,7 +75,6 @@ def _write(folder: Path, text: str) -> None:
             ("demo", "--rig", "emulated", "-p", "simulation.real_time_factor:=0.5"),
             ("expected 1", "simulated rig"),
         ),
-        (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
         (("axis", "conformance", "/dev/nowhere"), ("5 % of its travel", "--yes", "--no-motion")),
         (
             ("axis", "conformance", "/dev/nowhere", "--no-motion"),
@@ -84,19 +84,37 @@ def _write(folder: Path, text: str) -> None:
     ],
 )
 def test_a_fault_of_the_users_is_one_line_and_status_2(
-    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+    tmp_path: Path, beam: Beam, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     _write(tmp_path, "/**: {ros__parameters: {beam: {length: 300}}}")
-    ended = beam(tmp_path, *arguments)
+    assert_refused(beam(*arguments), words)
+    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"], "something was left behind"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
+        (("identify", "nowhere"), ("nowhere", "does not exist")),
+    ],
+)
+def test_a_process_ends_with_the_same_line_and_status(
+    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    assert_refused(beam_process(tmp_path, *arguments), words)
+
+
+def assert_refused(ended: Ended, words: tuple[str, ...]) -> None:
     assert ended.returncode == 2, ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 1, ended.stderr
     assert "Traceback" not in ended.stderr
     for word in words:
         assert word in ended.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"], "something was left behind"
 
 
-def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path, beam: Beam) -> None:
     quick = (
         "-p",
         "excitation.duration:=3.0",
@@ -105,38 +123,38 @@ def test_simulate_identify_info_export_and_recover_work_together(tmp_path: Path)
         "-p",
         "excitation.end_frequency:=40.0",
     )
-    made = beam(tmp_path, "simulate", "--bag", "first", *quick)
+    made = beam("simulate", "--bag", "first", *quick)
     assert (made.returncode, made.stdout.strip()) == (0, "first")
-    found = beam(tmp_path, "identify", "first", "--json")
+    found = beam("identify", "first", "--json")
     assert found.returncode == 0, found.stderr
     assert strictly(found)["modes"][0]["frequency_hz"] == pytest.approx(4.3839, rel=1e-3)
-    told = beam(tmp_path, "info", "first")
+    told = beam("info", "first")
     assert told.returncode == 0
     assert "hub/measured" in told.stdout
     assert "-p excitation.kind:=chirp -p excitation.acceleration:=0.7" in told.stdout
-    counted = strictly(beam(tmp_path, "info", "first", "--json"))
-    csv = beam(tmp_path, "export", "first", "--csv", "tables").stdout.split()
+    counted = strictly(beam("info", "first", "--json"))
+    csv = beam("export", "first", "--csv", "tables").stdout.split()
     measured = [path for path in csv if "measured" in path]
     signals = {signal["topic"]: signal for signal in counted["signals"]}
     assert len(measured) == 1
     n_lines = len((tmp_path / measured[0]).read_text().splitlines())
     assert n_lines == 1 + signals["/hub/measured"]["samples"]
-    flat = beam(tmp_path, "export", "first", "--flat-bag", "flat")
+    flat = beam("export", "first", "--flat-bag", "flat")
     assert (flat.returncode, flat.stdout.strip()) == (0, "flat")
-    mended = beam(tmp_path, "recover", "first", "--to", "second")
+    mended = beam("recover", "first", "--to", "second")
     assert mended.returncode == 0
     assert mended.stdout.splitlines()[0].startswith(f"second: {counted['message_count']} messages over ")
     assert "nothing was amiss" in mended.stdout
 
 
-def test_model_prints_frequencies_and_their_aliases_in_the_frames(tmp_path: Path) -> None:
-    theory = strictly(beam(tmp_path, "model", "--json"))
+def test_model_prints_frequencies_and_their_aliases_in_the_frames(beam: Beam) -> None:
+    theory = strictly(beam("model", "--json"))
     assert theory["frequencies_hz"][2] == pytest.approx(79.358, abs=1e-3)
     assert theory["aliases_hz"][2] == pytest.approx(20.642, abs=1e-3)
-    assert "20.64 Hz" in beam(tmp_path, "model").stdout
+    assert "20.64 Hz" in beam("model").stdout
 
 
-def test_model_lists_every_parameter(tmp_path: Path) -> None:
-    told = beam(tmp_path, "model", "--parameters").stdout
+def test_model_lists_every_parameter(beam: Beam) -> None:
+    told = beam("model", "--parameters").stdout
     assert "beam.length = 0.3" in told
     assert "0.01 to 5 m" in told

@@ -25,6 +25,7 @@ from beam_ros.process.checksums import checksum
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
 from beam_ros.reporting.identification import report_identification
+from tests.beam_ros.conftest import Beam
 from tests.browser import faults_of_page, open_browser
 
 PLAN = """
@@ -122,6 +123,7 @@ def whole(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_interrupted_after_every_step_it_comes_to_the_same_files(
     plan: Plan, whole: Path, tmp_path: Path
 ) -> None:
@@ -161,6 +163,7 @@ class PressesCtrlC(Silent):
         return report
 
 
+@pytest.mark.slow
 def test_a_fit_that_ctrl_c_has_cut_short_is_not_taken_for_a_finished_step(plan: Plan, tmp_path: Path) -> None:
     step = "estimate modal from E1-1"
     with pytest.raises(KeyboardInterrupt):
@@ -261,6 +264,7 @@ def _foreign(folder: Path) -> None:
     (folder / STATE_FILE).unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("prepare", "resume", "words"),
     [
@@ -285,6 +289,7 @@ def test_a_folder_that_is_there_is_not_overwritten(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 def test_another_plan_does_not_go_on_in_the_same_folder_and_overwriting_takes_only_what_is_its_own(
     plan: Plan, tmp_path: Path
 ) -> None:
@@ -305,6 +310,7 @@ def test_another_plan_does_not_go_on_in_the_same_folder_and_overwriting_takes_on
     assert not (tmp_path / "run" / "bags").exists()
 
 
+@pytest.mark.slow
 def test_a_second_process_is_refused_until_the_first_has_ended(plan: Plan, tmp_path: Path) -> None:
     first = begin(plan, tmp_path / "run", resume=False, overwrite=False, now="")
     before = contents(tmp_path / "run")
@@ -329,6 +335,7 @@ def test_an_experiment_that_cannot_fit_on_the_disk_is_refused(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_leaves_what_is_done_and_says_how_to_go_on(tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text(PLAN)
     limited = subprocess.run(
@@ -375,6 +382,7 @@ def test_the_check_lists_the_steps_and_what_the_beam_will_do(plan: Plan) -> None
     assert "level 0.5, tip at most" in lines[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -389,20 +397,12 @@ def test_the_check_lists_the_steps_and_what_the_beam_will_do(plan: Plan) -> None
     ],
 )
 def test_a_wrong_command_is_one_line_and_status_2(
-    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+    tmp_path: Path, beam: Beam, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "mine").touch()
     (tmp_path / "file").touch()
-    ended = subprocess.run(
-        [*command("beam"), *arguments],
-        cwd=tmp_path,
-        env=child_environment(),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = beam(*arguments)
     assert ended.returncode == 2, ended.stderr
     assert ended.stderr.count("\n") == 1, ended.stderr
     for word in words:
